@@ -1,0 +1,88 @@
+"""What recording and control need of an environment, beyond Gymnasium.
+
+An environment is a ``gymnasium.Env`` (registered under ``dmbench/...``, passing ``check_env``) that also
+answers the questions below. It is named by an entry point of the group ``dmbench.environments`` whose value
+is the class; the class is built with the recipe's parameters as keyword arguments.
+
+Exactness: ``reset(seed=s)`` followed by a sequence of actions gives the same frames and the same states in
+every process. That is the only way in which a state is stored or restored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from dmotion_bench.specs import EnvSpec, Episode, ObjectStates, Preset
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingPreset:
+    """How much is recorded at a preset.
+
+    Attributes:
+        episodes: Number of episodes.
+        frames: At most so many frames an episode.
+        tasks: Control tasks stored with the data set.
+    """
+
+    episodes: int
+    frames: int
+    tasks: int
+
+
+@runtime_checkable
+class Environment(Protocol):
+    """A ``gymnasium.Env`` that can be recorded and controlled."""
+
+    facts: EnvSpec
+    recording: ClassVar[Mapping[Preset, RecordingPreset]]
+    default_policy: ClassVar[str]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:
+        """Start an episode; ``options`` may fix factors of variation."""
+
+    def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
+        """Take one action; an impossible one changes nothing and ``info["illegal"]`` says so."""
+
+    def legal_actions(self) -> Bool[np.ndarray, " a"]:
+        """Which actions are possible in the present state."""
+
+    def agent(self) -> ObjectStates:
+        """The agent's state, k = 1."""
+
+    def objects(self) -> ObjectStates:
+        """The objects' states, in the order of ``facts.objects``."""
+
+    def masks(self) -> UInt8[np.ndarray, "h w"]:
+        """What each pixel shows: 0 background, 1 agent, 2 + k object k."""
+
+    def close(self) -> None:
+        """Free the simulator."""
+
+
+class Policy(Protocol):
+    """Chooses the actions of a recording."""
+
+    def __call__(self, env: Environment, generator: np.random.Generator) -> int:
+        """The action to take in ``env``'s present state, a legal one."""
+
+
+@runtime_checkable
+class EpisodeGenerator(Protocol):
+    """An environment class that makes many episodes at once, faster than step by step.
+
+    What it yields must equal what resetting and stepping the environment with the same seeds gives.
+    """
+
+    @classmethod
+    def generate(
+        cls, seeds: Sequence[int], *, frames: int, policy: str, parameters: Mapping[str, Any]
+    ) -> Iterator[Episode]:
+        """The episodes of ``seeds``, in their order."""

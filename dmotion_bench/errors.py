@@ -1,0 +1,135 @@
+"""Every error that dmbench raises on purpose.
+
+::
+
+    DmbenchError                      the command line prints its sentence and exits with 1
+    ├── UsageError                    a name, option or value that is not allowed: exit with 2
+    │   ├── UnknownName               no such environment, model, preset, run, data set, episode ...
+    │   └── InvalidSetting            a --set key or a field's value that cannot be
+    ├── DatasetError
+    │   ├── DatasetMissing            no data set where one was expected
+    │   ├── DatasetIncomplete         recording was interrupted; the command that goes on is named
+    │   ├── DatasetCorrupt            bytes that are not what was written
+    │   ├── DatasetVersionUnknown     written by another version of the format
+    │   └── RecipeMismatch            the folder holds a data set made by another recipe
+    ├── RecordingImportError          a foreign recording that cannot be read
+    ├── LabelsNotAvailable            labels/ is not there, or the budget does not allow them
+    ├── RunError
+    │   ├── RunMissing
+    │   ├── RunCorrupt                a checkpoint or configuration that cannot be read
+    │   └── RunMismatch               a run that was made with other settings or data
+    ├── ModelContractBroken           a model does not do what learning/model.py asks
+    ├── PackageNotInstalled           an optional dependency is absent; names the command
+    ├── StorageFull                   no space left on the device
+    └── ViewerError                   Rerun could not be started or reached
+
+Each message says what was given, what is allowed, and the next command to type.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class DmbenchError(Exception):
+    """Base of all errors that a user can cause and mend."""
+
+
+class UsageError(DmbenchError):
+    """A name, option or value that is not allowed."""
+
+
+class UnknownName(UsageError):
+    """No thing of this kind is known under the name asked for.
+
+    Args:
+        kind: What was looked for, in the singular: ``"model"``.
+        name: What was asked for.
+        known: Every allowed name.
+        listing: The command that lists them, if there is one.
+    """
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], listing: str = "") -> None:
+        self.kind, self.name, self.known = kind, name, sorted(known)
+        near = difflib.get_close_matches(name, self.known, n=1)
+        if near:
+            hint = f"did you mean {near[0]!r}?"
+        elif self.known:
+            hint = f"known: {', '.join(self.known)}."
+        else:
+            hint = "none is known here."
+        tail = f" List them with '{listing}'." if listing else ""
+        super().__init__(f"no {kind} named {name!r}; {hint}{tail}")
+
+
+class InvalidSetting(UsageError):
+    """A setting that does not exist or a value that it cannot take."""
+
+
+class DatasetError(DmbenchError):
+    """Something is wrong with a data set on disk."""
+
+
+class DatasetMissing(DatasetError):
+    """No data set where one was expected."""
+
+
+class DatasetIncomplete(DatasetError):
+    """A recording was interrupted and not yet completed."""
+
+
+class DatasetCorrupt(DatasetError):
+    """Bytes that are not what was written."""
+
+
+class DatasetVersionUnknown(DatasetError):
+    """The data set was written by another version of the format."""
+
+
+class RecipeMismatch(DatasetError):
+    """The folder holds a data set that another recipe made."""
+
+
+class RecordingImportError(DmbenchError):
+    """A foreign recording that cannot be read."""
+
+
+class LabelsNotAvailable(DmbenchError):
+    """The labels are not there, or the run's budget does not allow them."""
+
+
+class RunError(DmbenchError):
+    """Something is wrong with a training run on disk."""
+
+
+class RunMissing(RunError):
+    """No run where one was expected."""
+
+
+class RunCorrupt(RunError):
+    """A checkpoint or configuration that cannot be read."""
+
+
+class RunMismatch(RunError):
+    """The run was made with other settings or other data."""
+
+
+class ModelContractBroken(DmbenchError):
+    """A model does not do what ``learning/model.py`` asks of it."""
+
+
+class PackageNotInstalled(DmbenchError):
+    """An optional dependency is absent."""
+
+    def __init__(self, package: str, why: str, install: str) -> None:
+        self.package = package
+        super().__init__(f"{why} needs the package {package!r}, which is not installed; install it with '{install}'.")
+
+
+class StorageFull(DmbenchError):
+    """No space left on the device."""
+
+
+class ViewerError(DmbenchError):
+    """Rerun could not be started or reached."""

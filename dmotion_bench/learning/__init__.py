@@ -1,0 +1,1 @@
+"""The model contract, triplets, the label budget, the training loop, checkpoints."""

@@ -1,0 +1,220 @@
+"""The contract of a forward model: what a class must do to be trained, scored, planned with and ranked.
+
+A model is an ``nn.Module`` built from a frozen config and the facts of the data. It learns from triplets
+of consecutive frames; a model of ``Supervision.NONE`` never sees an action while it learns, and is told
+afterwards, by a few demonstrations, which of its own latent actions belongs to which named action.
+
+Images are ``Float[b c h w]`` in [-1, 1]. Axis letters: ``b`` batch, ``t`` time, ``c h w`` image.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Generic, TypeVar
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from dmotion_bench.specs import Preset, Supervision
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelInputs:
+    """The facts of a data set that a model is built for.
+
+    Attributes:
+        height, width: Of a frame [px].
+        actions: Number of discrete actions; 0 where they are unknown.
+    """
+
+    height: int
+    width: int
+    actions: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class TripletBatch:
+    """Three consecutive frames; the action that led from the second to the third where it was paid for.
+
+    ``action`` is None in the training of unsupervised models, always.
+    """
+
+    previous: Float[Tensor, "b c h w"]
+    current: Float[Tensor, "b c h w"]
+    next: Float[Tensor, "b c h w"]
+    action: Int[Tensor, " b"] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demonstrations:
+    """A few labelled transitions: ``next`` is what ``action`` made of ``current``."""
+
+    previous: Float[Tensor, "n c h w"]
+    current: Float[Tensor, "n c h w"]
+    next: Float[Tensor, "n c h w"]
+    action: Int[Tensor, " n"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Losses:
+    """The loss to minimise and its named terms, for the curves.
+
+    Attributes:
+        total: What is differentiated.
+        terms: Detached scalars by name; ``validation`` figures that are not minimised may stand here too.
+    """
+
+    total: Float[Tensor, ""]
+    terms: Mapping[str, Float[Tensor, ""]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """One part of a training: most models have one, a world model learns its code first, then its dynamics.
+
+    Attributes:
+        name: Given to ``ForwardModel.enter``.
+        fraction: Of the training's steps.
+        needs_actions: Whether only labelled triplets are of use in this phase.
+    """
+
+    name: str = "train"
+    fraction: float = 1.0
+    needs_actions: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfig:
+    """How a model is optimised.
+
+    Attributes:
+        epochs: Passes over the training triplets.
+        batch_size: Triplets a step.
+        learning_rate: Peak of the schedule.
+        schedule: ``"one-cycle"`` (warm-up, then cosine to zero), ``"cosine"`` or ``"constant"``.
+        optimizer: ``"adamw"`` or ``"adam"``.
+        weight_decay: Decoupled, AdamW's.
+        clip_norm: Largest norm of the gradient; 0 leaves it alone.
+        precision: ``"bf16"`` autocast where the hardware has it, or ``"float32"``.
+        channels_last: Memory format of images and weights.
+        ema: Decay of the averaged weights that are validated and kept; 0 keeps the raw ones.
+        validations: How many times the run is validated and its checkpoint written.
+        augment: Names of augmentations drawn for each batch: ``"flip"`` mirrors whole triplets.
+    """
+
+    epochs: float
+    batch_size: int = 32
+    learning_rate: float = 1e-3
+    schedule: str = "one-cycle"
+    optimizer: str = "adamw"
+    weight_decay: float = 0.0
+    clip_norm: float = 1.0
+    precision: str = "bf16"
+    channels_last: bool = True
+    ema: float = 0.0
+    validations: int = 10
+
+    def __post_init__(self) -> None:
+        from dmotion_bench.errors import InvalidSetting
+
+        for name, value, allowed in (
+            ("schedule", self.schedule, ("one-cycle", "cosine", "constant")),
+            ("optimizer", self.optimizer, ("adamw", "adam")),
+            ("precision", self.precision, ("bf16", "float32")),
+        ):
+            if value not in allowed:
+                raise InvalidSetting(f"{name} is {value!r}; it can be {', '.join(allowed)}.")
+        for name, number in (("epochs", self.epochs), ("batch_size", self.batch_size), ("learning_rate", self.learning_rate)):
+            if not number > 0:
+                raise InvalidSetting(f"{name} is {number}; it must be above zero.")
+
+
+ConfigT = TypeVar("ConfigT")
+State = Any
+"""What a model carries from step to step of a rollout: a tuple of tensors whose first axis is the batch."""
+
+
+class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
+    """Predicts the next frame from the last two and an action.
+
+    Subclasses set the class variables, take ``(config, inputs)`` and implement ``losses`` and either
+    ``predict`` (models of pixels) or ``begin``, ``advance`` and ``frame`` (models that roll out in a
+    latent space).
+    """
+
+    supervision: ClassVar[Supervision]
+    paper: ClassVar[str]  # authors, title, venue, year
+    Config: ClassVar[type]
+    architectures: ClassVar[tuple[str, ...]] = ("compact",)
+    needs_pixels: ClassVar[bool] = True  # whether frames it predicts are meant to look like frames
+
+    def __init__(self, config: ConfigT, inputs: ModelInputs) -> None:
+        super().__init__()
+        self.config, self.inputs = config, inputs
+
+    @classmethod
+    def configure(cls, arch: str) -> ConfigT:
+        """The config of one of ``architectures``; the first is the default."""
+        config: ConfigT = cls.Config() if len(cls.architectures) == 1 else cls.Config(arch=arch)
+        return config
+
+    @classmethod
+    def training(cls, preset: Preset, arch: str) -> TrainingConfig:
+        """How this model is trained at a preset."""
+        return TrainingConfig(epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 50}[preset])
+
+    def phases(self) -> tuple[Phase, ...]:
+        """The parts of a training, in order; their fractions sum to one."""
+        return (Phase(),)
+
+    def enter(self, phase: Phase) -> None:
+        """Called before a phase's first step and on resuming within it: freeze and unfreeze here."""
+
+    @abstractmethod
+    def losses(self, batch: TripletBatch) -> Losses:
+        """The loss of a batch. ``batch.action`` is there only for models of ``Supervision.ACTIONS``."""
+
+    def align(self, demonstrations: Demonstrations) -> None:
+        """Learn which latent action each named action is; supervised models have nothing to learn here.
+
+        What is learnt must live in buffers or parameters, so that the checkpoint keeps it.
+        """
+
+    def predict(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        action: Int[Tensor, " b"],
+    ) -> Float[Tensor, "b c h w"]:
+        """The frame after ``current`` if ``action`` is taken at it, in [-1, 1]."""
+        return self.frame(self.advance(self.begin(previous, current), action))
+
+    def begin(self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]) -> State:
+        """The state that a rollout starts from."""
+        return previous, current
+
+    def advance(self, state: State, action: Int[Tensor, " b"]) -> State:
+        """The state one action later."""
+        previous, current = state
+        return current, self.predict(previous, current, action)
+
+    def frame(self, state: State) -> Float[Tensor, "b c h w"]:
+        """What a state looks like, in [-1, 1]."""
+        frame: Tensor = state[1]
+        return frame
+
+    def rollout(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        actions: Int[Tensor, "b t"],
+    ) -> Float[Tensor, "b t c h w"]:
+        """The frames that a sequence of actions leads to, each predicted from the model's own last ones."""
+        state, frames = self.begin(previous, current), []
+        for action in actions.unbind(1):
+            state = self.advance(state, action)
+            frames.append(self.frame(state))
+        return torch.stack(frames, dim=1)

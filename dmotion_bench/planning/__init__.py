@@ -1,0 +1,1 @@
+"""Planning with a learned model: CEM, costs, the control loop."""

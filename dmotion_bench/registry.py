@@ -1,0 +1,65 @@
+"""Names -> classes, through entry points that are resolved on use.
+
+Nothing is imported until a name is asked for, so listing names costs no torch and no simulator.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any
+
+from dmotion_bench.errors import DmbenchError, UnknownName
+
+if TYPE_CHECKING:
+    from dmotion_bench.environment import Environment
+    from dmotion_bench.learning.model import ForwardModel
+
+ENVIRONMENTS = "dmbench.environments"
+MODELS = "dmbench.models"
+
+
+def names(group: str) -> list[str]:
+    """Every name registered in a group, sorted."""
+    return sorted({point.name for point in entry_points(group=group)})
+
+
+def _load(group: str, kind: str, name: str) -> Any:
+    found: list[EntryPoint] = [point for point in entry_points(group=group) if point.name == name]
+    if not found:
+        raise UnknownName(kind, name, names(group), f"dmbench list {kind}s")
+    try:
+        return found[0].load()
+    except (ImportError, AttributeError) as error:
+        raise DmbenchError(
+            f"the {kind} {name!r} is registered as {found[0].value!r}, which cannot be imported: {error}."
+        ) from error
+
+
+def environment_names() -> list[str]:
+    """The names of all installed environments."""
+    return names(ENVIRONMENTS)
+
+
+def model_names() -> list[str]:
+    """The names of all installed models."""
+    return names(MODELS)
+
+
+def environment_class(name: str) -> type[Environment]:
+    """The class of an environment.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: type[Environment] = _load(ENVIRONMENTS, "environment", name)
+    return loaded
+
+
+def model_class(name: str) -> type[ForwardModel]:
+    """The class of a model.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: type[ForwardModel] = _load(MODELS, "model", name)
+    return loaded

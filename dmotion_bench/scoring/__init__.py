@@ -1,0 +1,1 @@
+"""Scoring of prediction, rollouts, identification and control; statistics; reports."""

@@ -1,0 +1,167 @@
+"""Frozen facts that travel between the parts: what an environment is, what an episode holds.
+
+Numpy only: the recorders, the storage and the planner share these without loading torch.
+Axis letters: ``t`` time, ``k`` objects, ``h w`` image rows and columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+Scalar = str | int | float | bool
+SplitName = Literal["train", "validation", "test"]
+
+MASK_BACKGROUND = 0
+MASK_AGENT = 1
+MASK_FIRST_OBJECT = 2  # object k of EnvSpec.objects has the mask value 2 + k
+
+
+class Supervision(StrEnum):
+    """What a model sees of the actions while it learns."""
+
+    NONE = "none"  # video only; actions are aligned afterwards from demonstrations
+    ACTIONS = "actions"  # asks the label budget for the actions of its training triplets
+
+
+class Preset(StrEnum):
+    """How large everything is made: seconds, minutes on a laptop, the paper's numbers."""
+
+    TINY = "tiny"
+    SMALL = "small"
+    PAPER = "paper"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectSpec:
+    """One coloured object, as the position finder and the viewer know it.
+
+    Attributes:
+        name: Unique within the environment, such as ``"red_circle"``.
+        shape: A word for people: ``"circle"``, ``"box"``.
+        color: RGB, 0-255: the object's own colour, before any light falls on it.
+    """
+
+    name: str
+    shape: str
+    color: tuple[int, int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvSpec:
+    """What is always true of an environment.
+
+    Attributes:
+        id: The registry's name of it.
+        actions: The names of the discrete actions, in the order of their numbers; empty for recordings
+            whose actions are unknown.
+        agent: The controllable thing. Its colour finds it in an image only where ``agent_has_color`` says so.
+        objects: The things that the agent moves.
+        height, width: Of a frame [px].
+        step_ns: Time between two frames [ns].
+        agent_has_color: Whether the agent is one patch of ``agent.color``.
+        shaded: Whether light changes the colours, so that an object is known by its hue, not by its exact RGB.
+        push_threshold: An object that moved farther than this in one step counts as pushed [m].
+    """
+
+    id: str
+    actions: tuple[str, ...]
+    agent: ObjectSpec
+    objects: tuple[ObjectSpec, ...]
+    height: int = 128
+    width: int = 128
+    step_ns: int = 100_000_000
+    agent_has_color: bool = False
+    shaded: bool = False
+    push_threshold: float = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectStates:
+    """Where things are at one moment (leading axis ``k``) or over an episode (``t k``).
+
+    Attributes:
+        position: [m], world frame; NaN for an object that no longer exists.
+        orientation: Unit quaternion x y z w; NaN likewise.
+        pixel: Centre (x, y) in the picture [px], with pixel (0, 0)'s centre at (0, 0); NaN likewise.
+        visible: Fraction of the object's own pixels that nothing hides, 0 for one that is gone.
+    """
+
+    position: Float[np.ndarray, "*t k 3"]
+    orientation: Float[np.ndarray, "*t k 4"]
+    pixel: Float[np.ndarray, "*t k 2"]
+    visible: Float[np.ndarray, "*t k"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeLabels:
+    """What is held out of an episode of ``t`` frames.
+
+    Attributes:
+        actions: ``actions[i]`` is the action taken at frame i, so frame i+1 = step(frame i, actions[i]).
+        pushed: Whether any object moved between frame i and frame i+1.
+        agent: The agent's states, k = 1.
+        objects: In the order of ``EnvSpec.objects``.
+        masks: 0 background, 1 agent, 2 + k object k.
+        factors: The episode's factors of variation, empty by default.
+    """
+
+    actions: Int[np.ndarray, "t-1"]
+    pushed: Bool[np.ndarray, "t-1"]
+    agent: ObjectStates
+    objects: ObjectStates
+    masks: UInt8[np.ndarray, "t h w"]
+    factors: Mapping[str, Scalar] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """One recorded episode: the video, its labels, and how it came about.
+
+    Attributes:
+        frames: RGB, 0-255.
+        seed: Resetting the environment with it and replaying ``labels.actions`` gives ``frames`` again.
+        ended: ``"truncated"`` at the step limit, ``"terminated"`` by the environment (an object fell).
+    """
+
+    frames: UInt8[np.ndarray, "t h w 3"]
+    labels: EpisodeLabels
+    seed: int
+    ended: Literal["truncated", "terminated"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetRecipe:
+    """All that decides the bytes of a data set; the same recipe makes the same bytes.
+
+    Attributes:
+        environment: Registry name; ``"imported"`` for foreign recordings.
+        parameters: Keyword arguments of the environment's constructor.
+        policy: Name of the recording policy.
+        seed: Episode i is seeded by ``episode_seed(seed, i)``.
+        episodes: Target total.
+        frames: At most so many frames an episode.
+        tasks: Control tasks to store.
+        shard_episodes: Episodes in a shard, the unit of work and of resuming.
+        vary: Factors of variation drawn anew for each episode.
+    """
+
+    environment: str
+    parameters: Mapping[str, Scalar] = field(default_factory=dict)
+    policy: str = "random"
+    seed: int = 0
+    episodes: int
+    frames: int
+    tasks: int = 0
+    shard_episodes: int = 50
+    vary: tuple[str, ...] = ()
+
+
+def episode_seed(seed: int, episode: int) -> int:
+    """The seed of one episode: independent of every other, and of how the work is divided."""
+    return int(np.random.SeedSequence(seed, spawn_key=(episode,)).generate_state(1, np.uint64)[0] >> 1)

@@ -1,0 +1,1 @@
+"""Data sets, runs and reports in Rerun."""

@@ -1,0 +1,97 @@
+"""Where data sets, runs and reports live: the folders ``data/``, ``runs/`` and ``reports/`` of a workspace.
+
+The workspace is the current folder, or the one that ``DMBENCH_WORKSPACE`` names.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
+
+DATASET_MANIFEST = "dataset.json"
+RUN_MANIFEST = "run.json"
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """The folder that everything is kept in."""
+
+    root: Path
+
+    @classmethod
+    def current(cls) -> Workspace:
+        """The workspace of this process."""
+        return cls(Path(os.environ.get("DMBENCH_WORKSPACE", ".")))
+
+    @property
+    def data(self) -> Path:
+        """Holds one folder a data set."""
+        return self.root / "data"
+
+    @property
+    def runs(self) -> Path:
+        """Holds one folder a training run."""
+        return self.root / "runs"
+
+    @property
+    def reports(self) -> Path:
+        """Holds one folder a comparison of runs."""
+        return self.root / "reports"
+
+    def datasets(self) -> list[Path]:
+        """Every data set's folder, whole or still being recorded, sorted."""
+        return sorted(path.parent for path in self.data.glob(f"*/{DATASET_MANIFEST}"))
+
+    def all_runs(self) -> list[Path]:
+        """Every run's folder, sorted."""
+        return sorted(path.parent for path in self.runs.glob(f"*/{RUN_MANIFEST}"))
+
+    def dataset(self, given: Path | None) -> Path:
+        """The data set asked for by path or name, or the only one there is.
+
+        Raises:
+            DatasetMissing: There is none.
+            UsageError: There are several and none was named.
+        """
+        if given is not None:
+            return self._named(given, self.data, DATASET_MANIFEST, "data set", self.datasets())
+        found = self.datasets()
+        if not found:
+            raise DatasetMissing(
+                f"no data set in {str(self.data)!r}; record one with 'dmbench record grid_world' "
+                "or name one with '--data DIR'."
+            )
+        if len(found) > 1:
+            listed = "\n".join(f"  --data {path}" for path in found)
+            raise UsageError(f"several data sets are here; choose one:\n{listed}")
+        return found[0]
+
+    def run(self, given: Path | None) -> Path:
+        """The run asked for by path or name, or the only one there is.
+
+        Raises:
+            RunMissing: There is none.
+            UsageError: There are several and none was named.
+        """
+        if given is not None:
+            return self._named(given, self.runs, RUN_MANIFEST, "run", self.all_runs())
+        found = self.all_runs()
+        if not found:
+            raise RunMissing(f"no run in {str(self.runs)!r}; train one with 'dmbench train dmotion'.")
+        if len(found) > 1:
+            listed = "\n".join(f"  {path}" for path in found)
+            raise UsageError(f"several runs are here; name one:\n{listed}")
+        return found[0]
+
+    @staticmethod
+    def _named(given: Path, folder: Path, manifest: str, kind: str, known: list[Path]) -> Path:
+        for candidate in (given, folder / given):
+            if (candidate / manifest).is_file():
+                return candidate
+        if given.is_dir():
+            missing = DatasetMissing if kind == "data set" else RunMissing
+            raise missing(f"{str(given)!r} is no {kind}: it holds no {manifest}.")
+        raise UnknownName(kind, str(given), [path.name for path in known], f"dmbench list {kind.replace(' ', '')}s")

@@ -1,0 +1,1 @@
+"""The paper's tables, entries of results, and the static page made from them."""

@@ -1,0 +1,77 @@
+"""The Typer application, and the one place where errors become sentences and exit codes.
+
+Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import sys
+from typing import NoReturn
+
+import typer
+
+from dmotion_bench import __version__
+from dmotion_bench.errors import DmbenchError, StorageFull, UsageError
+
+app = typer.Typer(
+    name="dmbench",
+    help="The benchmark for forward models learned from robot video without action labels.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+COMMANDS = ("demo", "record", "data", "train", "score", "view", "list_names", "bench", "info")
+"""Modules of this package, in the order of ``dmbench --help``; each has ``register(app)``."""
+
+
+def _version(value: bool) -> None:
+    if value:
+        typer.echo(f"dmbench {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def dmbench(
+    version: bool = typer.Option(
+        False, "--version", help="Print the version and leave.", callback=_version, is_eager=True
+    ),
+) -> None:
+    """The benchmark for forward models learned from robot video without action labels."""
+
+
+def _register() -> None:
+    for name in COMMANDS:
+        importlib.import_module(f"dmotion_bench.cli.{name}").register(app)
+
+
+def _fail(sentence: str, code: int) -> NoReturn:
+    print(f"dmbench: {sentence}", file=sys.stderr)  # noqa: T201 (the command line's own voice)
+    raise SystemExit(code)
+
+
+def main() -> None:
+    """Entry point of the ``dmbench`` script."""
+    _register()
+    try:
+        app(prog_name="dmbench", standalone_mode=True)
+    except UsageError as error:
+        _fail(str(error), 2)
+    except DmbenchError as error:
+        _fail(str(error), 1)
+    except BrokenPipeError:
+        sys.stderr.close()
+        raise SystemExit(1) from None
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            _fail(str(StorageFull(f"no space left on the device while writing {error.filename or 'a file'!r}; "
+                                  "free some and run the same command again: it goes on where it stopped.")), 1)
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+            _fail(f"may not write or read {error.filename!r}: {error.strerror}.", 1)
+        raise
+    except KeyboardInterrupt:
+        _fail("interrupted; run the same command again to go on where it stopped.", 130)

@@ -13,6 +13,7 @@
     │   ├── DatasetVersionUnknown     written by another version of the format
     │   └── RecipeMismatch            the folder holds a data set made by another recipe
     ├── RecordingImportError          a foreign recording that cannot be read
+    │   └── RecordingTruncated        it ends in the middle
     ├── LabelsNotAvailable            labels/ is not there, or the budget does not allow them
     ├── RunError
     │   ├── RunMissing
@@ -93,6 +94,10 @@ class RecipeMismatch(DatasetError):
 
 class RecordingImportError(DmbenchError):
     """A foreign recording that cannot be read."""
+
+
+class RecordingTruncated(RecordingImportError):
+    """A foreign recording that ends in the middle."""
 
 
 class LabelsNotAvailable(DmbenchError):

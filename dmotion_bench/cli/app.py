@@ -68,8 +68,15 @@ def main() -> None:
         raise SystemExit(1) from None
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            _fail(str(StorageFull(f"no space left on the device while writing {error.filename or 'a file'!r}; "
-                                  "free some and run the same command again: it goes on where it stopped.")), 1)
+            _fail(
+                str(
+                    StorageFull(
+                        f"no space left on the device while writing {error.filename or 'a file'!r}; "
+                        "free some and run the same command again: it goes on where it stopped."
+                    )
+                ),
+                1,
+            )
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
             _fail(f"may not write or read {error.filename!r}: {error.strerror}.", 1)
         raise

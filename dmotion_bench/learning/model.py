@@ -102,7 +102,6 @@ class TrainingConfig:
         channels_last: Memory format of images and weights.
         ema: Decay of the averaged weights that are validated and kept; 0 keeps the raw ones.
         validations: How many times the run is validated and its checkpoint written.
-        augment: Names of augmentations drawn for each batch: ``"flip"`` mirrors whole triplets.
     """
 
     epochs: float
@@ -127,7 +126,11 @@ class TrainingConfig:
         ):
             if value not in allowed:
                 raise InvalidSetting(f"{name} is {value!r}; it can be {', '.join(allowed)}.")
-        for name, number in (("epochs", self.epochs), ("batch_size", self.batch_size), ("learning_rate", self.learning_rate)):
+        for name, number in (
+            ("epochs", self.epochs),
+            ("batch_size", self.batch_size),
+            ("learning_rate", self.learning_rate),
+        ):
             if not number > 0:
                 raise InvalidSetting(f"{name} is {number}; it must be above zero.")
 
@@ -162,7 +165,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         return config
 
     @classmethod
-    def training(cls, preset: Preset, arch: str) -> TrainingConfig:
+    def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """How this model is trained at a preset."""
         return TrainingConfig(epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 50}[preset])
 
@@ -172,6 +175,9 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
 
     def enter(self, phase: Phase) -> None:
         """Called before a phase's first step and on resuming within it: freeze and unfreeze here."""
+
+    def progress(self, share: float) -> None:
+        """Called before every step with the share of the phase that is done, in [0, 1): anneal here."""
 
     @abstractmethod
     def losses(self, batch: TripletBatch) -> Losses:

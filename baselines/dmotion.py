@@ -1,0 +1,235 @@
+"""DMotion (Yuan et al. 2021): a forward model learned from video by disentangling the agent's motion.
+
+Two networks are trained together on triplets (x_{t-1}, x_t, x_{t+1}) without any action:
+
+- The **object extractor** encodes x_t into n maps m^i and the pair (x_t, x_{t+1}) into n motions phi^i, moves each map
+  by its motion, m^i_{t+1} = ST(m^i_t, phi^i_t) (eq. 1), and decodes the moved maps to x'_{t+1}.
+- The **interaction learner** predicts x''_{t+1} from (x_{t-1}, x_t) and the moved map 0 alone. What the past cannot
+  tell it is what the agent chooses to do; so map 0 comes to hold the agent, and phi^0 the agent's motion.
+
+The loss is |x' - x|^2 + |x'' - x|^2 (eq. 2). Afterwards one demonstration (x_t, x_{t+1}) per action fills the
+action-transformation table a -> phi^0, and the interaction learner is the forward model.
+
+This file is the method. The networks are in ``dmotion_paper.py``, layer by layer as published, and in
+``dmotion_compact.py``, which trains about 100 times faster to a lower error (DECISIONS.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from baselines import dmotion_compact, dmotion_paper
+from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.model import (
+    Demonstrations,
+    ForwardModel,
+    Losses,
+    ModelInputs,
+    TrainingConfig,
+    TripletBatch,
+)
+from dmotion_bench.specs import Preset, Supervision
+
+
+@dataclass(frozen=True, kw_only=True)
+class DMotionConfig:
+    """The choices that the paper leaves open or argues about.
+
+    Attributes:
+        arch: ``"paper"`` as published, ``"compact"`` for speed.
+        maps: n, the number of feature maps.
+        transform: ``"translation"`` (the default in both environments), ``"affine"`` with all six parameters, or
+            ``"cross_convolution"`` (the ablation DMotion-No-STN).
+        kernel: Side of cross convolution's kernels [px of the map].
+        agent_entries: At how many places of the interaction learner the agent's map enters: 3 as in the paper, or 1.
+        second_frame: Whether the interaction learner sees x_{t-1}.
+        blur: Width of the interpolation kernel at the start of the training [px of the map]; shrinks to 1 over
+            ``anneal``. 1 is the paper's. Wide kernels let the gradient of the motion see as far as the agent goes.
+        jitter: Standard deviation of the noise on phi^0 as the interaction learner sees it, at the start of the
+            training [px of the map]; falls to ``jitter_end`` over ``anneal``. 0 is the paper's. With noise on it,
+            only a true motion carries the action; a hidden code in the last digits of phi^0 does not.
+        jitter_end: Where the noise ends.
+        anneal: Share of the training after which both have reached their ends.
+    """
+
+    arch: Literal["compact", "paper"] = "compact"
+    maps: int = 8
+    transform: Literal["translation", "affine", "cross_convolution"] = "translation"
+    kernel: int = 27
+    agent_entries: Literal[1, 3] = 3
+    second_frame: bool = True
+    blur: float = 7.0
+    jitter: float = 2.0
+    jitter_end: float = 0.5
+    anneal: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.maps < 1 or self.kernel % 2 == 0:
+            raise InvalidSetting(f"maps is {self.maps} and kernel {self.kernel}; maps must be 1 or more, kernel odd.")
+        if self.blur < 1 or self.jitter < 0 or not 0 < self.anneal <= 1:
+            raise InvalidSetting("blur must be 1 or more, jitter 0 or more, anneal above 0 and at most 1.")
+
+
+class DMotion(ForwardModel[DMotionConfig]):
+    """Sees video only; the actions are named afterwards by a handful of demonstrations."""
+
+    supervision: ClassVar[Supervision] = Supervision.NONE
+    paper: ClassVar[str] = (
+        "Yuan, Wu, Zhao, Zhang, Ding, Dong: DMotion: Robotic Visuomotor Control with Unsupervised Forward Model "
+        "Learned from Videos, IROS 2021"
+    )
+    Config: ClassVar[type] = DMotionConfig
+    architectures: ClassVar[tuple[str, ...]] = ("compact", "paper")
+    table: Tensor
+
+    def __init__(self, config: DMotionConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        self.transform: Motion = _transform(config)
+        if inputs.height != inputs.width or inputs.height % 16:
+            raise InvalidSetting(
+                f"frames are {inputs.height} x {inputs.width}; "
+                "DMotion takes square ones whose side is a multiple of 16."
+            )
+        networks = dmotion_paper if config.arch == "paper" else dmotion_compact
+        self.pack, self.unpack = networks.pack, networks.unpack
+        self.image_encoder = networks.ImageEncoder(config.maps)
+        self.motion_encoder = networks.MotionEncoder(config.maps, self.transform.identity())
+        self.decoder = networks.Decoder(config.maps)
+        self.interaction_learner = networks.InteractionLearner(
+            frames=2 if config.second_frame else 1, agent_entries=config.agent_entries
+        )
+        self.register_buffer("table", self.transform.identity().repeat(inputs.actions, 1))
+        self.blur, self.jitter = config.blur, config.jitter
+
+    @classmethod
+    def configure(cls, arch: str) -> DMotionConfig:
+        """The paper's architecture is trained as in the paper: without widened kernels and without noise."""
+        if arch == "paper":
+            return DMotionConfig(arch="paper", blur=1.0, jitter=0.0, jitter_end=0.0)
+        return DMotionConfig()
+
+    @classmethod
+    def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
+        """The paper's: Adam 1e-3, batches of 32, 50 epochs."""
+        if arch == "paper":
+            return TrainingConfig(
+                epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 50}[preset],
+                learning_rate=1e-3,
+                schedule="constant",
+                optimizer="adam",
+                clip_norm=0.0,
+            )
+        return TrainingConfig(
+            epochs={Preset.TINY: 1, Preset.SMALL: 20, Preset.PAPER: 50}[preset], learning_rate=3e-3, ema=0.995
+        )
+
+    def progress(self, share: float) -> None:
+        """Narrow the interpolation kernel and quieten the noise."""
+        left = max(0.0, 1 - share / self.config.anneal)
+        self.blur = 1 + (self.config.blur - 1) * left
+        self.jitter = self.config.jitter_end + (self.config.jitter - self.config.jitter_end) * left
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        """Equation 2, in squared [-1, 1] units, averaged over pixels and channels."""
+        previous, current, following = (self.pack(image) for image in (batch.previous, batch.current, batch.next))
+        maps = self.image_encoder(current)
+        motion = self.motion_encoder(current, following)
+        blur = self.blur if self.training else 1.0
+        reconstructed = self.decoder(self.transform(maps, motion, blur))
+        agent = self.transform(maps[:, :1], self._with_noise(motion[:, :1], maps.shape[-1]), blur)
+        predicted = self._interact(previous, current, agent)
+        extraction = F.mse_loss(reconstructed, following)  # packing moves pixels about, the mean stays
+        prediction = F.mse_loss(predicted, following)
+        return Losses(
+            total=extraction + prediction,
+            terms={"extraction": extraction.detach(), "prediction": prediction.detach()},
+        )
+
+    @torch.no_grad()
+    def align(self, demonstrations: Demonstrations) -> None:
+        """Fill the action-transformation table: the mean of phi^0 over each action's demonstrations."""
+        motion = self.motion(demonstrations.current, demonstrations.next)
+        for action in range(self.inputs.actions):
+            of_action = motion[demonstrations.action == action]
+            if len(of_action):
+                self.table[action] = of_action.mean(0)
+
+    def predict(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        action: Int[Tensor, " b"],
+    ) -> Float[Tensor, "b c h w"]:
+        """x''_{t+1} with phi^0 out of the table."""
+        return self.predict_with_motion(previous, current, self.table[action])
+
+    def predict_with_motion(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        motion: Float[Tensor, "b d"],
+    ) -> Float[Tensor, "b c h w"]:
+        """x''_{t+1} if the agent moves by ``motion``."""
+        previous, current = self.pack(previous), self.pack(current)
+        agent = self.transform(self.image_encoder(current)[:, :1], motion[:, None])
+        predicted: Tensor = self.unpack(self._interact(previous, current, agent))
+        return predicted.float()
+
+    def motion(self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d"]:
+        """phi^0: how the agent moves between two frames."""
+        motion: Tensor = self.motion_encoder(self.pack(current), self.pack(following))
+        return motion[:, 0]
+
+    def agent_map(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b h w"]:
+        """|m^0|: where the agent is."""
+        return self.feature_maps(current)[:, 0].abs()
+
+    def feature_maps(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k h w"]:
+        """The maps m^i_t before they are moved."""
+        maps: Tensor = self.image_encoder(self.pack(current))
+        return maps.float()
+
+    def moved_maps(
+        self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]
+    ) -> Float[Tensor, "b k h w"]:
+        """The maps m^i_{t+1}, each moved by its own motion."""
+        current, following = self.pack(current), self.pack(following)
+        return self.transform(self.image_encoder(current), self.motion_encoder(current, following)).float()
+
+    def pixel_shift(self, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b 2"]:
+        """How far a motion moves the agent: (right, down) in pixels of the frame."""
+        if isinstance(self.transform, Translation):
+            return pixel_shift(motion, self.inputs.width)
+        if isinstance(self.transform, AffineMotion):
+            return pixel_shift(motion[:, [2, 5]], self.inputs.width)
+        side = self.transform.size**0.5
+        weights = motion.abs() / motion.abs().sum(-1, keepdim=True)
+        place = torch.arange(motion.shape[-1], device=motion.device)
+        offset = torch.stack([place % side, place // side], -1) - side // 2
+        shift: Tensor = -(weights @ offset.float()) * 2  # a map's pixel is two of the frame's
+        return shift
+
+    def _interact(self, previous: Tensor, current: Tensor, agent: Tensor) -> Float[Tensor, "b c h w"]:
+        frames = [previous, current] if self.config.second_frame else [current]
+        predicted: Tensor = self.interaction_learner(torch.cat(frames, dim=1), agent)
+        return predicted
+
+    def _with_noise(self, motion: Float[Tensor, "b k d"], size: int) -> Float[Tensor, "b k d"]:
+        if not self.training or not self.jitter or not isinstance(self.transform, Translation):
+            return motion
+        return motion + torch.randn_like(motion) * (self.jitter * 2 / (size - 1))
+
+
+def _transform(config: DMotionConfig) -> Motion:
+    if config.transform == "translation":
+        return Translation()
+    if config.transform == "affine":
+        return AffineMotion()
+    return CrossConvolution(config.kernel)

@@ -1,0 +1,155 @@
+"""DMotion's networks as published: section III-D of the paper, what it leaves open settled in ``docs/paper.md``.
+
+Every convolution but the last of a network is followed by batch normalisation (gain 1) and a LeakyReLU of slope 0.2,
+and has no bias of its own. 2,684,142 parameters with eight maps, six-parameter motions and three entries
+of the agent's map.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor, nn
+
+SLOPE = 0.2
+MAP_SIZE = 64
+
+
+def pack(image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
+    """These networks take frames as they are."""
+    return image
+
+
+def unpack(image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
+    """And give frames as they are."""
+    return image
+
+
+def _conv(inputs: int, outputs: int, kernel: int = 5, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.LeakyReLU(SLOPE),
+    )
+
+
+def _deconv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.ConvTranspose2d(inputs, outputs, 5, stride, 2, output_padding=stride - 1, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.LeakyReLU(SLOPE),
+    )
+
+
+class ImageEncoder(nn.Module):
+    """Seven convolutions from the frame, doubled to 256 pixels, to n maps of 64 x 64."""
+
+    def __init__(self, maps: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Upsample(scale_factor=2, mode="nearest"),
+            _conv(3, 32, stride=2),
+            _conv(32, 32),
+            _conv(32, 64, stride=2),
+            _conv(64, 64),
+            _conv(64, 64),
+            _conv(64, 32),
+            nn.Conv2d(32, maps, 5, padding=2),
+        )
+
+    def forward(self, image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b k hm wm"]:
+        maps: Tensor = self.layers(image)
+        return maps
+
+
+class MotionEncoder(nn.Module):
+    """Seven convolutions over the pair; each of the n small maps that come out has two layers of its own.
+
+    Args:
+        maps: n.
+        identity: The motion that moves nothing; the encoder gives it before training.
+    """
+
+    def __init__(self, maps: int, identity: Float[Tensor, " d"]) -> None:
+        super().__init__()
+        self.convolutions = nn.Sequential(
+            _conv(6, 16, stride=2),
+            _conv(16, 16, stride=2),
+            _conv(16, 32, stride=2),
+            _conv(32, 32, stride=2),
+            _conv(32, 64, stride=2),
+            _conv(64, 64),
+            _conv(64, maps),
+        )
+        self.heads = nn.ModuleList(_motion_head(16, 64, identity) for _ in range(maps))
+
+    def forward(self, current: Float[Tensor, "b 3 h w"], following: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b k d"]:
+        small = self.convolutions(torch.cat([current, following], dim=1))
+        features = rearrange(small, "b k i j -> k b (i j)")
+        return torch.stack([head(part) for head, part in zip(self.heads, features, strict=True)], dim=1).float()
+
+
+def _motion_head(features: int, hidden: int, identity: Float[Tensor, " d"]) -> nn.Sequential:
+    last = nn.Linear(hidden, len(identity))
+    nn.init.zeros_(last.weight)
+    with torch.no_grad():
+        last.bias.copy_(identity)
+    return nn.Sequential(nn.Linear(features, hidden), nn.LeakyReLU(SLOPE), last)
+
+
+class Decoder(nn.Module):
+    """Five convolutions from the moved maps to the next frame."""
+
+    def __init__(self, maps: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            _conv(maps, 32, 9),
+            _conv(32, 32, 9),
+            nn.Upsample(scale_factor=2, mode="nearest"),
+            _conv(32, 32),
+            _conv(32, 32),
+            nn.Conv2d(32, 3, 5, padding=2),
+            nn.Tanh(),
+        )
+
+    def forward(self, maps: Float[Tensor, "b k hm wm"]) -> Float[Tensor, "b 3 h w"]:
+        image: Tensor = self.layers(maps)
+        return image
+
+
+class InteractionLearner(nn.Module):
+    """Five convolutions, five deconvolutions and a last convolution, with the agent's map at three places.
+
+    Args:
+        frames: 2 as in the paper; 1 leaves x_{t-1} out.
+        agent_entries: 3 (the input, after the first convolution, before the first deconvolution), or 1:
+            the input alone.
+    """
+
+    def __init__(self, frames: int = 2, agent_entries: int = 3) -> None:
+        super().__init__()
+        self.inner = agent_entries == 3
+        extra = 1 if self.inner else 0
+        self.first = _conv(3 * frames + 1, 32, stride=2)
+        self.encoder = nn.Sequential(_conv(32 + extra, 64, stride=2), _conv(64, 128), _conv(128, 128), _conv(128, 128))
+        self.decoder = nn.Sequential(
+            _deconv(128 + extra, 128),
+            _deconv(128, 64, 2),
+            _deconv(64, 64, 2),
+            _deconv(64, 64),
+            _deconv(64, 32),
+        )
+        self.last = nn.Sequential(nn.Conv2d(32, 3, 3, padding=1), nn.Tanh())
+
+    def forward(self, frames: Float[Tensor, "b c h w"], agent: Float[Tensor, "b 1 hm wm"]) -> Float[Tensor, "b 3 h w"]:
+        features = self.first(self._with(frames, agent, always=True))
+        features = self.encoder(self._with(features, agent))
+        image: Tensor = self.last(self.decoder(self._with(features, agent)))
+        return image
+
+    def _with(self, features: Tensor, agent: Tensor, *, always: bool = False) -> Tensor:
+        if not (self.inner or always):
+            return features
+        return torch.cat([features, F.interpolate(agent, features.shape[-2:]).to(features.dtype)], dim=1)

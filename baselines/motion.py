@@ -1,0 +1,146 @@
+"""How a feature map is moved: the spatial transformer of DMotion, and cross convolution in its place.
+
+A motion is a vector per map. For the transformers it holds parameters of the matrix theta of an inverse warp (Jaderberg
+2015, eq. 1): the moved map at place p is the map at theta p, in [-1, 1] coordinates whose ends are the centres of
+the outermost pixels (``align_corners``), and zero outside. Moving to the right is therefore a *negative* t_x.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import torch
+import torch.nn.functional as F
+from einops import rearrange, repeat
+from jaxtyping import Float
+from torch import Tensor
+
+WHOLE_PIXEL = 1e-4
+"""Added to whole-pixel shifts, where the hat function has a kink and its symmetric derivative is zero [px]."""
+
+
+class Motion(Protocol):
+    """Moves each map by its own motion."""
+
+    size: int
+    """Numbers in one map's motion."""
+
+    def identity(self) -> Float[Tensor, " d"]:
+        """The motion that leaves a map as it is."""
+
+    def __call__(
+        self, maps: Float[Tensor, "b k h w"], motion: Float[Tensor, "b k d"], blur: float = 1.0
+    ) -> Float[Tensor, "b k h w"]:
+        """The moved maps."""
+
+
+class _SeparableShift(torch.autograd.Function):
+    """Translation as two small matrix products per map, with its gradient written out.
+
+    Bilinear interpolation with a shift is separable: moved = A_y m A_x^T, where row i of A holds the hat function
+    around the place that output i is read from. Half the time of autograd through the same formula, and several times
+    faster than ``grid_sample`` in bfloat16, which is not vectorised on the CPU (DECISIONS.md).
+    """
+
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, maps: Tensor, shift: Tensor, blur: float) -> Tensor:
+        size = maps.shape[-1]
+        place = torch.arange(size, dtype=torch.float32, device=maps.device)
+        pixels = shift.float() * ((size - 1) / 2)
+        pixels = pixels + (pixels == pixels.round()) * WHOLE_PIXEL
+        source = place + pixels[..., None]  # b k (x y) out
+        distance = source[..., None] - place  # b k (x y) out in
+        weights = (1 - distance.abs() / blur).clamp_(min=0).div_(blur).to(maps.dtype)
+        across, down = weights[:, :, 0], weights[:, :, 1]
+        rows = maps @ across.mT
+        ctx.save_for_backward(maps, rows, weights, distance.sign().to(maps.dtype))
+        ctx.blur = blur  # type: ignore[attr-defined]
+        return down @ rows
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, None]:
+        maps, rows, weights, sign = ctx.saved_tensors  # type: ignore[attr-defined]
+        gradient = gradients[0].contiguous()
+        across, down = weights[:, :, 0], weights[:, :, 1]
+        of_rows = down.mT @ gradient
+        of_weights = torch.stack([of_rows.mT @ maps, gradient @ rows.mT], dim=2)
+        slope = -(maps.shape[-1] - 1) / 2 / ctx.blur**2  # type: ignore[attr-defined]
+        of_shift = (of_weights * sign * (weights > 0)).sum(-1, dtype=torch.float32).sum(-1) * slope
+        return of_rows @ across, of_shift, None
+
+
+class Translation:
+    """Only the two translations of theta are free: the default in both environments, as in the original."""
+
+    size = 2
+
+    def identity(self) -> Float[Tensor, "2"]:
+        """No shift."""
+        return torch.zeros(2)
+
+    def __call__(
+        self, maps: Float[Tensor, "b k h w"], motion: Float[Tensor, "b k 2"], blur: float = 1.0
+    ) -> Float[Tensor, "b k h w"]:
+        """Bilinear sampling; ``blur`` > 1 widens the kernel, so that the gradient reaches further."""
+        moved: Tensor = _SeparableShift.apply(maps.contiguous(), motion, blur)  # type: ignore[no-untyped-call]
+        return moved
+
+
+class AffineMotion:
+    """All six parameters of theta, row by row (Jaderberg 2015); ``blur`` is not used."""
+
+    size = 6
+
+    def identity(self) -> Float[Tensor, "6"]:
+        """The unit matrix."""
+        return torch.tensor([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+
+    def __call__(
+        self, maps: Float[Tensor, "b k h w"], motion: Float[Tensor, "b k 6"], blur: float = 1.0
+    ) -> Float[Tensor, "b k h w"]:
+        """Bilinear sampling, zeros outside."""
+        flat = rearrange(maps, "b k h w -> (b k) 1 h w")
+        theta = rearrange(motion, "b k (i j) -> (b k) i j", i=2).to(maps.dtype)
+        grid = F.affine_grid(theta, list(flat.shape), align_corners=True)
+        moved = F.grid_sample(flat, grid, padding_mode="zeros", align_corners=True)
+        return rearrange(moved, "(b k) 1 h w -> b k h w", b=len(maps))
+
+
+class CrossConvolution:
+    """Each map convolved with a kernel of its own (Xue 2016, Visual Dynamics); ``blur`` is not used.
+
+    Args:
+        kernel: Side of the kernel; it moves a map by at most (kernel - 1) / 2 pixels.
+    """
+
+    def __init__(self, kernel: int) -> None:
+        self.kernel, self.size = kernel, kernel * kernel
+
+    def identity(self) -> Float[Tensor, " d"]:
+        """One in the middle."""
+        return F.one_hot(torch.tensor(self.size // 2), self.size).float()
+
+    def __call__(
+        self, maps: Float[Tensor, "b k h w"], motion: Float[Tensor, "b k d"], blur: float = 1.0
+    ) -> Float[Tensor, "b k h w"]:
+        """Cross-correlation, zeros outside."""
+        b, k = maps.shape[:2]
+        flat = rearrange(maps, "b k h w -> 1 (b k) h w")
+        kernels = rearrange(motion, "b k (i j) -> (b k) 1 i j", i=self.kernel).to(maps.dtype)
+        moved = F.conv2d(flat, kernels, padding=self.kernel // 2, groups=b * k)
+        return rearrange(moved, "1 (b k) h w -> b k h w", b=b)
+
+
+def theta_of_shift(shift: Float[Tensor, "*b 2"], size: int) -> Float[Tensor, "*b 2"]:
+    """The translation (t_x, t_y) that moves a map of ``size`` pixels by ``shift`` = (right, down) [px of the map]."""
+    return -shift * 2 / (size - 1)
+
+
+def pixel_shift(translation: Float[Tensor, "*b 2"], image_size: int) -> Float[Tensor, "*b 2"]:
+    """How far a translation (t_x, t_y) moves things in an image of ``image_size`` pixels: (right, down) [px]."""
+    return -translation * (image_size - 1) / 2
+
+
+def tiled(values: Float[Tensor, "b a"], height: int, width: int) -> Float[Tensor, "b a h w"]:
+    """A vector at every place of a map."""
+    return repeat(values, "b a -> b a h w", h=height, w=width)

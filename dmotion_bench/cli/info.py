@@ -1,0 +1,52 @@
+"""``dmbench info``: versions, hardware and workspace, for bug reports."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from typing import Annotated, Any
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(info)
+
+
+def info(as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False) -> None:
+    """Versions, hardware and workspace, for bug reports."""
+    import torch
+
+    from dmotion_bench.learning.optimization import has_bf16
+    from dmotion_bench.registry import environment_names, model_names
+    from dmotion_bench.versions import versions
+    from dmotion_bench.workspace import Workspace
+
+    workspace = Workspace.current()
+    gpus = [torch.cuda.get_device_name(number) for number in range(torch.cuda.device_count())]
+    facts: dict[str, Any] = {
+        "versions": versions(),
+        "system": platform.platform(),
+        "cpu": {
+            "cores": os.cpu_count(),
+            "instructions": torch.backends.cpu.get_cpu_capability(),
+            "bf16": has_bf16(torch.device("cpu")),
+        },
+        "gpus": gpus,
+        "workspace": str(workspace.root.resolve()),
+        "datasets": [path.name for path in workspace.datasets()],
+        "runs": [path.name for path in workspace.all_runs()],
+        "environments": environment_names(),
+        "models": model_names(),
+    }
+    if as_json:
+        typer.echo(json.dumps(facts))
+        return
+    for key, value in facts.items():
+        if isinstance(value, dict):
+            value = ", ".join(f"{name} {what}" for name, what in value.items())
+        elif isinstance(value, list):
+            value = ", ".join(value) or "none"
+        typer.echo(f"{key:13s} {value}")

@@ -1,0 +1,112 @@
+"""``dmbench list``: what there is to record, train and score."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+listing = typer.Typer(help="List environments, models, data sets and runs.", no_args_is_help=True)
+
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group of commands."""
+    app.add_typer(listing, name="list")
+
+
+def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) -> None:
+    if as_json:
+        typer.echo(json.dumps({key: rows}))
+        return
+    if not rows:
+        typer.echo(nothing)
+        return
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for column in rows[0]:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(str(value) for value in row.values()))
+    Console().print(table)
+
+
+@listing.command()
+def environments(as_json: AsJson = False) -> None:
+    """The environments that can be recorded."""
+    from dmotion_bench.registry import environment_class, environment_names
+
+    rows: list[dict[str, object]] = []
+    for name in environment_names():
+        kind = environment_class(name)
+        presets = ", ".join(f"{preset.value} {made.episodes} episodes" for preset, made in kind.recording.items())
+        summary = (kind.__doc__ or "").strip().splitlines()[0]
+        rows.append({"environment": name, "presets": presets, "what": summary})
+    _show("environments", rows, as_json, "none is installed.")
+
+
+@listing.command()
+def models(as_json: AsJson = False) -> None:
+    """The models that can be trained."""
+    from dmotion_bench.learning.model import ModelInputs
+    from dmotion_bench.registry import model_class, model_names
+
+    rows: list[dict[str, object]] = []
+    for name in model_names():
+        kind = model_class(name)
+        built = kind(kind.configure(kind.architectures[0]), ModelInputs(height=128, width=128, actions=4))
+        millions = sum(parameter.numel() for parameter in built.parameters()) / 1e6
+        rows.append(
+            {
+                "model": name,
+                "learns from": "video" if kind.supervision.value == "none" else "video and actions",
+                "parameters": f"{millions:.2f} M",
+                "architectures": ", ".join(kind.architectures),
+                "paper": kind.paper,
+            }
+        )
+    _show("models", rows, as_json, "none is installed.")
+
+
+@listing.command()
+def datasets(as_json: AsJson = False) -> None:
+    """The data sets of the workspace."""
+    from dmotion_bench.errors import DatasetError
+    from dmotion_bench.storage.dataset import Dataset
+    from dmotion_bench.workspace import Workspace
+
+    workspace = Workspace.current()
+    rows: list[dict[str, object]] = []
+    for path in workspace.datasets():
+        try:
+            dataset = Dataset.open(path)
+            state = f"{len(dataset)} episodes, {int(dataset.lengths.sum())} frames"
+        except DatasetError as error:
+            state = str(error)
+        rows.append({"data set": str(path), "state": state})
+    _show("datasets", rows, as_json, f"none in {workspace.data}; record one with 'dmbench record grid_world'.")
+
+
+@listing.command()
+def runs(as_json: AsJson = False) -> None:
+    """The training runs of the workspace."""
+    from dmotion_bench.errors import RunError
+    from dmotion_bench.workspace import Workspace
+
+    workspace = Workspace.current()
+    rows: list[dict[str, object]] = []
+    for path in workspace.all_runs():
+        from dmotion_bench.learning.run import Run
+
+        try:
+            run = Run.open(path)
+            done = f"trained, {run.result['steps']} steps" if run.result else "not finished"
+            rows.append({"run": str(path), "model": run.spec.model, "labels": run.spec.labels, "state": done})
+        except RunError as error:
+            rows.append({"run": str(path), "model": "?", "labels": "?", "state": str(error)})
+    _show("runs", rows, as_json, f"none in {workspace.runs}; train one with 'dmbench train dmotion'.")

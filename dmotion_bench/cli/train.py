@@ -1,0 +1,125 @@
+"""``dmbench train``: train a model on a data set's video."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dmotion_bench.specs import Preset
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(train)
+
+
+def train(
+    model: Annotated[str, typer.Argument(help="A model's name; 'dmbench list models' shows them.")],
+    data: Annotated[Path | None, typer.Option(help="The data set; the only one of the workspace if left out.")] = None,
+    labels: Annotated[
+        str | None,
+        typer.Option(help="Label budget: none, one-shot, K-shot, 10%, 100%. One-shot for models that see video only."),
+    ] = None,
+    preset: Annotated[Preset | None, typer.Option(help="How long to train; the data set's own if left out.")] = None,
+    arch: Annotated[str | None, typer.Option(help="The model's architecture: compact or paper.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the weights, the batches and the demonstrations.")] = 0,
+    split: Annotated[
+        str, typer.Option(help="episode, or paper: the paper's shuffled triplets, which leak into the test.")
+    ] = "episode",
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="The run's folder; runs/NAME if left out.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Only go on with a run that is there already.")] = False,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Train a model. The same command again goes on where it stopped."""
+    from dmotion_bench.errors import RunMissing, UnknownName
+    from dmotion_bench.registry import model_class
+    from dmotion_bench.workspace import RUN_MANIFEST, Workspace
+
+    for kind, given, allowed in (("split", split, ("episode", "paper")), ("device", device, ("auto", "cpu", "cuda"))):
+        if given not in allowed:
+            raise UnknownName(kind, given, allowed)
+    model_class(model)  # a misspelt name is said before anything is loaded
+    workspace = Workspace.current()
+
+    from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve
+    from dmotion_bench.storage.dataset import Dataset
+
+    request = TrainingRequest(
+        model=model,
+        labels=labels,
+        preset=preset,
+        arch=arch,
+        seed=seed,
+        settings=tuple(settings or ()),
+        protocol="paper" if split == "paper" else "episode",
+    )
+    dataset = Dataset.open(workspace.dataset(data))
+    folder = out or default_path(request, resolve(request, dataset), workspace)
+    if resume and not (folder / RUN_MANIFEST).exists():
+        raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave --resume away to begin one.")
+    run = open_run(request, dataset, folder, workspace)
+    result = train_run(run, dataset, device)
+    summary = {
+        "run": str(run.path),
+        "model": model,
+        "steps": result["steps"],
+        "triplets_per_s": result["triplets_per_s"],
+        "seconds": result["seconds"],
+        "labels": result["labels_total"],
+    }
+    if as_json:
+        typer.echo(json.dumps(summary))
+        return
+    typer.echo(f"{run.path}")
+    typer.echo(
+        f"  {result['steps']} steps, {result['triplets']} triplets in {_duration(result['seconds'])} "
+        f"({result['triplets_per_s']:.0f} triplets/s), {result['parameters'] / 1e6:.2f} M parameters"
+    )
+    typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
+    typer.echo(f"  labels used: {result['labels_total']} of {_transitions(dataset)} transitions in the data set")
+    typer.echo(f"Score it with 'dmbench score {run.path}'.")
+
+
+def train_run(run: Any, dataset: Any, device: str = "auto") -> dict[str, Any]:
+    """Train a run to its end with a progress bar, on the device asked for."""
+    from dmotion_bench.cli.progress import note, progress_bar
+    from dmotion_bench.learning.devices import launch
+    from dmotion_bench.learning.start import training_data
+    from dmotion_bench.learning.training import Report, train
+
+    if run.result is not None:
+        note(f"{run.path} is already trained; here is its result.")
+        finished: dict[str, Any] = run.result
+        return finished
+    if run.last.exists():
+        note(f"going on with {run.path}.")
+    fabric = launch(device)
+    with progress_bar() as bar:
+        task = bar.add_task(f"training {run.spec.model}", total=None, status="reading the data")
+
+        def on_step(report: Report) -> None:
+            bar.update(
+                task,
+                completed=report.step,
+                total=report.steps,
+                status=f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s",
+            )
+
+        result: dict[str, Any] = train(run, training_data(run, dataset), fabric, on_step)
+    return result
+
+
+def _transitions(dataset: Any) -> int:
+    return int((dataset.lengths - 1).sum())
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -1,0 +1,61 @@
+"""Batches of triplets on the device that trains or predicts.
+
+On the CPU a batch is gathered from the memory-mapped cache. On a GPU the frames lie in device memory as uint8,
+once, and a batch is one indexed read: nothing waits for data.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from einops import rearrange
+from jaxtyping import Int
+from torch import Tensor
+
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.model import TripletBatch
+from dmotion_bench.learning.triplets import TripletSet
+
+RESIDENT_SHARE = 0.6  # of the free device memory may be frames
+
+
+class TripletBatches:
+    """Turns indices into batches.
+
+    Args:
+        triplets: What the indices point into.
+        actions: Of each triplet, or None where they were not paid for.
+        device: Where the batches are to be.
+    """
+
+    def __init__(self, triplets: TripletSet, actions: Int[np.ndarray, " n"] | None, device: torch.device) -> None:
+        self.triplets, self.device = triplets, device
+        self._actions = None if actions is None else torch.from_numpy(actions).to(device)
+        self._resident: Tensor | None = None
+        self._first = torch.from_numpy(triplets.first_frame)
+        if device.type == "cuda" and self._fits():
+            self._resident = torch.from_numpy(np.asarray(triplets.frames)).to(device)
+            self._first = self._first.to(device)
+
+    def __len__(self) -> int:
+        return len(self.triplets)
+
+    def _fits(self) -> bool:
+        free, _ = torch.cuda.mem_get_info(self.device)
+        return bool(self.triplets.frames.nbytes < RESIDENT_SHARE * free)
+
+    def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
+        """The triplets of ``index``, images in [-1, 1], channels-last in memory."""
+        if self._resident is None:
+            stored = torch.from_numpy(self.triplets.gather(index)).to(self.device, non_blocking=True)
+        else:
+            first = self._first[torch.from_numpy(index).to(self.device)]
+            stored = self._resident[first[:, None] + torch.arange(3, device=self.device)]
+        previous, current, following = (to_model(frames) for frames in rearrange(stored, "b s h w c -> s b h w c"))
+        rows = torch.from_numpy(index).to(self.device)
+        return TripletBatch(
+            previous=previous,
+            current=current,
+            next=following,
+            action=None if self._actions is None else self._actions[rows],
+        )

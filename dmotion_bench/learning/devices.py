@@ -1,0 +1,36 @@
+"""Where training runs: the CPU, one GPU, or every process that ``torchrun`` started."""
+
+from __future__ import annotations
+
+import logging
+import os
+import warnings
+
+import torch
+from lightning_fabric import Fabric
+
+from dmotion_bench.errors import UsageError
+
+
+def launch(device: str = "auto") -> Fabric:
+    """Fabric on the device asked for; under ``torchrun`` one process of several.
+
+    Raises:
+        UsageError: A GPU was asked for and none is there.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("no CUDA device is here; leave --device away to train on the CPU.")
+    processes = int(os.environ.get("WORLD_SIZE", "1"))
+    accelerator = "cpu" if device == "cpu" or not torch.cuda.is_available() else "cuda"
+    logging.getLogger("lightning_fabric").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # advice about the number of processes
+        fabric = Fabric(
+            accelerator=accelerator,
+            devices=processes if processes > 1 else 1,
+            strategy="ddp_find_unused_parameters_true" if processes > 1 else "auto",
+        )
+        fabric.launch()
+    if accelerator == "cuda":
+        torch.set_float32_matmul_precision("high")
+    return fabric

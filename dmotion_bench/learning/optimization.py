@@ -1,0 +1,104 @@
+"""The optimiser, the learning rate's schedule, the averaged weights, and the precision that the hardware has."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping
+
+import torch
+from torch import Tensor, nn
+
+from dmotion_bench.learning.model import TrainingConfig
+
+WARM_UP = 0.1  # share of a one-cycle schedule in which the rate rises
+
+
+def has_bf16(device: torch.device) -> bool:
+    """Whether the hardware multiplies bfloat16 matrices by itself; emulated, it is slower than float32."""
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    able = torch.cpu.get_capabilities() if device.type == "cpu" and hasattr(torch.cpu, "get_capabilities") else {}
+    return bool(able.get("avx512_bf16") or able.get("amx_bf16"))
+
+
+def autocast(config: TrainingConfig, device: torch.device) -> contextlib.AbstractContextManager[None]:
+    """bfloat16 for matrix products where the config asks for it and the hardware has it."""
+    if config.precision == "bf16" and has_bf16(device):
+        context: contextlib.AbstractContextManager[None] = torch.autocast(device.type, torch.bfloat16)
+        return context
+    return contextlib.nullcontext()
+
+
+def learning_rate(config: TrainingConfig, progress: float) -> float:
+    """The rate at a share ``progress`` in [0, 1] of a phase."""
+    if config.schedule == "constant":
+        return config.learning_rate
+    warm = WARM_UP if config.schedule == "one-cycle" else 0.0
+    if progress < warm:
+        return config.learning_rate * (0.04 + 0.96 * progress / warm)
+    return config.learning_rate * 0.5 * (1 + math.cos(math.pi * (progress - warm) / (1 - warm)))
+
+
+def make_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.Optimizer:
+    """Adam or AdamW; parameters that carry ``rate_factor`` learn at that multiple of the rate.
+
+    Biases and gains are not decayed.
+    """
+    groups: dict[tuple[float, bool], list[nn.Parameter]] = {}
+    for parameter in model.parameters():
+        decays = parameter.ndim > 1
+        groups.setdefault((getattr(parameter, "rate_factor", 1.0), decays), []).append(parameter)
+    described = [
+        {"params": parameters, "rate_factor": factor, "weight_decay": config.weight_decay if decays else 0.0}
+        for (factor, decays), parameters in groups.items()
+    ]
+    kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
+    return kind(described, lr=config.learning_rate, fused=True)
+
+
+def set_learning_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
+    """Give every group its multiple of the rate."""
+    for group in optimizer.param_groups:
+        group["lr"] = rate * group["rate_factor"]
+
+
+class AveragedWeights:
+    """An exponential moving average of a model's parameters; buffers are taken as they are.
+
+    The average is warmed up: after n steps its decay is at most (1 + n) / (10 + n).
+    """
+
+    def __init__(self, model: nn.Module, decay: float) -> None:
+        self.decay = decay
+        self.tensors = {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
+
+    @torch.no_grad()
+    def update(self, model: nn.Module, step: int) -> None:
+        """Take in the weights after a step."""
+        decay = min(self.decay, (1 + step) / (10 + step))
+        averaged: list[Tensor] = []
+        latest: list[Tensor] = []
+        parameters = {name for name, _ in model.named_parameters()}
+        for name, tensor in model.state_dict().items():
+            if name in parameters:
+                averaged.append(self.tensors[name])
+                latest.append(tensor)
+            else:
+                self.tensors[name].copy_(tensor)
+        torch._foreach_lerp_(averaged, latest, 1 - decay)
+
+    @contextlib.contextmanager
+    def swapped_into(self, model: nn.Module) -> Iterator[None]:
+        """The model with the averaged weights, within the block."""
+        own = {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
+        model.load_state_dict(self.tensors)
+        try:
+            yield
+        finally:
+            model.load_state_dict(own)
+
+    def restore(self, tensors: Mapping[str, Tensor]) -> None:
+        """Put back an average that a checkpoint kept."""
+        for name, tensor in tensors.items():
+            self.tensors[name].copy_(tensor)

@@ -1,0 +1,92 @@
+"""Configs from the command line and from JSON: ``--set KEY=VALUE`` on frozen dataclasses, checked, never guessed."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar, Union
+
+from dmotion_bench.errors import InvalidSetting
+
+ConfigT = TypeVar("ConfigT")
+
+
+def _fields(config: Any) -> dict[str, Any]:
+    hints = typing.get_type_hints(type(config))
+    return {field.name: hints[field.name] for field in dataclasses.fields(config) if field.init}
+
+
+def _parse(key: str, text: str, wanted: Any) -> Any:
+    origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
+    if origin in (Union, types.UnionType):
+        if text == "none" and type(None) in arguments:
+            return None
+        return _parse(key, text, next(kind for kind in arguments if kind is not type(None)))
+    if origin is typing.Literal:
+        if text not in arguments:
+            raise InvalidSetting(f"{key} is {text!r}; it can be {', '.join(map(str, arguments))}.")
+        return text
+    if origin is tuple:
+        return tuple(_parse(key, part, arguments[0]) for part in text.split(",") if part)
+    if wanted is bool:
+        if text.lower() not in ("true", "false"):
+            raise InvalidSetting(f"{key} is {text!r}; it can be true or false.")
+        return text.lower() == "true"
+    if wanted in (int, float):
+        try:
+            return wanted(text)
+        except ValueError:
+            kind = "a whole number" if wanted is int else "a number"
+            raise InvalidSetting(f"{key} is {text!r}; it must be {kind}.") from None
+    return text
+
+
+def with_settings(settings: Sequence[str], *configs: Any) -> tuple[Any, ...]:
+    """New configs with ``KEY=VALUE`` settings applied; each key belongs to the one config that has it.
+
+    Raises:
+        InvalidSetting: No config has the key (the closest is named), or the value is not of its type.
+    """
+    owners = {name: place for place, config in reversed(list(enumerate(configs))) for name in _fields(config)}
+    changes: list[dict[str, Any]] = [{} for _ in configs]
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals:
+            raise InvalidSetting(f"--set {setting!r} has no value; write --set {key}=VALUE.")
+        if key not in owners:
+            near = difflib.get_close_matches(key, owners, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(owners))}."
+            raise InvalidSetting(f"no setting named {key!r}; {hint}")
+        place = owners[key]
+        changes[place][key] = _parse(key, text, _fields(configs[place])[key])
+    return tuple(dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True))
+
+
+def to_json(config: Any) -> dict[str, Any]:
+    """A config as JSON's types, to be read again by ``from_json``."""
+    plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+    return plain
+
+
+def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
+    """The config that ``to_json`` wrote.
+
+    Raises:
+        InvalidSetting: A field is unknown, or missing without a default.
+    """
+    hints = typing.get_type_hints(kind)
+    names = {field.name for field in dataclasses.fields(typing.cast(Any, kind))}
+    if unknown := sorted(set(stored) - names):
+        raise InvalidSetting(f"{kind.__name__} has no field {', '.join(unknown)}; it was written by another version.")
+    values = {
+        name: tuple(value) if typing.get_origin(hints[name]) is tuple and isinstance(value, list) else value
+        for name, value in stored.items()
+    }
+    try:
+        return kind(**values)
+    except TypeError as error:
+        raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {error}.") from None

@@ -1,0 +1,129 @@
+"""From what a user asks for to a run that can be trained: defaults, names, checks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.learning.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.settings import to_json, with_settings
+from dmotion_bench.learning.training import TrainingData
+from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
+from dmotion_bench.registry import model_class
+from dmotion_bench.specs import Preset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.versions import versions
+from dmotion_bench.workspace import Workspace
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingRequest:
+    """What ``dmbench train`` was asked for; None stands for the default.
+
+    Attributes:
+        model: Registry name.
+        labels: Label budget; one-shot for models that see video only, no default for supervised ones.
+        preset: The data set's own where its name ends with one, else small.
+        arch: The model's first architecture.
+        settings: ``KEY=VALUE`` of the model's or the training's config.
+    """
+
+    model: str
+    labels: str | None = None
+    preset: Preset | None = None
+    arch: str | None = None
+    seed: int = 0
+    settings: Sequence[str] = ()
+    protocol: SplitProtocol = "episode"
+
+
+def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
+    """Every default filled in and every name checked.
+
+    Raises:
+        UnknownName: Of the model or its architecture.
+        InvalidSetting: Of a setting or the label budget.
+        UsageError: The budget is not one that the model can use.
+    """
+    kind = model_class(request.model)
+    arch = request.arch or kind.architectures[0]
+    if arch not in kind.architectures:
+        raise UnknownName(f"architecture of {request.model}", arch, kind.architectures)
+    labels = LabelRequest.for_model(request.model, kind.supervision, request.labels)
+    if not dataset.spec.actions:
+        if labels.kind == "share":
+            raise UsageError(f"{dataset.name!r} has no action labels; train a model that needs none, such as dmotion.")
+        if request.labels is None:
+            labels = LabelRequest("none")
+    preset = request.preset or _preset_of(dataset.name)
+    config, training = with_settings(request.settings, kind.configure(arch), kind.training_defaults(preset, arch))
+    return RunSpec(
+        model=request.model,
+        arch=arch,
+        config=to_json(config),
+        training=to_json(training),
+        preset=preset.value,
+        labels=str(labels),
+        seed=request.seed,
+        dataset=dataset.name,
+        fingerprint=dataset.fingerprint,
+        protocol=request.protocol,
+        height=dataset.spec.height,
+        width=dataset.spec.width,
+        actions=len(dataset.spec.actions),
+    )
+
+
+def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) -> Path:
+    """A folder's name that says what sets the run apart, such as ``dmotion-grid_world-small-s0``."""
+    kind = model_class(spec.model)
+    parts = [spec.model]
+    if spec.arch != kind.architectures[0]:
+        parts.append(spec.arch)
+    parts.append(spec.dataset)
+    if not spec.dataset.endswith(f"-{spec.preset}"):
+        parts.append(spec.preset)
+    if spec.labels not in ("one-shot", "100%"):
+        parts.append(spec.labels.replace("%", "pct"))
+    if spec.protocol != "episode":
+        parts.append(f"split_{spec.protocol}")
+    parts += [setting.replace("=", "_").replace("/", "_") for setting in request.settings]
+    return workspace.runs / "-".join([*parts, f"s{spec.seed}"])
+
+
+def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, workspace: Workspace) -> Run:
+    """The run that this request names: a new one, or the one that stands where it would stand.
+
+    Raises:
+        RunMismatch: That folder holds a run of another request.
+    """
+    spec = resolve(request, dataset)
+    folder = path or default_path(request, spec, workspace)
+    return Run.create_or_open(folder, spec, dataset_path=dataset.path, versions=versions())
+
+
+def training_data(run: Run, dataset: Dataset) -> TrainingData:
+    """What the run learns from; ``labels/`` is opened only by the budget, only for what it hands out.
+
+    Raises:
+        UsageError: There are too few episodes to train and validate.
+    """
+    protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
+    train = TripletSet.of_split(dataset, "train", protocol)
+    validation = TripletSet.of_split(dataset, "validation", protocol)
+    if not len(train) or not len(validation):
+        raise UsageError(
+            f"{dataset.name!r} has {len(dataset)} episodes, too few to train and validate; record at least 10."
+        )
+    budget = LabelBudget(dataset, LabelRequest.parse(run.spec.labels), run.spec.seed)
+    return TrainingData(train=train, validation=validation, budget=budget)
+
+
+def _preset_of(dataset: str) -> Preset:
+    for preset in Preset:
+        if dataset.endswith(f"-{preset.value}"):
+            return preset
+    return Preset.SMALL

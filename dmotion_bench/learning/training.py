@@ -1,0 +1,413 @@
+"""The training loop: one for every model, on the CPU, a GPU, or several under ``torchrun``.
+
+What a run computes is a function of its spec and its data alone. The order of the triplets and the random numbers
+of a step are functions of (seed, step), so a run that was killed and resumed ends with the same bits on the CPU as
+one that never stopped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import signal
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import IO, Any
+
+import numpy as np
+import torch
+from jaxtyping import Int
+from lightning_fabric import Fabric
+from torch import Tensor
+
+from dmotion_bench.errors import RunError
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.batches import TripletBatches
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.labels import LabelBudget
+from dmotion_bench.learning.model import Demonstrations, ForwardModel, Phase, TrainingConfig, TripletBatch
+from dmotion_bench.learning.optimization import (
+    AveragedWeights,
+    autocast,
+    learning_rate,
+    make_optimizer,
+    set_learning_rate,
+)
+from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.triplets import BatchOrder, TripletSet
+
+CHECKPOINT_SECONDS = 60.0
+VALIDATION_TRIPLETS = 1024
+LOG_ROWS = 200  # rows of metrics.jsonl in a training
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingData:
+    """What a run learns from.
+
+    Attributes:
+        train, validation: Triplets whose frames may be seen.
+        budget: The door to the labels.
+    """
+
+    train: TripletSet
+    validation: TripletSet
+    budget: LabelBudget
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Where a training stands; given to the progress callback after every step."""
+
+    step: int
+    steps: int
+    phase: str
+    loss: float
+    triplets_per_s: float
+
+
+@dataclass
+class _Clock:
+    """Seconds spent in training steps, over all sittings, and in this one alone."""
+
+    before: float = 0.0
+    sitting: float = 0.0
+    triplets: int = 0
+
+
+@dataclass
+class _State:
+    """What changes from step to step, beside the tensors."""
+
+    step: int = 0
+    best: float = math.inf
+    best_step: int = -1
+    clock: _Clock = field(default_factory=_Clock)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """A phase with its place among the steps, its batches and its order of them."""
+
+    phase: Phase
+    start: int
+    stop: int
+    batches: TripletBatches
+    order: BatchOrder
+    validation: TripletBatches
+
+
+def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Report], None]) -> dict[str, Any]:
+    """Train a run from where it stands to its end, align it, and write its result.
+
+    Args:
+        run: Its folder may hold a checkpoint; training goes on from there.
+        data: Training and validation triplets and the label budget.
+        fabric: The device, and the other processes if there are any; launched already.
+        on_step: Told after every step; may raise to stop, after which the run can be resumed.
+
+    Returns:
+        What ``run.json`` keeps as the result.
+
+    Raises:
+        LabelsNotAvailable: The budget asks for labels that are not there; before the first step.
+        KeyboardInterrupt: After the checkpoint of the step that was interrupted has been written.
+    """
+    if run.result is not None:
+        return run.result
+    return _Trainer(run, data, fabric).fit(on_step)
+
+
+class _Trainer:
+    def __init__(self, run: Run, data: TrainingData, fabric: Fabric) -> None:
+        self.run, self.data, self.fabric = run, data, fabric
+        self.config: TrainingConfig = run.spec.training_config
+        self.model: ForwardModel[Any] = run.spec.build()
+        if self.config.channels_last:
+            self.model = self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.demonstrations = self._demonstrations()  # asked for first: what is missing is said before the work
+        self.parts = self._parts()
+        self.steps = self.parts[-1].stop
+        wrapped, self.optimizer = fabric.setup(self.model, make_optimizer(self.model, self.config))
+        wrapped.mark_forward_method("losses")
+        self.wrapped = wrapped
+        self.average = AveragedWeights(self.model, self.config.ema) if self.config.ema else None
+        self.state = _State()
+        self._resume()
+
+    def _demonstrations(self) -> Demonstrations | None:
+        if self.data.budget.request.kind != "shots":
+            return None
+        given = self.data.budget.demonstrations(self.data.train)
+        images = to_model(torch.from_numpy(given.frames)).to(self.fabric.device)
+        return Demonstrations(
+            previous=images[:, 0],
+            current=images[:, 1],
+            next=images[:, 2],
+            action=torch.from_numpy(given.actions).to(self.fabric.device),
+        )
+
+    def _parts(self) -> tuple[_Part, ...]:
+        device, budget = self.fabric.device, self.data.budget
+        video = TripletBatches(self.data.train, None, device)
+        watched = TripletBatches(_evenly(self.data.validation, VALIDATION_TRIPLETS), None, device)
+        labelled, labelled_watched = video, watched
+        phases = self.model.phases()
+        if any(phase.needs_actions for phase in phases):
+            paid = budget.actions(self.data.train, "training")
+            labelled = TripletBatches(paid.triplets, paid.actions, device)
+            held = budget.actions(_evenly(self.data.validation, VALIDATION_TRIPLETS), "validation")
+            labelled_watched = TripletBatches(held.triplets, held.actions, device)
+        total = BatchOrder(len(video), self.config.batch_size, 0).steps(self.config.epochs)
+        parts: list[_Part] = []
+        for number, phase in enumerate(phases):
+            batches = labelled if phase.needs_actions else video
+            start = parts[-1].stop if parts else 0
+            parts.append(
+                _Part(
+                    phase=phase,
+                    start=start,
+                    stop=start + max(1, round(phase.fraction * total)),
+                    batches=batches,
+                    order=BatchOrder(len(batches), self.config.batch_size, self.run.spec.seed + number),
+                    validation=labelled_watched if phase.needs_actions else watched,
+                )
+            )
+        return tuple(parts)
+
+    def fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
+        validate_every = max(1, self.steps // self.config.validations)
+        log_every = max(1, self.steps // LOG_ROWS)
+        sums: dict[str, float] = defaultdict(float)
+        counted = 0
+        saved = time.monotonic()
+        self.model.train()
+        with self._log() as log, _stop_between_steps() as stopping:
+            for part in self.parts:
+                if self.state.step >= part.stop:
+                    continue
+                self.model.enter(part.phase)
+                if self.state.step == part.start:
+                    self.state.best = math.inf  # losses of different phases do not compare
+                for step in range(self.state.step, part.stop):
+                    terms = self._step(part, step)
+                    self.state.step = step + 1
+                    for name, value in terms.items():
+                        sums[name] += float(value)
+                    counted += 1
+                    on_step(
+                        Report(
+                            step=self.state.step,
+                            steps=self.steps,
+                            phase=part.phase.name,
+                            loss=float(terms["loss"]),
+                            triplets_per_s=self._rate(),
+                        )
+                    )
+                    if self.state.step % log_every == 0 or self.state.step == self.steps:
+                        self._write(log, {name: total / counted for name, total in sums.items()})
+                        sums.clear()
+                        counted = 0
+                    if self.state.step % validate_every == 0 or self.state.step == part.stop:
+                        self._validate(part, log)
+                        saved = self._save()
+                    elif stopping() or time.monotonic() - saved > CHECKPOINT_SECONDS:
+                        saved = self._save()
+                    if stopping():
+                        raise KeyboardInterrupt
+        return self._finish()
+
+    def _step(self, part: _Part, step: int) -> dict[str, Tensor]:
+        began = time.perf_counter()
+        progress = (step - part.start) / (part.stop - part.start)
+        set_learning_rate(self.optimizer, learning_rate(self.config, progress))
+        index = part.order.batch(step - part.start)[self.fabric.global_rank :: self.fabric.world_size]
+        self.model.progress(progress)
+        with _seeded(self.run.spec.seed, step, self.fabric.device):
+            with autocast(self.config, self.fabric.device):
+                losses = self.wrapped.losses(part.batches(index))
+            self.fabric.backward(losses.total)
+        if self.config.clip_norm:
+            torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip_norm)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        if self.average is not None:
+            self.average.update(self.model, step)
+        terms = {"loss": losses.total.detach(), **losses.terms}
+        self.state.clock.sitting += time.perf_counter() - began
+        self.state.clock.triplets += part.order.batch_size
+        return terms
+
+    def _rate(self) -> float:
+        clock = self.state.clock
+        return clock.triplets / clock.sitting if clock.sitting else 0.0
+
+    @torch.no_grad()
+    def _validate(self, part: _Part, log: IO[str] | None) -> None:
+        """Average the losses over the validation triplets; keep the weights if they are the best so far."""
+        chosen = self.average.swapped_into(self.model) if self.average else contextlib.nullcontext()
+        with chosen:
+            self.model.eval()
+            sums: dict[str, float] = defaultdict(float)
+            for index in _chunks(len(part.validation), self.config.batch_size):
+                with autocast(self.config, self.fabric.device), _seeded(0, 0, self.fabric.device):
+                    losses = self.model.losses(part.validation(index))
+                for name, value in {"loss": losses.total, **losses.terms}.items():
+                    sums[name] += float(value) * len(index)
+            means = {name: total / len(part.validation) for name, total in sums.items()}
+            if not math.isfinite(means["loss"]):
+                raise RunError(
+                    f"training diverged before step {self.state.step}: the loss is {means['loss']}. "
+                    "Try a lower rate, such as --set learning_rate=0.0005, in a new run (--out DIR)."
+                )
+            if means["loss"] < self.state.best:
+                self.state.best, self.state.best_step = means["loss"], self.state.step
+                self._save_best()
+            self.model.train()
+        self.model.enter(part.phase)
+        self._write(log, {f"validation_{name}": value for name, value in means.items()})
+
+    def _save_best(self) -> None:
+        if self.fabric.is_global_zero:
+            weights = checkpoint.with_prefix("model", self.model.state_dict())
+            checkpoint.save(self.run.best, weights, {"step": self.state.step, "validation_loss": self.state.best})
+
+    def _save(self) -> float:
+        """Write all that resuming needs."""
+        if self.fabric.is_global_zero:
+            tensors = checkpoint.with_prefix("model", self.model.state_dict())
+            tensors |= checkpoint.optimizer_tensors(self.optimizer)
+            if self.average is not None:
+                tensors |= checkpoint.with_prefix("average", self.average.tensors)
+            state = self.state
+            facts = {
+                "step": state.step,
+                "best": state.best if math.isfinite(state.best) else None,
+                "best_step": state.best_step,
+                "seconds": state.clock.before + state.clock.sitting,
+            }
+            checkpoint.save(self.run.last, tensors, facts)
+        return time.monotonic()
+
+    def _resume(self) -> None:
+        if not self.run.last.exists():
+            return
+        tensors, facts = checkpoint.load(self.run.last)
+        self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
+        checkpoint.restore_optimizer(self.optimizer, tensors)
+        if self.average is not None:
+            self.average.restore(checkpoint.without_prefix("average", tensors))
+        self.state.step = facts["step"]
+        self.state.best = math.inf if facts["best"] is None else facts["best"]
+        self.state.best_step = facts["best_step"]
+        self.state.clock.before = facts["seconds"]
+
+    @contextlib.contextmanager
+    def _log(self) -> Iterator[IO[str] | None]:
+        """``metrics.jsonl``, opened for appending, without the rows after the step resumed from."""
+        if not self.fabric.is_global_zero:
+            yield None
+            return
+        rows = self.run.metrics.read_text().splitlines() if self.run.metrics.exists() else []
+        kept = [row for row in rows if _step_of(row) <= self.state.step]
+        with self.run.metrics.open("w", buffering=1) as log:
+            log.writelines(f"{row}\n" for row in kept)
+            yield log
+
+    def _write(self, log: IO[str] | None, values: dict[str, float]) -> None:
+        if log is not None:
+            row = {
+                "step": self.state.step,
+                "seconds": round(self.state.clock.before + self.state.clock.sitting, 3),
+                "triplets_per_s": round(self._rate(), 1),
+                "learning_rate": self.optimizer.param_groups[0]["lr"],
+                **values,
+            }
+            log.write(json.dumps(row) + "\n")
+
+    def _finish(self) -> dict[str, Any]:
+        """Align the best weights, write them, and say what the training came to."""
+        tensors, facts = checkpoint.load(self.run.best)
+        self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
+        self.model.eval()
+        if self.demonstrations is not None:
+            with torch.no_grad():
+                self.model.align(self.demonstrations)
+        weights = self.model.state_dict()
+        clock, budget = self.state.clock, self.data.budget
+        seconds = clock.before + clock.sitting
+        result = {
+            "weights": checkpoint.weights_hash(weights),
+            "steps": self.steps,
+            "triplets": self.steps * self.config.batch_size,
+            "seconds": round(seconds, 3),
+            "triplets_per_s": round(self.steps * self.config.batch_size / max(seconds, 1e-9), 2),
+            "parameters": sum(parameter.numel() for parameter in self.model.parameters()),
+            "best_step": self.state.best_step,
+            "validation_loss": self.state.best,
+            "labels": dict(budget.given),
+            "labels_total": budget.total,
+            "device": str(self.fabric.device),
+            "processes": self.fabric.world_size,
+        }
+        if self.fabric.is_global_zero:
+            checkpoint.save(self.run.best, checkpoint.with_prefix("model", weights), facts)
+            self.run.finish(result)
+        self.fabric.barrier()
+        return result
+
+
+def _evenly(triplets: TripletSet, most: int) -> TripletSet:
+    """At most so many triplets, spread evenly."""
+    if len(triplets) <= most:
+        return triplets
+    return triplets.subset(np.linspace(0, len(triplets) - 1, most).round().astype(np.int64))
+
+
+def _chunks(total: int, size: int) -> Iterator[Int[np.ndarray, " b"]]:
+    for start in range(0, total, size):
+        yield np.arange(start, min(start + size, total))
+
+
+def _step_of(row: str) -> int:
+    """The step of a log's row; a row cut short by a kill counts as one to drop."""
+    try:
+        return int(json.loads(row)["step"])
+    except (json.JSONDecodeError, KeyError, TypeError):
+        return np.iinfo(np.int64).max
+
+
+@contextlib.contextmanager
+def _seeded(seed: int, step: int, device: torch.device) -> Iterator[None]:
+    """Random numbers inside the block depend on (seed, step); outside nothing changes."""
+    with torch.random.fork_rng([device.index or 0] if device.type == "cuda" else []):
+        torch.manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1))
+        yield
+
+
+@contextlib.contextmanager
+def _stop_between_steps() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C is noticed between two steps, never within one; a second Ctrl-C does not wait."""
+    asked = False
+
+    def ask(_signal: int, _frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+__all__ = ["Report", "TrainingData", "TripletBatch", "train"]

@@ -1,0 +1,160 @@
+"""Triplets of consecutive frames, gathered in whole batches from the memory-mapped frames.
+
+A triplet is (x_{t-1}, x_t, x_{t+1}); the action that belongs to it is a_t, taken at the middle frame. Frames of
+one episode lie one after the other, so a triplet is one contiguous piece of memory and a batch is a handful of
+copies: no worker processes, nothing is decoded (measured in DECISIONS.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal, Protocol
+
+import numpy as np
+from jaxtyping import Int, UInt8
+
+from dmotion_bench.specs import SplitName
+
+SplitProtocol = Literal["episode", "paper"]
+"""``episode`` keeps whole episodes apart; ``paper`` shuffles triplets, as the paper does, and leaks."""
+
+
+class Frames(Protocol):
+    """All frames of a data set, one episode after the other (``storage.frame_cache.FrameCache``)."""
+
+    @property
+    def frames(self) -> UInt8[np.ndarray, "n h w 3"]: ...
+
+    @property
+    def offsets(self) -> Int[np.ndarray, " e"]: ...
+
+
+class SplittableDataset(Protocol):
+    """What splitting needs of a ``storage.dataset.Dataset``."""
+
+    def cache(self) -> Frames: ...
+
+    def split(self, name: SplitName) -> Int[np.ndarray, " n"]: ...
+
+    def __len__(self) -> int: ...
+
+
+class TripletSet:
+    """Some triplets of a data set.
+
+    Attributes:
+        episode: The episode of each triplet.
+        step: The number of its middle frame within that episode; the action taken there is ``actions[step]``.
+    """
+
+    def __init__(self, cache: Frames, episode: Int[np.ndarray, " n"], step: Int[np.ndarray, " n"]) -> None:
+        self.episode, self.step = episode, step
+        self._first = np.asarray(cache.offsets)[episode] + step - 1
+        self._frames = cache.frames
+
+    @classmethod
+    def of(cls, cache: Frames, episodes: Int[np.ndarray, " e"]) -> TripletSet:
+        """Every triplet of some episodes, in their order."""
+        offsets = np.asarray(cache.offsets)
+        counts = [max(0, int(offsets[e + 1] - offsets[e]) - 2) for e in episodes]
+        steps = [np.arange(1, 1 + count) for count in counts]
+        return cls(
+            cache,
+            np.repeat(np.asarray(episodes, dtype=np.int64), counts),
+            np.concatenate(steps) if steps else np.zeros(0, np.int64),
+        )
+
+    @classmethod
+    def of_split(cls, dataset: SplittableDataset, name: SplitName, protocol: SplitProtocol = "episode") -> TripletSet:
+        """The triplets of one part of a data set.
+
+        ``paper`` reproduces the paper's way: all triplets shuffled, a tenth for the test, of the rest a tenth for
+        validation. Nine in ten of its test triplets share all frames with the training: it leaks.
+        """
+        cache = dataset.cache()
+        if protocol == "episode":
+            return cls.of(cache, dataset.split(name))
+        everything = cls.of(cache, np.arange(len(dataset)))
+        order = np.random.default_rng(0).permutation(len(everything))
+        test = len(order) // 10
+        validation = (len(order) - test) // 10
+        part = {
+            "test": order[:test],
+            "validation": order[test : test + validation],
+            "train": order[test + validation :],
+        }
+        return everything.subset(np.sort(part[name]))
+
+    def __len__(self) -> int:
+        return len(self._first)
+
+    def subset(self, index: Int[np.ndarray, " m"]) -> TripletSet:
+        """These triplets alone, sharing the frames."""
+        chosen = object.__new__(TripletSet)
+        chosen.episode, chosen.step = self.episode[index], self.step[index]
+        chosen._first, chosen._frames = self._first[index], self._frames
+        return chosen
+
+    @property
+    def first_frame(self) -> Int[np.ndarray, " n"]:
+        """Where each triplet begins in the cache's frames."""
+        first: Int[np.ndarray, " n"] = self._first
+        return first
+
+    @property
+    def frames(self) -> UInt8[np.ndarray, "f h w 3"]:
+        """All frames of the cache."""
+        return self._frames
+
+    def gather(
+        self, index: Int[np.ndarray, " b"], out: UInt8[np.ndarray, "b 3 h w 3"] | None = None
+    ) -> UInt8[np.ndarray, "b 3 h w 3"]:
+        """The triplets of a batch: axis 1 is previous, current, next.
+
+        Args:
+            index: Which triplets; repeated ones are allowed.
+            out: Filled and returned where given, so that a loop allocates once.
+        """
+        if out is None:
+            out = np.empty((len(index), 3, *self._frames.shape[1:]), np.uint8)
+        frames = self._frames
+        for row, first in zip(out, self._first[index].tolist(), strict=True):
+            row[...] = frames[first : first + 3]
+        return out
+
+
+class BatchOrder:
+    """Which triplets each training step sees: every one once an epoch, in an order that the seed decides.
+
+    The order is a function of (seed, step) alone, so a run that is resumed at a step goes on exactly as it
+    would have. Epochs follow each other without a gap; a batch may reach over the seam, so all are full.
+    """
+
+    def __init__(self, triplets: int, batch_size: int, seed: int) -> None:
+        self.triplets, self.batch_size, self.seed = triplets, min(batch_size, triplets), seed
+        self._epoch, self._order = -1, np.zeros(0, np.int64)
+
+    def steps(self, epochs: float) -> int:
+        """How many steps make so many passes."""
+        return max(1, round(epochs * self.triplets / self.batch_size))
+
+    def batch(self, step: int) -> Int[np.ndarray, " b"]:
+        """The triplets of one step."""
+        place, left, parts = step * self.batch_size, self.batch_size, []
+        while left:
+            epoch, offset = divmod(place, self.triplets)
+            part = self._epoch_order(epoch)[offset : offset + left]
+            parts.append(part)
+            place, left = place + len(part), left - len(part)
+        return np.concatenate(parts)
+
+    def batches(self, start: int, stop: int) -> Iterator[Int[np.ndarray, " b"]]:
+        """The steps ``start`` ... ``stop - 1``."""
+        for step in range(start, stop):
+            yield self.batch(step)
+
+    def _epoch_order(self, epoch: int) -> Int[np.ndarray, " n"]:
+        if epoch != self._epoch:
+            generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(epoch,)))
+            self._epoch, self._order = epoch, generator.permutation(self.triplets)
+        return self._order

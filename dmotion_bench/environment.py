@@ -10,7 +10,7 @@ every process. That is the only way in which a state is stored or restored.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -41,6 +41,7 @@ class Environment(Protocol):
 
     facts: EnvSpec
     recording: ClassVar[Mapping[Preset, RecordingPreset]]
+    policies: ClassVar[Mapping[str, Callable[[], Policy]]]  # made anew for each episode, so they may remember
     default_policy: ClassVar[str]
 
     def reset(

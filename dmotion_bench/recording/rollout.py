@@ -1,0 +1,114 @@
+"""Making episodes: an environment, a policy, a seed.
+
+An episode's seed is all it depends on: the environment is reset with it, and the policy's random numbers come
+from a stream of the same seed. Environments that are ``EpisodeGenerator`` make a whole shard at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from dmotion_bench.environment import Environment, EpisodeGenerator, Policy
+from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.specs import DatasetRecipe, Episode, EpisodeLabels, ObjectStates, Scalar, episode_seed
+
+_POLICY_STREAM: Final = 0x70F1  # sets the policy's random numbers apart from the environment's
+
+
+def policy_generator(seed: int) -> np.random.Generator:
+    """The random numbers of an episode's policy."""
+    return np.random.default_rng([seed, _POLICY_STREAM])
+
+
+def make_environment(kind: type[Environment], recipe: DatasetRecipe) -> Environment:
+    """An environment with the recipe's parameters.
+
+    Raises:
+        InvalidSetting: The class does not take them.
+    """
+    try:
+        return kind(**recipe.parameters)
+    except TypeError as error:
+        raise InvalidSetting(f"{recipe.environment!r} cannot be made: {error}.") from None
+
+
+def find_policy(kind: type[Environment], recipe: DatasetRecipe) -> Callable[[], Policy]:
+    """What makes the recipe's policy.
+
+    Raises:
+        UnknownName: The environment has no such policy.
+    """
+    if recipe.policy not in kind.policies:
+        raise UnknownName(f"policy of {recipe.environment}", recipe.policy, kind.policies)
+    return kind.policies[recipe.policy]
+
+
+def record_episodes(kind: type[Environment], recipe: DatasetRecipe, episodes: Sequence[int]) -> Iterator[Episode]:
+    """The episodes of these numbers, in their order."""
+    seeds = [episode_seed(recipe.seed, episode) for episode in episodes]
+    make_policy = find_policy(kind, recipe)
+    if isinstance(kind, EpisodeGenerator) and not recipe.vary:
+        yield from kind.generate(seeds, frames=recipe.frames, policy=recipe.policy, parameters=recipe.parameters)
+        return
+    env = make_environment(kind, recipe)
+    try:
+        for seed in seeds:
+            yield record_episode(env, make_policy(), seed, recipe.frames, recipe.vary)
+    finally:
+        env.close()
+
+
+def record_episode(env: Environment, policy: Policy, seed: int, frames: int, vary: Sequence[str] = ()) -> Episode:
+    """One episode of at most so many frames, by stepping."""
+    generator = policy_generator(seed)
+    frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
+    factors = {name: _plain(value) for name, value in info.get("factors", {}).items()}
+    images, masks, agents, objects = [frame], [env.masks()], [env.agent()], [env.objects()]
+    actions: list[int] = []
+    ended: Literal["truncated", "terminated"] = "truncated"
+    while len(images) < frames:
+        action = policy(env, generator)
+        frame, _, terminated, truncated, _ = env.step(action)
+        actions.append(action)
+        images.append(frame)
+        masks.append(env.masks())
+        agents.append(env.agent())
+        objects.append(env.objects())
+        if terminated:
+            ended = "terminated"
+        if terminated or truncated:
+            break
+    states = _stacked(objects)
+    return Episode(
+        frames=np.stack(images),
+        labels=EpisodeLabels(
+            actions=np.array(actions, np.int64),
+            pushed=_pushed(states, env.facts.push_threshold),
+            agent=_stacked(agents),
+            objects=states,
+            masks=np.stack(masks),
+            factors=factors,
+        ),
+        seed=seed,
+        ended=ended,
+    )
+
+
+def _stacked(states: Sequence[ObjectStates]) -> ObjectStates:
+    names = ("position", "orientation", "pixel", "visible")
+    return ObjectStates(**{name: np.stack([getattr(one, name) for one in states]) for name in names})
+
+
+def _pushed(objects: ObjectStates, threshold: float) -> Any:
+    """Whether an object moved in each step; one that vanished has moved."""
+    there = ~np.isnan(objects.position[..., 0])
+    moved = np.linalg.norm(np.diff(objects.position, axis=0), axis=-1) > threshold
+    return ((moved & there[1:]) | (there[:-1] & ~there[1:])).any(axis=-1)
+
+
+def _plain(value: Scalar | np.generic) -> Scalar:
+    plain: Scalar = value.item() if isinstance(value, np.generic) else value
+    return plain

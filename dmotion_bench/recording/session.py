@@ -1,0 +1,133 @@
+"""A recording from beginning to end: what is missing is made, shard by shard, by whoever executes it."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from dmotion_bench.recording.executor import Executor, SerialExecutor
+from dmotion_bench.recording.rollout import find_policy, make_environment, record_episodes
+from dmotion_bench.registry import environment_class
+from dmotion_bench.specs import DatasetRecipe, EnvSpec
+from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
+from dmotion_bench.storage.writer import DatasetWriter, storage_full_explained
+
+SHARD_EPISODES = 20  # small enough that a killed recording of a slow environment loses seconds
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShardJob:
+    """One shard to be made; plain values, so that it can be sent anywhere."""
+
+    dataset: Path
+    recipe: DatasetRecipe
+    spec: EnvSpec
+    index: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """How far a recording is.
+
+    Attributes:
+        episodes: Done of ``total``, with those of earlier runs.
+        total: The target.
+        frames: Made by this run.
+        seconds: Since this run started to make them.
+    """
+
+    episodes: int
+    total: int
+    frames: int
+    seconds: float
+
+    @property
+    def frames_per_s(self) -> float:
+        """Of this run."""
+        return self.frames / self.seconds if self.seconds else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What a recording gave.
+
+    Attributes:
+        dataset: The folder.
+        episodes, frames: Of the whole data set.
+        bytes: Of all its shards.
+        made: What this run did of it.
+    """
+
+    dataset: Path
+    episodes: int
+    frames: int
+    bytes: int
+    made: Progress
+
+    @property
+    def bytes_per_frame(self) -> float:
+        """Video and labels together."""
+        return self.bytes / self.frames
+
+
+def record_shard(job: ShardJob) -> ShardReceipt:
+    """Make one shard, in whatever process this is."""
+    kind = environment_class(job.recipe.environment)
+    episodes = record_episodes(kind, job.recipe, shard_range(job.recipe, job.index))
+    with storage_full_explained(job.dataset), contextlib.closing(episodes):
+        return write_shard(job.dataset, job.recipe, job.spec, job.index, episodes)
+
+
+def environment_facts(recipe: DatasetRecipe) -> EnvSpec:
+    """What is true of the recipe's environment; its parameters and policy are checked on the way.
+
+    Raises:
+        UnknownName: There is no such environment or policy.
+        InvalidSetting: The environment does not take these parameters.
+    """
+    kind = environment_class(recipe.environment)
+    find_policy(kind, recipe)
+    env = make_environment(kind, recipe)
+    try:
+        if recipe.vary:
+            env.reset(seed=0, options={"vary": list(recipe.vary)})
+        return env.facts
+    finally:
+        env.close()
+
+
+def record_dataset(
+    path: Path,
+    recipe: DatasetRecipe,
+    executor: Executor | None = None,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Recorded:
+    """Record a data set, complete one that was interrupted, or extend one to more episodes.
+
+    Args:
+        path: The data set's folder.
+        recipe: What to record.
+        executor: Who makes the shards; this process by default.
+        on_progress: Called at the start and after each shard.
+    """
+    spec = environment_facts(recipe)
+    with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
+        start, frames = time.perf_counter(), 0
+        episodes = recipe.episodes - sum(len(writer.episodes_of(index)) for index in writer.missing)
+        progress = Progress(episodes=episodes, total=recipe.episodes, frames=0, seconds=0.0)
+        on_progress(progress)
+        jobs = [ShardJob(dataset=path, recipe=recipe, spec=spec, index=index) for index in writer.missing]
+        results = (executor or SerialExecutor()).map_unordered(record_shard, jobs)
+        for receipt in results:
+            writer.add(receipt)
+            frames += receipt.frames
+            episodes += len(receipt.rows)
+            progress = Progress(
+                episodes=episodes, total=recipe.episodes, frames=frames, seconds=time.perf_counter() - start
+            )
+            on_progress(progress)
+        writer.finish()
+        return Recorded(dataset=path, episodes=recipe.episodes, frames=writer.frames, bytes=writer.bytes, made=progress)

@@ -1,0 +1,181 @@
+"""The read side of a data set: episodes, labels, splits, tasks, and the cache of its frames.
+
+Opening reads ``dataset.json`` and ``episodes.parquet`` and looks whether the video is there; ``labels/`` is
+opened by ``labels``, ``states`` and ``episode`` alone, and may be missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int, UInt8
+
+from dmotion_bench.errors import DatasetCorrupt, DatasetIncomplete, LabelsNotAvailable, UnknownName, UsageError
+from dmotion_bench.specs import Episode, EpisodeLabels, SplitName
+from dmotion_bench.storage.frame_cache import FrameCache, build_cache, open_cache
+from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.mcap_reader import DamagedFile, read_messages
+from dmotion_bench.storage.messages import StateLabels, chunk_limit, decode_masks, decode_video
+from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, read_states, shard_path
+from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
+from dmotion_bench.storage.tables import EPISODES, TASKS, read_episodes, read_tasks
+from dmotion_bench.storage.tasks import ControlTask
+from dmotion_bench.storage.writer import record_command
+
+CACHE = "cache"
+
+
+class Dataset:
+    """A complete data set on disk; holds no file open, so it may be handed to other processes.
+
+    Attributes:
+        path: Its folder.
+        name: The folder's name.
+        manifest: The content of ``dataset.json``.
+        recipe, spec: How it was made, and what is true of every episode.
+        fingerprint: SHA-256 over format, recipe and the hashes of all shards.
+        rows: Where each episode is and how it came about.
+        lengths: Frames of each episode.
+    """
+
+    def __init__(self, path: Path, manifest: Manifest, rows: list[EpisodeRow]) -> None:
+        self.path, self.name, self.manifest, self.rows = path, path.resolve().name, manifest, rows
+        self.recipe, self.spec, self.fingerprint = manifest.recipe, manifest.spec, manifest.fingerprint
+        self.lengths: Int[np.ndarray, " e"] = np.array([row.frames for row in rows], np.int64)
+        self._split = split_episodes(self.recipe.seed, len(rows))
+
+    @classmethod
+    def open(cls, path: Path) -> Dataset:
+        """The data set in a folder.
+
+        Raises:
+            DatasetMissing: There is none.
+            DatasetIncomplete: Its recording was interrupted.
+            DatasetVersionUnknown: It is of another version of the format.
+            DatasetCorrupt: Its tables are damaged, or a video shard is missing or cut off.
+        """
+        manifest = Manifest.read(path)
+        if not manifest.complete:
+            raise DatasetIncomplete(
+                f"the recording of {str(path)!r} was not finished; "
+                f"go on with it: '{record_command(manifest.recipe, path)}'."
+            )
+        try:
+            rows = read_episodes(path, manifest)
+        except DamagedFile as damage:
+            raise corrupt(path, path / EPISODES, damage) from None
+        for index, shard in enumerate(manifest.shards):
+            file = shard_path(path, VIDEO, index)
+            if not file.is_file():
+                raise corrupt(path, file, "is missing")
+            size = file.stat().st_size
+            if size != shard.video.size:
+                raise corrupt(path, file, f"has {size} bytes instead of {shard.video.size}")
+        return cls(path, manifest, rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def _row(self, episode: int) -> EpisodeRow:
+        if not 0 <= episode < len(self.rows):
+            raise UsageError(f"{self.name} has no episode {episode}; it has 0 to {len(self) - 1}.")
+        return self.rows[episode]
+
+    def video(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]:
+        """An episode's frames, RGB 0-255: one seek in one file of ``video/``."""
+        row = self._row(episode)
+        file = shard_path(self.path, VIDEO, row.shard)
+        try:
+            frames = np.empty((row.frames, self.spec.height, self.spec.width, 3), np.uint8)
+            decode_video(read_messages(file, row.video, chunk_limit=chunk_limit(self.spec)), frames)
+        except (DamagedFile, FileNotFoundError, MemoryError) as damage:
+            raise corrupt(self.path, file, damage) from None
+        return frames
+
+    def states(self, episode: int) -> StateLabels:
+        """An episode's labels without its masks, which take most of the time to read.
+
+        Raises:
+            LabelsNotAvailable: ``labels/`` is not there.
+        """
+        row = self._row(episode)
+        file = self._labels_file(row)
+        try:
+            return read_states(file, row.states, self.spec, row.frames)
+        except DamagedFile as damage:
+            raise corrupt(self.path, file, damage) from None
+
+    def labels(self, episode: int) -> EpisodeLabels:
+        """All that is held out of an episode.
+
+        Raises:
+            LabelsNotAvailable: ``labels/`` is not there.
+        """
+        row, states = self._row(episode), self.states(episode)
+        file = self._labels_file(row)
+        masks = np.empty((row.frames, self.spec.height, self.spec.width), np.uint8)
+        try:
+            decode_masks(read_messages(file, row.masks, chunk_limit=chunk_limit(self.spec)), masks)
+        except DamagedFile as damage:
+            raise corrupt(self.path, file, damage) from None
+        return EpisodeLabels(
+            actions=states.actions,
+            pushed=states.pushed,
+            agent=states.agent,
+            objects=states.objects,
+            masks=masks,
+            factors=states.factors,
+        )
+
+    def _labels_file(self, row: EpisodeRow) -> Path:
+        file = shard_path(self.path, LABELS, row.shard)
+        if row.states.size == 0:
+            raise LabelsNotAvailable(f"{str(self.path)!r} was imported without labels; only its video can be used.")
+        if not file.is_file():
+            raise LabelsNotAvailable(
+                f"the labels of {str(self.path)!r} are not there: no {str(file)!r}; restore the folder "
+                f"{LABELS}/ or make it again with 'dmbench data repair {self.path}'."
+            )
+        return file
+
+    def episode(self, episode: int) -> Episode:
+        """An episode, its video and its labels."""
+        row = self._row(episode)
+        return Episode(frames=self.video(episode), labels=self.labels(episode), seed=row.seed, ended=row.ended)
+
+    def split(self, name: SplitName) -> Int[np.ndarray, " n"]:
+        """The episodes of a split: 10% test, 10% of the rest validation; nothing but seed and size decide."""
+        if name not in SPLIT_NAMES:
+            raise UnknownName("split", name, SPLIT_NAMES)
+        return self._split[name]
+
+    def tasks(self) -> list[ControlTask]:
+        """The control tasks, the same for every model."""
+        try:
+            return read_tasks(self.path, self.manifest, self.lengths)
+        except DamagedFile as damage:
+            raise corrupt(self.path, self.path / TASKS, damage) from None
+
+    def cache(self) -> FrameCache:
+        """All frames, memory-mapped; made on first use and whenever the data set has changed."""
+        folder, shape = self.path / CACHE, (self.spec.height, self.spec.width)
+        cache = open_cache(folder, self.fingerprint, self.lengths, *shape)
+        if cache is None:
+            build_cache(folder, self.fingerprint, self._videos(), int(self.lengths.sum()), *shape)
+            cache = open_cache(folder, self.fingerprint, self.lengths, *shape)
+        assert cache is not None, "a cache that was just written can be opened"
+        return cache
+
+    def _videos(self) -> Iterator[UInt8[np.ndarray, "t h w 3"]]:
+        for episode in range(len(self)):
+            yield self.video(episode)
+
+
+def corrupt(dataset: Path, file: Path, damage: object) -> DatasetCorrupt:
+    """The error for a damaged file of a data set, with the commands that help."""
+    return DatasetCorrupt(
+        f"{str(file)!r} is damaged: it {damage}. See what else is with 'dmbench data check {dataset}', "
+        f"mend it with 'dmbench data repair {dataset}'."
+    )

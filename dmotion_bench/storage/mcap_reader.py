@@ -1,0 +1,181 @@
+"""Reading our own MCAP files: the chunks of one episode with one seek, and the list of what a file holds.
+
+Every size that a file declares is checked before memory is set aside for it, and every chunk against its
+CRC-32, so that a damaged or hostile file ends in ``DamagedFile`` and never in a wrong frame. Foreign files are
+read with the official reader, by the import.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+import zstandard
+from mcap.opcode import Opcode
+
+from dmotion_bench.storage.mcap_writer import CHUNK_HEAD, COMPRESSION, MAGIC, MESSAGE_HEAD, RECORD_HEAD, Span
+
+_CHUNK_TAIL: Final = struct.Struct(f"<I{len(COMPRESSION)}sQ")  # compression's name, compressed size
+_FIXED: Final = CHUNK_HEAD.size + _CHUNK_TAIL.size
+_METADATA_LIMIT: Final = 2**20  # [bytes]
+
+
+class DamagedFile(Exception):  # noqa: N818 (it is turned into DatasetCorrupt where the data set is known)
+    """The bytes are not what was written; the text says where and why."""
+
+
+class MessageView(NamedTuple):
+    """One message of a chunk: its channel's number, its time [ns], its serialised content."""
+
+    channel: int
+    t_ns: int
+    data: memoryview
+
+
+def read_messages(path: Path, span: Span, *, chunk_limit: int) -> Iterator[MessageView]:
+    """The messages of the chunks that stand in ``span``.
+
+    Args:
+        path: The file.
+        span: As ``McapWriter.chunks`` returned it.
+        chunk_limit: Largest uncompressed chunk that is accepted [bytes].
+    """
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if span.offset < 0 or span.size < 0 or span.offset + span.size > size:
+            raise DamagedFile(
+                f"ends after {size} bytes, in the middle of what stands at {span.offset} to {span.offset + span.size}"
+            )
+        file.seek(span.offset)
+        data = memoryview(file.read(span.size))
+    position = 0
+    while position < len(data):
+        opcode, length = _head(data, position)
+        body = data[position + RECORD_HEAD.size :][:length]
+        if len(body) < length:
+            raise DamagedFile(f"a record at byte {span.offset + position} runs past the episode's end")
+        if opcode == Opcode.CHUNK:
+            yield from _chunk_messages(body, chunk_limit, span.offset + position)
+        elif opcode != Opcode.MESSAGE_INDEX:
+            raise DamagedFile(f"a record of kind {opcode} at byte {span.offset + position}, where a chunk was expected")
+        position += RECORD_HEAD.size + length
+
+
+def _head(data: memoryview, position: int) -> tuple[int, int]:
+    try:
+        opcode, length = RECORD_HEAD.unpack_from(data, position)
+    except struct.error as error:
+        raise DamagedFile(f"a record is cut off: {error}") from None
+    return opcode, length
+
+
+def _chunk_messages(body: memoryview, limit: int, where: int) -> Iterator[MessageView]:
+    if len(body) < _FIXED:
+        raise DamagedFile(f"the chunk at byte {where} is cut off")
+    _, _, uncompressed, crc = CHUNK_HEAD.unpack_from(body)
+    name_size, name, packed_size = _CHUNK_TAIL.unpack_from(body, CHUNK_HEAD.size)
+    packed = body[_FIXED:]
+    if name_size != len(COMPRESSION) or name != COMPRESSION.encode() or packed_size != len(packed):
+        raise DamagedFile(f"the head of the chunk at byte {where} is garbled")
+    if uncompressed > limit:
+        raise DamagedFile(f"the chunk at byte {where} claims {uncompressed} bytes; at most {limit} can be right")
+    try:
+        declared = zstandard.get_frame_parameters(packed).content_size
+        if declared != uncompressed:  # zstandard would set aside what the frame declares, whatever we allow
+            raise DamagedFile(f"the chunk at byte {where} contradicts itself about its size")
+        raw = zstandard.ZstdDecompressor().decompress(packed, max_output_size=uncompressed)
+    except zstandard.ZstdError as error:
+        raise DamagedFile(f"the chunk at byte {where} cannot be decompressed: {error}") from None
+    if zlib.crc32(raw) != crc:
+        raise DamagedFile(f"the chunk at byte {where} does not match its checksum")
+    data, position = memoryview(raw), 0
+    while position < len(data):
+        try:
+            opcode, length, channel, _, t_ns, _ = MESSAGE_HEAD.unpack_from(data, position)
+        except struct.error as error:
+            raise DamagedFile(f"a message in the chunk at byte {where} is cut off: {error}") from None
+        end = position + RECORD_HEAD.size + length
+        if opcode != Opcode.MESSAGE or end > len(data) or end < position + MESSAGE_HEAD.size:
+            raise DamagedFile(f"a message in the chunk at byte {where} is garbled")
+        yield MessageView(channel, t_ns, data[position + MESSAGE_HEAD.size : end])
+        position = end
+
+
+class Section(NamedTuple):
+    """What follows a metadata record: its name and values, and where the chunks after it stand."""
+
+    name: str
+    values: Mapping[str, str]
+    span: Span
+
+
+def list_sections(path: Path, *, salvage: bool = False) -> list[Section]:
+    """What a file holds, by walking its records; no chunk is decompressed.
+
+    Args:
+        path: The file.
+        salvage: Stop at the first thing that is wrong, with what came before it, instead of raising.
+    """
+    found: list[Section] = []
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        try:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise DamagedFile("does not start as an MCAP file")
+            for opcode, start, length in _walk(file, size):
+                end = start + RECORD_HEAD.size + length
+                if opcode == Opcode.METADATA:
+                    if length > _METADATA_LIMIT:
+                        raise DamagedFile(f"holds a metadata record of {length} bytes")
+                    found.append(Section(*_metadata(file.read(length)), Span(end, 0)))
+                elif opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
+                    if not found:
+                        raise DamagedFile("holds a chunk that belongs to nothing")
+                    found[-1] = found[-1]._replace(span=Span(found[-1].span.offset, end - found[-1].span.offset))
+                elif opcode == Opcode.DATA_END:
+                    return found
+            raise DamagedFile(f"ends after {size} bytes, before its summary")
+        except DamagedFile:
+            if not salvage:
+                raise
+    return found
+
+
+def _walk(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
+    """Kind, first byte and length of each record; the stream stands at its content."""
+    position = file.tell()
+    while position + RECORD_HEAD.size <= size:
+        file.seek(position)
+        opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+        if position + RECORD_HEAD.size + length > size:
+            raise DamagedFile(f"ends after {size} bytes, in the middle of a record")
+        yield opcode, position, length
+        position += RECORD_HEAD.size + length
+
+
+def _metadata(content: bytes) -> tuple[str, dict[str, str]]:
+    """Name and pairs of a metadata record."""
+
+    def text() -> str:
+        nonlocal position
+        (size,) = struct.unpack_from("<I", content, position)
+        raw = content[position + 4 : position + 4 + size]
+        if len(raw) < size:
+            raise DamagedFile("holds a metadata record that is cut off")
+        position += 4 + size
+        return raw.decode()
+
+    position, pairs = 0, dict[str, str]()
+    try:
+        name = text()
+        position += 4
+        while position < len(content):
+            key = text()
+            pairs[key] = text()
+    except (struct.error, UnicodeDecodeError) as error:
+        raise DamagedFile(f"holds a garbled metadata record: {error}") from None
+    return name, pairs

@@ -1,0 +1,231 @@
+"""Episodes to messages and back: pictures, actions, states, factors.
+
+Frame i of an episode is stamped ``start_ns + i * step_ns``; the action taken at it bears the same stamp.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from google.protobuf.message import DecodeError
+from jaxtyping import Bool, Int, UInt8
+
+from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectStates, Scalar
+from dmotion_bench.storage.mcap_reader import DamagedFile, MessageView
+from dmotion_bench.storage.mcap_writer import CHUNK_LIMIT, Message
+from dmotion_bench.storage.schema import (
+    ACTION,
+    ACTION_TOPIC,
+    AGENT_TOPIC,
+    FACTORS,
+    FACTORS_TOPIC,
+    LABEL_CHANNELS,
+    MASKS_TOPIC,
+    OBJECTS_TOPIC,
+    RAW_IMAGE,
+    STATES,
+)
+
+_CAMERA: Final = 1
+_LABEL_NUMBER: Final = {topic: number for number, (topic, _) in enumerate(LABEL_CHANNELS, start=1)}
+_MESSAGE_OVERHEAD: Final = 4096  # more than a picture's other fields, or a single state, can take
+
+
+def chunk_limit(spec: EnvSpec) -> int:
+    """Largest uncompressed chunk that a data set of this kind can hold [bytes]."""
+    states = 256 * (len(spec.objects) + 1)
+    return CHUNK_LIMIT + spec.height * spec.width * 3 + states + _MESSAGE_OVERHEAD
+
+
+def _stamp(message: Any, t_ns: int) -> bytes:
+    message.timestamp.seconds, message.timestamp.nanos = divmod(t_ns, 1_000_000_000)
+    data: bytes = message.SerializeToString(deterministic=True)
+    return data
+
+
+def _encode_images(
+    images: UInt8[np.ndarray, "t h w *c"], channel: int, encoding: str, frame_id: str, start_ns: int, step_ns: int
+) -> Iterator[Message]:
+    height, width = images.shape[1:3]
+    for number, image in enumerate(images):
+        t_ns = start_ns + number * step_ns
+        message = RAW_IMAGE.new(
+            frame_id=frame_id,
+            width=width,
+            height=height,
+            encoding=encoding,
+            step=image.nbytes // height,
+            data=image.tobytes(),
+        )
+        yield Message(channel, t_ns, _stamp(message, t_ns))
+
+
+def _decode_images(
+    messages: Iterable[MessageView], channel: int, encoding: str, out: UInt8[np.ndarray, "t h w *c"]
+) -> None:
+    height, width = out.shape[1:3]
+    count = 0
+    for view in messages:
+        message = _parse(RAW_IMAGE.new(), view, channel)
+        if (message.width, message.height, message.encoding) != (width, height, encoding):
+            raise DamagedFile(
+                f"holds a picture of {message.width}x{message.height} {message.encoding!r}; "
+                f"the data set says {width}x{height} {encoding!r}"
+            )
+        if count == len(out) or len(message.data) != out[count].nbytes:
+            raise DamagedFile("holds other pictures than the data set says")
+        out[count] = np.frombuffer(message.data, np.uint8).reshape(out.shape[1:])
+        count += 1
+    if count < len(out):
+        raise DamagedFile(f"holds {count} pictures of an episode that has {len(out)}")
+
+
+def _parse(message: Any, view: MessageView, channel: int) -> Any:
+    if view.channel != channel:
+        raise DamagedFile(f"holds a message of channel {view.channel} where channel {channel} was expected")
+    try:
+        message.ParseFromString(bytes(view.data))
+    except DecodeError as error:
+        raise DamagedFile(f"holds a message that is no {message.DESCRIPTOR.full_name}: {error}") from None
+    return message
+
+
+def encode_video(frames: UInt8[np.ndarray, "t h w 3"], start_ns: int, step_ns: int) -> Iterator[Message]:
+    """The messages of ``/camera``."""
+    return _encode_images(frames, _CAMERA, "rgb8", "camera", start_ns, step_ns)
+
+
+def decode_video(messages: Iterable[MessageView], out: UInt8[np.ndarray, "t h w 3"]) -> None:
+    """Fill ``out`` with the pictures of ``/camera``."""
+    _decode_images(messages, _CAMERA, "rgb8", out)
+
+
+def encode_masks(masks: UInt8[np.ndarray, "t h w"], start_ns: int, step_ns: int) -> Iterator[Message]:
+    """The messages of ``/masks``."""
+    return _encode_images(masks, _LABEL_NUMBER[MASKS_TOPIC], "mono8", "camera", start_ns, step_ns)
+
+
+def decode_masks(messages: Iterable[MessageView], out: UInt8[np.ndarray, "t h w"]) -> None:
+    """Fill ``out`` with the pictures of ``/masks``."""
+    _decode_images(messages, _LABEL_NUMBER[MASKS_TOPIC], "mono8", out)
+
+
+def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: int) -> Iterator[Message]:
+    """The messages of ``/factors``, ``/action``, ``/agent`` and ``/objects``, in the order of their times."""
+    if labels.factors:
+        content = json.dumps(dict(labels.factors), sort_keys=True)
+        yield Message(_LABEL_NUMBER[FACTORS_TOPIC], start_ns, _stamp(FACTORS.new(json=content), start_ns))
+    agent, objects = (spec.agent.name,), tuple(one.name for one in spec.objects)
+    agent_rows, object_rows = _rows(labels.agent), _rows(labels.objects)
+    for frame in range(len(labels.masks)):
+        t_ns = start_ns + frame * step_ns
+        if frame < len(labels.actions):
+            action = int(labels.actions[frame])
+            name = spec.actions[action] if action < len(spec.actions) else ""
+            message = ACTION.new(action=action, name=name, pushed=bool(labels.pushed[frame]))
+            yield Message(_LABEL_NUMBER[ACTION_TOPIC], t_ns, _stamp(message, t_ns))
+        for topic, names, rows in ((AGENT_TOPIC, agent, agent_rows), (OBJECTS_TOPIC, objects, object_rows)):
+            yield Message(_LABEL_NUMBER[topic], t_ns, _stamp(_states(names, rows[frame]), t_ns))
+
+
+def _rows(states: ObjectStates) -> list[list[list[float]]]:
+    """Per frame and object: position, orientation, pixel, visible, as plain numbers."""
+    parts = (states.position, states.orientation, states.pixel, states.visible[..., None])
+    rows: list[list[list[float]]] = np.concatenate([np.asarray(part, np.float64) for part in parts], axis=-1).tolist()
+    return rows
+
+
+def _states(names: tuple[str, ...], rows: list[list[float]]) -> Any:
+    message = STATES.new()
+    for name, (x, y, z, qx, qy, qz, qw, u, v, visible) in zip(names, rows, strict=True):
+        state = message.states.add(name=name, visible=visible)
+        position, orientation, pixel = state.pose.position, state.pose.orientation, state.pixel
+        position.x, position.y, position.z = x, y, z
+        orientation.x, orientation.y, orientation.z, orientation.w = qx, qy, qz, qw
+        pixel.x, pixel.y = u, v
+    return message
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateLabels:
+    """An episode's labels without its masks."""
+
+    actions: Int[np.ndarray, "t-1"]
+    pushed: Bool[np.ndarray, "t-1"]
+    agent: ObjectStates
+    objects: ObjectStates
+    factors: Mapping[str, Scalar]
+
+
+def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -> StateLabels:
+    """The labels of an episode of so many frames."""
+    actions, pushed = list[int](), list[bool]()
+    agent, objects = list[list[tuple[float, ...]]](), list[list[tuple[float, ...]]]()
+    factors: dict[str, Scalar] = {}
+    agent_name, object_names = [spec.agent.name], [one.name for one in spec.objects]
+    for view in messages:
+        topic = LABEL_CHANNELS[view.channel - 1][0] if 1 <= view.channel <= len(LABEL_CHANNELS) else ""
+        if topic == ACTION_TOPIC:
+            message = _parse(ACTION.new(), view, view.channel)
+            actions.append(message.action)
+            pushed.append(message.pushed)
+        elif topic == AGENT_TOPIC:
+            agent.append(_state_rows(_parse(STATES.new(), view, view.channel), agent_name))
+        elif topic == OBJECTS_TOPIC:
+            objects.append(_state_rows(_parse(STATES.new(), view, view.channel), object_names))
+        elif topic == FACTORS_TOPIC:
+            factors = _factors(_parse(FACTORS.new(), view, view.channel).json)
+        else:
+            raise DamagedFile(f"holds a message of channel {view.channel} among the states")
+    if len(agent) != frames or len(objects) != frames or len(actions) != max(frames - 1, 0):
+        raise DamagedFile(f"holds {len(agent)} states and {len(actions)} actions of an episode of {frames} frames")
+    return StateLabels(
+        actions=np.array(actions, np.int64),
+        pushed=np.array(pushed, np.bool_),
+        agent=_object_states(agent, 1),
+        objects=_object_states(objects, len(object_names)),
+        factors=factors,
+    )
+
+
+def _state_rows(message: Any, names: list[str]) -> list[tuple[float, ...]]:
+    if [state.name for state in message.states] != names:
+        raise DamagedFile(f"holds the states of other things than {', '.join(names)}")
+    rows = []
+    for state in message.states:
+        position, orientation, pixel = state.pose.position, state.pose.orientation, state.pixel
+        rows.append(
+            (
+                *(position.x, position.y, position.z),
+                *(orientation.x, orientation.y, orientation.z, orientation.w),
+                *(pixel.x, pixel.y),
+                state.visible,
+            )
+        )
+    return rows
+
+
+def _object_states(rows: list[list[tuple[float, ...]]], count: int) -> ObjectStates:
+    table = np.array(rows, np.float64).reshape(len(rows), count, 10)
+    return ObjectStates(
+        position=table[..., :3], orientation=table[..., 3:7], pixel=table[..., 7:9], visible=table[..., 9]
+    )
+
+
+def _factors(content: str) -> dict[str, Scalar]:
+    try:
+        factors = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise DamagedFile(f"holds factors that are no JSON: {error}") from None
+    if not isinstance(factors, dict) or not all(_is_scalar(value) for value in factors.values()):
+        raise DamagedFile("holds factors that are no plain values")
+    return factors
+
+
+def _is_scalar(value: object) -> bool:
+    return isinstance(value, str | bool | int) or (isinstance(value, float) and math.isfinite(value))

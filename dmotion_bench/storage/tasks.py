@@ -1,0 +1,87 @@
+"""Control tasks: bring the objects from where they are at one frame to where they are at a later one.
+
+Tasks are cut out of recorded episodes, so each can be reached: goal 29 frames after the start, or the
+episode's end where it comes sooner (the original's distance). They are chosen when the data set is recorded and stored with
+it, so that every model faces the same ones; their start states do not depend on any policy under test.
+
+The original asks for at least 15 interactions (steps in which an object moves) between start and goal. In
+Grid World 31 random moves give about three, so a task there has at least two; in every environment the
+episodes with 15 or more come first. A task never loses an object that is there at its start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+GOAL_DISTANCE: Final = 29  # frames, the original's
+ENOUGH_INTERACTIONS: Final = 15  # the original's
+FEWEST_INTERACTIONS: Final = 2
+START_SPACING: Final = 4  # frames between the starts of two tasks of one episode, at least
+
+
+class ControlTask(NamedTuple):
+    """Frame numbers within an episode: where the task starts, and what it is to look like."""
+
+    episode: int
+    start: int
+    goal: int
+
+
+class Candidate(NamedTuple):
+    """A stretch of an episode that could be a task."""
+
+    start: int
+    goal: int
+    interactions: int
+
+
+def candidates(
+    pushed: Bool[np.ndarray, "t-1"], positions: Float[np.ndarray, "t k 3"], threshold: float
+) -> tuple[Candidate, ...]:
+    """The stretches of an episode that could be tasks, the best first.
+
+    Args:
+        pushed: Whether an object moved in each step.
+        positions: Of the objects [m]; NaN for one that is gone.
+        threshold: An object that is displaced by more than this counts as displaced [m].
+    """
+    last, gone = len(positions) - 1, np.isnan(positions[..., 0])
+    before = np.concatenate([[0], np.cumsum(pushed)])
+    found = []
+    for start in range(last):
+        goal = min(start + GOAL_DISTANCE, last)
+        interactions = int(before[goal] - before[start])
+        if interactions < FEWEST_INTERACTIONS or (gone[goal] & ~gone[start]).any():
+            continue
+        moved = np.linalg.norm(positions[goal] - positions[start], axis=-1)[~gone[start]]
+        if (moved > threshold).any():
+            found.append(Candidate(start, goal, interactions))
+    found.sort(key=lambda one: (-one.interactions, one.start))
+    spaced: list[Candidate] = []
+    for one in found:
+        if all(abs(one.start - other.start) >= START_SPACING for other in spaced):
+            spaced.append(one)
+    return tuple(spaced)
+
+
+def choose_tasks(found: Mapping[int, Sequence[Candidate]], held_out: Collection[int], count: int) -> list[ControlTask]:
+    """The best ``count`` tasks, or all there are, in the order of their episodes.
+
+    An episode's second task is used only when every episode has given its first. Within that, tasks with
+    enough interactions come before others, then those of held-out episodes, then those with more interactions.
+
+    Args:
+        found: The candidates of each episode, the best first.
+        held_out: The episodes of the test split.
+        count: How many tasks are wanted.
+    """
+    ranked = sorted(
+        (rank, one.interactions < ENOUGH_INTERACTIONS, episode not in held_out, -one.interactions, episode, one)
+        for episode, ones in found.items()
+        for rank, one in enumerate(ones)
+    )
+    return sorted(ControlTask(entry[4], entry[5].start, entry[5].goal) for entry in ranked[:count])

@@ -1,0 +1,241 @@
+"""Writing a data set, shard by shard: new, resumed after any interruption, or extended.
+
+Nothing but the shards themselves remembers how far a recording is: a shard that has its final name is whole
+and describes itself, so a killed recording goes on from what it finds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import errno
+import fcntl
+import os
+import shlex
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from dmotion_bench.errors import DatasetError, RecipeMismatch, StorageFull, UsageError
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode
+from dmotion_bench.storage.atomic import remove_leftovers
+from dmotion_bench.storage.manifest import Manifest, ShardEntry
+from dmotion_bench.storage.mcap_reader import DamagedFile
+from dmotion_bench.storage.shard import (
+    LABELS,
+    VIDEO,
+    Footage,
+    ShardReceipt,
+    file_facts,
+    scan_shard,
+    shard_count,
+    shard_path,
+    shard_range,
+    write_shard,
+)
+from dmotion_bench.storage.split import split_episodes
+from dmotion_bench.storage.tables import EPISODES, TASKS, write_episodes, write_tasks
+from dmotion_bench.storage.tasks import choose_tasks
+from dmotion_bench.versions import versions
+from dmotion_bench.workspace import DATASET_MANIFEST
+
+_PACKAGES = ("dmbench", "numpy", "zstandard", "gymnasium", "pymunk", "pybullet")
+"""What decides the bytes of a recording beside its recipe."""
+_GROWS = ("episodes", "tasks")  # what a second recording into the same folder may change
+
+
+@contextlib.contextmanager
+def storage_full_explained(dataset: Path) -> Iterator[None]:
+    """Turns "no space left" into a sentence that says how to go on."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        raise StorageFull(
+            f"no space left on the device while writing to {str(dataset)!r}; what is finished there is whole. "
+            "Free some space and run the same command again: it goes on where it stopped."
+        ) from None
+
+
+def record_command(recipe: DatasetRecipe, dataset: Path) -> str:
+    """The command that completes a data set."""
+    if recipe.environment == "imported":
+        return "dmbench data import"
+    return (
+        f"dmbench record {recipe.environment} --episodes {recipe.episodes} --frames {recipe.frames} "
+        f"--tasks {recipe.tasks} --seed {recipe.seed} --out {shlex.quote(str(dataset))}"
+    )
+
+
+class DatasetWriter:
+    """The one writer of a data set's folder; leave its ``with`` block and another may write.
+
+    Attributes:
+        path, recipe, spec: Of the data set.
+        missing: The shards that are still to be written.
+    """
+
+    def __init__(
+        self, path: Path, recipe: DatasetRecipe, spec: EnvSpec, receipts: Iterable[ShardReceipt], lock: int
+    ) -> None:
+        self.path, self.recipe, self.spec = path, recipe, spec
+        self._receipts = {receipt.index: receipt for receipt in receipts}
+        self._lock = lock
+
+    @classmethod
+    def create_or_resume(cls, path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> DatasetWriter:
+        """Start a data set, or go on with the one that stands there.
+
+        Raises:
+            RecipeMismatch: What stands there was made by another recipe, or is larger.
+            UsageError: The folder holds something else.
+        """
+        with storage_full_explained(path):
+            existing = path.is_dir() and any(path.iterdir())
+            if existing and not (path / DATASET_MANIFEST).is_file():
+                raise UsageError(
+                    f"{str(path)!r} is not empty and holds no data set; name another folder with '--out DIR'."
+                )
+            path.mkdir(parents=True, exist_ok=True)
+            lock = _lock(path)
+            try:
+                receipts: list[ShardReceipt] = []
+                if existing:
+                    _check_recipe(Manifest.read(path), recipe, spec, path)
+                    for folder in (path, path / VIDEO, path / LABELS):
+                        remove_leftovers(folder)
+                    receipts = list(_standing_shards(path, recipe, spec))
+                writer = cls(path, recipe, spec, receipts, lock)
+                if writer.missing:
+                    Manifest(recipe=recipe, spec=spec, versions=versions(_PACKAGES)).write(path)
+            except BaseException:
+                os.close(lock)
+                raise
+        return writer
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """The numbers of the shards that are still to be written."""
+        return tuple(index for index in range(shard_count(self.recipe)) if index not in self._receipts)
+
+    @property
+    def frames(self) -> int:
+        """Frames in all shards that are whole."""
+        return sum(receipt.frames for receipt in self._receipts.values())
+
+    @property
+    def bytes(self) -> int:
+        """Size of all shards that are whole."""
+        files = [file for one in self._receipts.values() for file in (one.video, one.labels)]
+        return sum(file.size for file in files if file is not None)
+
+    def episodes_of(self, index: int) -> range:
+        """The episodes that belong into a shard."""
+        return shard_range(self.recipe, index)
+
+    def write_shard(self, index: int, episodes: Iterable[Episode | Footage]) -> ShardReceipt:
+        """Write a shard in this process."""
+        with storage_full_explained(self.path):
+            receipt = write_shard(self.path, self.recipe, self.spec, index, episodes)
+        self.add(receipt)
+        return receipt
+
+    def add(self, receipt: ShardReceipt) -> None:
+        """Take note of a shard that another process has written."""
+        self._receipts[receipt.index] = receipt
+
+    def finish(self, *, salvaged: bool = False) -> Manifest:
+        """Write the tables and declare the data set complete; every shard must be there."""
+        if self.missing:
+            raise DatasetError(f"{len(self.missing)} shards of {str(self.path)!r} are still missing.")
+        receipts = [self._receipts[index] for index in range(shard_count(self.recipe))]
+        rows = [row for receipt in receipts for row in receipt.rows]
+        possible = [found for receipt in receipts for found in receipt.candidates]
+        split = split_episodes(self.recipe.seed, self.recipe.episodes)
+        tasks = choose_tasks(dict(enumerate(possible)), set(split["test"].tolist()), self.recipe.tasks)
+        with storage_full_explained(self.path):
+            write_episodes(self.path, rows, split)
+            write_tasks(self.path, tasks)
+            manifest = Manifest(
+                recipe=self.recipe,
+                spec=self.spec,
+                complete=True,
+                salvaged=salvaged,
+                versions=versions(_PACKAGES),
+                tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
+                shards=tuple(
+                    ShardEntry(episodes=len(one.rows), frames=one.frames, video=one.video, labels=one.labels)
+                    for one in receipts
+                ),
+            )
+            manifest.write(self.path)
+        return manifest
+
+    def close(self) -> None:
+        """Let others write here."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _lock(path: Path) -> int:
+    """Hold the folder for this process; the system lets go of it however the process ends."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise DatasetError(
+            f"another dmbench is recording into {str(path)!r}; wait for it, or name another folder with '--out DIR'."
+        ) from None
+    except OSError:
+        pass  # a file system without locks: what is written is atomic in any case
+    return handle
+
+
+def _check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path: Path) -> None:
+    elsewhere = "name another folder with '--out DIR'"
+    if standing.salvaged:
+        raise RecipeMismatch(f"{str(path)!r} was repaired and lacks episodes, so it cannot be extended; {elsewhere}.")
+    old, new = dataclasses.asdict(standing.recipe), dataclasses.asdict(recipe)
+    differing = [
+        f"{key} is {old[key]!r} there and {new[key]!r} here"
+        for key in old
+        if old[key] != new[key] and key not in _GROWS
+    ]
+    if not differing and standing.spec != spec:
+        differing = [f"the environment {recipe.environment!r} has changed since"]
+    if differing:
+        raise RecipeMismatch(
+            f"{str(path)!r} holds a data set of another recipe: {'; '.join(differing)}. "
+            f"To go on with it: {record_command(standing.recipe, path)!r}; for a new one {elsewhere}."
+        )
+    if standing.recipe.episodes > recipe.episodes:
+        raise RecipeMismatch(
+            f"{str(path)!r} is a data set of {standing.recipe.episodes} episodes, more than the {recipe.episodes} "
+            f"asked for; for a smaller one {elsewhere}."
+        )
+
+
+def _standing_shards(path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> Iterator[ShardReceipt]:
+    """The shards that are there, whole, and have all the episodes that the recipe wants in them."""
+    for index in range(shard_count(recipe)):
+        if not shard_path(path, VIDEO, index).is_file():
+            continue
+        try:
+            receipt = scan_shard(path, spec, index)
+        except DamagedFile:
+            continue  # written anew
+        labelled = receipt.labels is not None or recipe.environment == "imported"
+        if labelled and [row.episode for row in receipt.rows] == list(shard_range(recipe, index)):
+            yield receipt

@@ -1,0 +1,140 @@
+"""Action messages -> the discrete action in force at each frame.
+
+An action is a choice out of a few: an integer, a truth value or a word, as ``std_msgs/Int32``, ``UInt8``,
+``Bool``, ``String`` ..., as JSON, or as a protobuf message with one such field. Measurements (velocities,
+joint positions) are refused: how to bin them is a question to the data's owner.
+
+A command holds until the next one. The action of frame i is the command in force halfway between frames i and
+i + 1: so it counts whether the robot's program logs it just before the picture or just after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Int64
+
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.imports.cameras import BadPicture, guarded, ros_decoder, well_known
+from dmotion_bench.storage.imports.mcap_records import TopicInfo
+
+FIELDS: Final = ("action", "data", "value")
+LONGEST: Final = 100  # characters of an action's name
+_INTEGERS: Final = {f"{sign}Int{bits}": f"{sign.lower()}int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)}
+_STANDARD: Final = {**_INTEGERS, "Bool": "bool", "Byte": "byte", "Char": "uint8", "String": "string"}
+ROS_COMMANDS: Final = {f"std_msgs/{name}": f"{kind} data\n" for name, kind in _STANDARD.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Commands:
+    """The commands of a recording, in time order.
+
+    Attributes:
+        times_ns: When each was given.
+        names: What it was, as text.
+    """
+
+    times_ns: Int64[np.ndarray, " n"]
+    names: Sequence[str]
+
+
+def command_decoder(topic: TopicInfo) -> Callable[[bytes], str]:
+    """What turns the topic's messages into the names of actions; it raises ``BadPicture`` (of a single message).
+
+    Raises:
+        RecordingImportError: The messages cannot be discrete actions.
+    """
+    name = well_known(topic)
+    if topic.message_encoding == "cdr" and name in ROS_COMMANDS:
+        decode = guarded(ros_decoder(name, ROS_COMMANDS[name]), name)
+    elif topic.message_encoding == "json":
+        import json
+
+        decode = guarded(json.loads, name or "JSON")
+    elif topic.message_encoding == "protobuf":
+        decode = guarded(_protobuf_decoder(topic), name)
+    else:
+        raise RecordingImportError(
+            f"{topic.topic!r} carries {topic.schema_name or 'messages without a schema'} written as "
+            f"{topic.message_encoding[:40]!r}, no discrete actions; known are std_msgs/msg/Int*, UInt*, Bool and "
+            "String, JSON like {\"action\": 2}, and protobuf with a field 'action', 'data' or 'value'. "
+            "To import the video alone, leave '--actions' out."
+        )
+    return lambda data: action_name(_value(decode(data)))
+
+
+def action_name(value: Any) -> str:
+    """An action's name.
+
+    Raises:
+        BadPicture: It is no choice out of a few.
+    """
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    if isinstance(value, str) and 0 < len(value) <= LONGEST and value.isprintable():
+        return value
+    raise BadPicture(
+        f"holds {str(value)[:60]!r}, a measurement and no choice out of a few; bin it into integers first, or import "
+        "the video alone by leaving '--actions' out"
+    )
+
+
+def sorted_names(names: Sequence[str], most: int) -> tuple[str, ...]:
+    """Every name once: integers by value, then words by the alphabet.
+
+    Raises:
+        RecordingImportError: There are more than ``most``.
+    """
+    distinct = set(names)
+    if len(distinct) > most:
+        raise RecordingImportError(
+            f"the actions take {len(distinct)} different values, more than the {most} that choices can have; bin them "
+            "first, or import the video alone by leaving '--actions' out."
+        )
+    return tuple(sorted(distinct, key=lambda name: (0, int(name), "") if _is_integer(name) else (1, 0, name)))
+
+
+def in_force(commands: Commands, t_ns: Int64[np.ndarray, " t"]) -> Int64[np.ndarray, " t-1"]:
+    """The number of the command in force halfway between each two ticks, -1 before the first command."""
+    halfway = t_ns[:-1] + np.diff(t_ns) // 2
+    latest: Int64[np.ndarray, " t-1"] = np.searchsorted(commands.times_ns, halfway, side="right").astype(np.int64) - 1
+    return latest
+
+
+def _is_integer(name: str) -> bool:
+    return name.removeprefix("-").isdecimal() and name.isascii()
+
+
+def _value(message: Any) -> Any:
+    """The one field that says the action, or the message itself where it is a bare value."""
+    if isinstance(message, str | int | float | list):
+        return message
+    for field in FIELDS:
+        if isinstance(message, dict):
+            if field in message:
+                return message[field]
+        elif hasattr(message, field):
+            return getattr(message, field)
+    raise BadPicture(f"has none of the fields {', '.join(FIELDS)}")
+
+
+def _protobuf_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
+    from mcap.exceptions import McapError
+    from mcap.records import Schema
+    from mcap_protobuf.decoder import DecoderFactory
+
+    schema = Schema(id=1, name=topic.schema_name, encoding=topic.schema_encoding, data=topic.schema)
+    try:
+        decode = DecoderFactory().decoder_for("protobuf", schema)
+    except (McapError, TypeError, ValueError, KeyError, RecursionError) as error:
+        raise RecordingImportError(
+            f"{topic.topic!r} carries protobuf messages whose schema cannot be used: {str(error)[:120]}."
+        ) from error
+    if decode is None:
+        raise RecordingImportError(f"{topic.topic!r} carries protobuf messages without a protobuf schema.")
+    return decode

@@ -1,0 +1,382 @@
+"""Foreign recordings -> a data set of the format ``dmbench/1``.
+
+Two passes over every file: the first looks at times, sizes and actions and refuses what cannot be imported;
+the second unpacks only the frames that are needed, one at a time. The data set is written beside its place and
+moved there when it is whole, so a failed import leaves nothing behind.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Int64
+
+from dmotion_bench.errors import InvalidSetting, RecordingImportError, UsageError
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, Scalar
+from dmotion_bench.storage.imports.commands import Commands, in_force, sorted_names
+from dmotion_bench.storage.imports.fitting import Fit, fitted
+from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording, is_lerobot
+from dmotion_bench.storage.imports.limits import ImportLimits
+from dmotion_bench.storage.imports.mcap_recording import McapRecording
+from dmotion_bench.storage.imports.recording import Clock, Recording, Survey
+from dmotion_bench.storage.imports.timeline import Piece, cut, resample
+from dmotion_bench.storage.shard import Footage
+from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.workspace import DATASET_MANIFEST
+
+IMPORTED: Final = "imported"
+UNFINISHED: Final = ".importing"
+AGENT: Final = ObjectSpec(name="agent", shape="unknown", color=(0, 0, 0))
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and how much there is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """How recordings become episodes.
+
+    Attributes:
+        camera: Topic (MCAP) or feature (LeRobot) of the pictures; None for the only one there is.
+        actions: Topic or feature of the actions; None imports the video alone.
+        size: Side of a frame [px].
+        hz: Frames a second.
+        fit: What becomes of a picture that is not square.
+        clock: Which time counts as the time of a frame.
+        max_gap_s: A longer time without a picture ends an episode [s]; None: see ``timeline.resample``.
+        min_frames: A shorter episode is left out.
+        frames_per_episode: A longer one is cut into equal parts.
+        seed: Of the split into training, validation and test.
+        salvage: Take what stands before the damage in a damaged file.
+        limits: What a file may make us do.
+    """
+
+    camera: str | None = None
+    actions: str | None = None
+    size: int = 128
+    hz: float = 10.0
+    fit: Fit = Fit.CROP
+    clock: Clock = Clock.LOG
+    max_gap_s: float | None = None
+    min_frames: int = 3
+    frames_per_episode: int = 100
+    seed: int = 0
+    salvage: bool = False
+    limits: ImportLimits = field(default_factory=ImportLimits)
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("size", 8, 4096),
+            ("hz", 0.01, 1000),
+            ("min_frames", 3, 1_000_000),
+            ("frames_per_episode", 3, 1_000_000),
+            ("seed", 0, 2**63 - 1),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InvalidSetting(f"{name} is {value}; allowed is {low} ... {high}.")
+        if self.max_gap_s is not None and not self.max_gap_s > 0:
+            raise InvalidSetting(f"max_gap_s is {self.max_gap_s}; a gap is longer than 0 s.")
+        if self.min_frames > self.frames_per_episode:
+            raise InvalidSetting(
+                f"min_frames is {self.min_frames}, more than the {self.frames_per_episode} frames_per_episode."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportReport:
+    """What came of it.
+
+    Attributes:
+        path: The data set.
+        episodes, frames: That it has.
+        source_frames: Pictures in the recordings.
+        source_height, source_width: Of the pictures [px].
+        source_hz: Pictures a second in the longest recording.
+        repeated: Frames that show the same picture as the one before, as the camera was slower than asked for.
+        left_out: Frames of episodes that were too short.
+        actions: Names of the actions, none without labels.
+    """
+
+    path: Path
+    episodes: int
+    frames: int
+    source_frames: int
+    source_height: int
+    source_width: int
+    source_hz: float
+    repeated: int
+    left_out: int
+    actions: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Planned:
+    """An episode to be."""
+
+    recording: int
+    segment: int
+    piece: Piece
+    actions: Int64[np.ndarray, " t-1"] | None
+
+
+def recordings_in(paths: Sequence[Path]) -> list[Path]:
+    """The recordings that are meant: files as they are, folders by their ``.mcap`` files or as LeRobot data sets.
+
+    Raises:
+        RecordingImportError: A path is not there, or a folder holds no recording.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise RecordingImportError(f"there is no {str(path)!r}.")
+        if path.is_file() or is_lerobot(path):
+            found.append(path)
+            continue
+        inside = sorted(path.glob("*.mcap"), key=_natural)
+        if not inside:
+            sqlite = any(path.glob("*.db3"))
+            bag = (
+                "It is a ROS 2 bag in SQLite; convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'."
+            )
+            raise RecordingImportError(
+                f"{str(path)!r} holds no .mcap file and is no LeRobot data set. {bag if sqlite else ''}".strip()
+            )
+        found += inside
+    if len({path.resolve() for path in found}) < len(found):
+        raise UsageError("a recording is named twice.")
+    return found
+
+
+def import_recordings(
+    paths: Sequence[Path], out: Path, options: ImportOptions, progress: Progress = lambda what, done, total: None
+) -> ImportReport:
+    """Make a data set of foreign recordings.
+
+    Args:
+        paths: MCAP files, folders of such, LeRobot data sets.
+        out: The data set's folder, which must not exist yet.
+        options: How.
+        progress: Is told how far it is.
+
+    Raises:
+        RecordingImportError: A recording cannot be imported.
+        UsageError: The folder holds something already.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"{str(out)!r} is there already; name another folder with '--out DIR', or delete it first.")
+    recordings = [_open(path, options) for path in recordings_in(paths)]
+    surveys: list[Survey] = []
+    for number, recording in enumerate(recordings):
+        progress("looking through the recordings", number, len(recordings))
+        surveys.append(recording.survey())
+    _check_sizes(recordings, surveys)
+    names = _action_names(surveys, options)
+    planned, left_out = _plan(surveys, names, options)
+    if not planned:
+        raise RecordingImportError(
+            f"no episode of at least {options.min_frames} frames comes out: {sum(map(_frames, surveys))} pictures at "
+            f"{options.hz:g} Hz; raise '--hz' or '--max-gap', or look at the times in the recording."
+        )
+    recipe = _recipe(recordings, surveys, planned, options)
+    spec = EnvSpec(
+        id=IMPORTED,
+        actions=names,
+        agent=AGENT,
+        objects=(),
+        height=options.size,
+        width=options.size,
+        step_ns=round(1e9 / options.hz),
+    )
+    _write(out, recipe, spec, recordings, planned, options, progress)
+    return ImportReport(
+        path=out,
+        episodes=len(planned),
+        frames=sum(len(plan.piece) for plan in planned),
+        source_frames=sum(map(_frames, surveys)),
+        source_height=surveys[0].height,
+        source_width=surveys[0].width,
+        source_hz=_source_hz(surveys),
+        repeated=sum(int((np.diff(plan.piece.frames) == 0).sum()) for plan in planned),
+        left_out=left_out,
+        actions=names,
+    )
+
+
+def _open(path: Path, options: ImportOptions) -> Recording:
+    if path.is_dir():
+        return LeRobotRecording(path, camera=options.camera, actions=options.actions, limits=options.limits)
+    return McapRecording(
+        path,
+        camera=options.camera,
+        actions=options.actions,
+        clock=options.clock,
+        limits=options.limits,
+        salvage=options.salvage,
+    )
+
+
+def _check_sizes(recordings: Sequence[Recording], surveys: Sequence[Survey]) -> None:
+    first = surveys[0]
+    for recording, survey in zip(recordings, surveys, strict=True):
+        if (survey.height, survey.width) != (first.height, first.width):
+            raise RecordingImportError(
+                f"the recordings mix picture sizes: {first.width}x{first.height} pixels in "
+                f"{str(recordings[0].path)!r}, {survey.width}x{survey.height} in {str(recording.path)!r}; "
+                "import them into data sets of their own."
+            )
+
+
+def _action_names(surveys: Sequence[Survey], options: ImportOptions) -> tuple[str, ...]:
+    commands = [segment.commands for survey in surveys for segment in survey.segments if segment.commands is not None]
+    return sorted_names([name for one in commands for name in set(one.names)], options.limits.actions)
+
+
+def _plan(surveys: Sequence[Survey], names: tuple[str, ...], options: ImportOptions) -> tuple[list[_Planned], int]:
+    """The episodes, and how many frames are left out of all."""
+    planned: list[_Planned] = []
+    offered, most = 0, options.limits.frames
+    for number, survey in enumerate(surveys):
+        for index, segment in enumerate(survey.segments):
+            pieces = resample(segment.times_ns, hz=options.hz, max_gap_s=options.max_gap_s, most=most)
+            most -= sum(map(len, pieces))
+            offered += sum(map(len, pieces))
+            if segment.commands is not None:
+                pieces = [_commanded(piece, segment.commands) for piece in pieces]
+            for piece in cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames):
+                actions = None if segment.commands is None else _actions(piece, segment.commands, names)
+                planned.append(_Planned(recording=number, segment=index, piece=piece, actions=actions))
+    return planned, offered - sum(len(plan.piece) for plan in planned)
+
+
+def _commanded(piece: Piece, commands: Commands) -> Piece:
+    """The piece without what comes before the first command."""
+    before = int((in_force(commands, piece.t_ns) < 0).sum())
+    return piece.cut(before, len(piece))
+
+
+def _actions(piece: Piece, commands: Commands, names: tuple[str, ...]) -> Int64[np.ndarray, " t-1"]:
+    numbers = {name: number for number, name in enumerate(names)}
+    return np.array([numbers[commands.names[index]] for index in in_force(commands, piece.t_ns)], np.int64)
+
+
+def _recipe(
+    recordings: Sequence[Recording], surveys: Sequence[Survey], planned: Sequence[_Planned], options: ImportOptions
+) -> DatasetRecipe:
+    parameters: dict[str, Scalar] = {
+        "camera": surveys[0].camera,
+        "actions": options.actions or "",
+        "size": options.size,
+        "hz": options.hz,
+        "fit": options.fit.value,
+        "clock": options.clock.value,
+        "max_gap_s": options.max_gap_s or 0.0,
+        "min_frames": options.min_frames,
+        "salvage": options.salvage,
+    }
+    for number, recording in enumerate(recordings):
+        parameters[f"file_{number}"] = recording.path.name
+        parameters[f"sha256_{number}"] = recording.sha256()
+    return DatasetRecipe(
+        environment=IMPORTED,
+        parameters=parameters,
+        policy="recorded",
+        seed=options.seed,
+        episodes=len(planned),
+        frames=options.frames_per_episode,
+    )
+
+
+def _write(
+    out: Path,
+    recipe: DatasetRecipe,
+    spec: EnvSpec,
+    recordings: Sequence[Recording],
+    planned: Sequence[_Planned],
+    options: ImportOptions,
+    progress: Progress,
+) -> None:
+    """Write beside ``out`` and move there."""
+    unfinished = out.with_name(f"{out.name}{UNFINISHED}")
+    if unfinished.exists() and not (unfinished / DATASET_MANIFEST).is_file():
+        raise UsageError(f"{str(unfinished)!r} is in the way; move it, or name another folder with '--out DIR'.")
+    shutil.rmtree(unfinished, ignore_errors=True)  # of an import that was killed
+    try:
+        with DatasetWriter.create_or_resume(unfinished, recipe, spec) as writer:
+            episodes = _footage(recordings, planned, spec, options)
+            done = 0
+            for shard in writer.missing:
+                progress("importing", done, recipe.episodes)
+                count = len(writer.episodes_of(shard))
+                writer.write_shard(shard, itertools.islice(episodes, count))
+                done += count
+            progress("importing", done, recipe.episodes)
+            writer.finish()
+        if out.exists():
+            out.rmdir()
+        unfinished.rename(out)
+    except BaseException:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
+
+
+def _footage(
+    recordings: Sequence[Recording], planned: Sequence[_Planned], spec: EnvSpec, options: ImportOptions
+) -> Iterator[Footage]:
+    """The episodes in order, unpacked one at a time."""
+    keep_times = all(before.piece.t_ns[-1] < after.piece.t_ns[0] for before, after in itertools.pairwise(planned))
+    for (number, segment), group in itertools.groupby(planned, key=lambda plan: (plan.recording, plan.segment)):
+        plans = list(group)
+        wanted = np.unique(np.concatenate([plan.piece.frames for plan in plans]))
+        pictures = zip(wanted.tolist(), recordings[number].pictures(segment, wanted), strict=True)
+        shown, frame = -1, np.zeros(0, np.uint8)
+        for plan in plans:
+            frames = np.empty((len(plan.piece), spec.height, spec.width, 3), np.uint8)
+            for tick, source in enumerate(plan.piece.frames.tolist()):
+                while shown < source:
+                    shown, picture = next(pictures)
+                    frame = fitted(picture, options.size, options.fit)
+                frames[tick] = frame
+            labels = None if plan.actions is None else _labels(plan.actions, frames.shape[:3])
+            yield Footage(frames=frames, labels=labels, start_ns=int(plan.piece.t_ns[0]) if keep_times else None)
+
+
+def _labels(actions: Int64[np.ndarray, " t-1"], shape: tuple[int, ...]) -> EpisodeLabels:
+    """Actions, and nothing else known: no object, an agent that is nowhere."""
+    return EpisodeLabels(
+        actions=actions,
+        pushed=np.zeros(len(actions), bool),
+        agent=_nowhere(shape[0], 1),
+        objects=_nowhere(shape[0], 0),
+        masks=np.zeros(shape, np.uint8),
+    )
+
+
+def _nowhere(t: int, k: int) -> ObjectStates:
+    return ObjectStates(
+        position=np.full((t, k, 3), np.nan),
+        orientation=np.full((t, k, 4), np.nan),
+        pixel=np.full((t, k, 2), np.nan),
+        visible=np.zeros((t, k)),
+    )
+
+
+def _frames(survey: Survey) -> int:
+    return sum(len(segment.times_ns) for segment in survey.segments)
+
+
+def _source_hz(surveys: Sequence[Survey]) -> float:
+    longest = max((segment.times_ns for survey in surveys for segment in survey.segments), key=len)
+    interval = float(np.median(np.diff(longest))) if len(longest) > 1 else 0.0
+    return 1e9 / interval if interval else 0.0
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """``bag_2.mcap`` before ``bag_10.mcap``."""
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", path.name)]

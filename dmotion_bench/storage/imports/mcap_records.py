@@ -1,0 +1,370 @@
+"""A reader of MCAP files that does not trust them: record by record, every length checked before it is used.
+
+The ``mcap`` package's readers inflate a whole chunk at once, to whatever size the compressed bytes lead to,
+and allocate what a length field says. Here a chunk is inflated as a stream and stopped at its declared size,
+so a message is the largest thing ever held. The layout of records is https://mcap.dev/spec; their opcodes
+and the parsing of channels and schemas are that package's own.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Final, Protocol, cast
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from dmotion_bench.errors import RecordingImportError, RecordingTruncated
+from dmotion_bench.storage.imports.limits import MIB, ImportLimits
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+RECORD_HEAD: Final = struct.Struct("<BQ")
+CHUNK_HEAD: Final = struct.Struct("<QQQI")
+MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+FOOTER: Final = struct.Struct("<QQI")
+ZSTD_WINDOW: Final = 128 * MIB  # the zstd command's own limit; a frame may ask for 3 GiB
+LATEST: Final = 2**63 - 1  # [ns] times are kept as signed 64-bit integers
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A channel with the schema of its messages.
+
+    Attributes:
+        message_encoding: ``"cdr"``, ``"protobuf"``, ``"json"`` ...
+        schema_encoding: ``"ros2msg"``, ``"ros2idl"``, ``"protobuf"``, ``"jsonschema"``; empty without a schema.
+    """
+
+    topic: str
+    message_encoding: str
+    schema_name: str
+    schema_encoding: str
+    schema: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """A message as it stands in the file; ``log_ns`` is when it was recorded."""
+
+    topic: TopicInfo
+    log_ns: int
+    data: bytes
+
+
+class _Readable(Protocol):
+    def read(self, size: int, /) -> bytes: ...
+
+
+class _Cut(Exception):
+    """The bytes end before they should."""
+
+
+class _Broken(Exception):
+    """The bytes cannot be what a writer meant."""
+
+
+class _Span:
+    """The next ``length`` bytes of a source, and never one more.
+
+    Args:
+        source: Where they come from.
+        length: How many there are.
+        seek: Moves the source ahead without reading, where it can.
+    """
+
+    def __init__(self, source: _Readable, length: int, seek: Callable[[int], object] | None = None) -> None:
+        self._source, self._seek = source, seek
+        self.left = length
+        self.crc: int | None = None  # a number: the checksum of what was read
+
+    def read(self, size: int = -1, /) -> bytes:
+        """At most ``size`` bytes; empty at the end of the span."""
+        data = self._source.read(self.left if size < 0 else min(size, self.left))
+        self.left -= len(data)
+        if self.crc is not None:
+            self.crc = zlib.crc32(data, self.crc)
+        return data
+
+    def exactly(self, size: int) -> bytes:
+        """``size`` bytes."""
+        if size > self.left:
+            raise _Cut
+        data = self.read(size)
+        while len(data) < size:
+            more = self.read(size - len(data))
+            if not more:
+                raise _Cut
+            data += more
+        return data
+
+    def skip(self) -> None:
+        """Go to the span's end."""
+        if self._seek is not None and self.crc is None:
+            self._seek(self.left)
+            self.left = 0
+        while self.left:
+            self.exactly(min(self.left, MIB))
+
+    def part(self, length: int) -> _Span:
+        """The next bytes as a span of their own, to be used up before this one is read on."""
+        if length > self.left:
+            raise _Cut
+        return _Span(self, length, None if self._seek is None or self.crc is not None else self._ahead)
+
+    def _ahead(self, distance: int) -> None:
+        assert self._seek is not None
+        self._seek(distance)
+        self.left -= distance
+
+
+class McapFile:
+    """One file, read from its beginning as often as it is asked for.
+
+    Args:
+        path: The file.
+        limits: What it may make us do.
+        salvage: Take a damaged file's messages up to the damage instead of refusing it.
+
+    Raises:
+        RecordingImportError: The file is not there, cannot be read, or is no MCAP file.
+    """
+
+    def __init__(self, path: Path, *, limits: ImportLimits, salvage: bool = False) -> None:
+        self.path, self.limits, self.salvage = path, limits, salvage
+        try:
+            with path.open("rb") as file:
+                start = file.read(len(MAGIC))
+        except OSError as error:
+            raise RecordingImportError(f"cannot read {str(path)!r}: {error.strerror}.") from error
+        if start != MAGIC:
+            raise RecordingImportError(f"{str(path)!r} is no MCAP file: {_what_else(start)}")
+
+    def topics(self) -> list[TopicInfo]:
+        """Every channel, sorted by topic: from the summary at the end, or from the whole file without one."""
+        found = self._summary_topics()
+        if not found:
+            channels: dict[int, TopicInfo] = {}
+            for _ in self._messages(frozenset(), channels):
+                pass
+            found = list(channels.values())
+        return sorted(set(found), key=lambda topic: (topic.topic, topic.schema_name))
+
+    def messages(self, *topics: str) -> Iterator[RawMessage]:
+        """The messages of some topics, in the order of the file.
+
+        Raises:
+            RecordingTruncated: The file ends in the middle (unless it is to be salvaged).
+            RecordingImportError: It is damaged, or larger inside than the limits allow.
+        """
+        return self._messages(frozenset(topics), {})
+
+    def _messages(self, topics: frozenset[str], channels: dict[int, TopicInfo]) -> Iterator[RawMessage]:
+        schemas: dict[int, Schema] = {}
+        size = self.path.stat().st_size
+        with self.path.open("rb") as file:
+            whole = _Span(file, size, lambda distance: file.seek(distance, 1))
+            try:
+                whole.exactly(len(MAGIC))
+                yield from self._walk(whole, topics, channels, schemas)
+            except _Cut:
+                if self.salvage:
+                    return
+                raise RecordingTruncated(
+                    f"{str(self.path)!r} is cut off: it ends in the middle of a record, after {size:,} bytes; "
+                    "import what stands before the cut with '--salvage'."
+                ) from None
+            except (_Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError, zstandard.ZstdError) as error:
+                self._damaged(file.tell(), error)
+            except RuntimeError as error:  # all that lz4 raises
+                self._damaged(file.tell(), error)
+
+    def _damaged(self, offset: int, error: Exception) -> None:
+        if not self.salvage:
+            raise RecordingImportError(
+                f"{str(self.path)!r} is damaged near byte {offset:,}: {str(error)[:200] or type(error).__name__}; "
+                "import what stands before the damage with '--salvage'."
+            ) from None
+
+    def _walk(
+        self, span: _Span, topics: frozenset[str], channels: dict[int, TopicInfo], schemas: dict[int, Schema]
+    ) -> Iterator[RawMessage]:
+        while True:
+            opcode, length = RECORD_HEAD.unpack(span.exactly(RECORD_HEAD.size))
+            body = span.part(length)
+            if opcode == Opcode.FOOTER:
+                return
+            if opcode == Opcode.CHUNK:
+                with_crc, inside = self._chunk(body)
+                yield from self._walk_chunk(inside, with_crc, topics, channels, schemas)
+            else:
+                message = self._record(opcode, body, topics, channels, schemas)
+                if message is not None:
+                    yield message
+            body.skip()
+
+    def _walk_chunk(
+        self,
+        inside: _Span,
+        crc: int,
+        topics: frozenset[str],
+        channels: dict[int, TopicInfo],
+        schemas: dict[int, Schema],
+    ) -> Iterator[RawMessage]:
+        inside.crc = 0 if crc else None
+        try:
+            while inside.left:
+                opcode, length = RECORD_HEAD.unpack(inside.exactly(RECORD_HEAD.size))
+                body = inside.part(length)
+                message = self._record(opcode, body, topics, channels, schemas)
+                if message is not None:
+                    yield message
+                body.skip()
+        except _Cut:
+            raise _Broken("a chunk holds less than it declares") from None
+        if crc and inside.crc != crc:
+            raise _Broken("a chunk's checksum does not match its content")
+
+    def _chunk(self, body: _Span) -> tuple[int, _Span]:
+        _, _, declared, crc = CHUNK_HEAD.unpack(body.exactly(CHUNK_HEAD.size))
+        compression = _short_string(body)
+        (stored,) = struct.unpack("<Q", body.exactly(8))
+        if declared > self.limits.chunk_bytes:
+            raise RecordingImportError(
+                f"{str(self.path)!r} has a chunk that declares {declared / MIB:,.0f} MiB, more than the "
+                f"{self.limits.chunk_bytes // MIB:,} MiB that one may inflate to; if you trust the file, raise the "
+                f"limit with '--max-chunk {-(-declared // MIB)}'."
+            )
+        packed = body.part(stored)
+        if compression == "":
+            if stored != declared:
+                raise _Broken("an uncompressed chunk declares another size than it has")
+            return crc, packed
+        if compression == "zstd":
+            source: _Readable = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW).stream_reader(
+                cast("IO[bytes]", packed)
+            )
+        elif compression == "lz4":
+            source = lz4.frame.LZ4FrameFile(packed)
+        else:
+            raise RecordingImportError(
+                f"{str(self.path)!r} is compressed with {compression[:20]!r}; known are 'zstd' and 'lz4'. "
+                "Convert it with 'mcap compress --compression zstd'."
+            )
+        return crc, _Inflated(source, declared)
+
+    def _record(
+        self,
+        opcode: int,
+        body: _Span,
+        topics: frozenset[str],
+        channels: dict[int, TopicInfo],
+        schemas: dict[int, Schema],
+    ) -> RawMessage | None:
+        if opcode == Opcode.MESSAGE:
+            number, _, log_ns, _ = MESSAGE_HEAD.unpack(body.exactly(MESSAGE_HEAD.size))
+            topic = channels.get(number)
+            if topic is None:
+                raise _Broken(f"a message belongs to channel {number}, which is never described")
+            if topic.topic not in topics:
+                return None
+            if body.left > self.limits.message_bytes:
+                raise RecordingImportError(
+                    f"{str(self.path)!r} has a message of {body.left / MIB:,.0f} MiB on {topic.topic!r}, more than the "
+                    f"{self.limits.message_bytes // MIB} MiB that one may have."
+                )
+            if log_ns > LATEST:
+                raise _Broken(f"a message on {topic.topic!r} has the impossible time {log_ns} ns")
+            return RawMessage(topic, log_ns, body.exactly(body.left))
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(self._small(body, schemas, channels))
+            schemas.setdefault(schema.id, schema)
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(self._small(body, schemas, channels))
+            described = _describe(channel, schemas.get(channel.schema_id))
+            if channels.setdefault(channel.id, described).topic != channel.topic:
+                raise _Broken(f"channel {channel.id} is described twice, differently")
+        return None
+
+    def _small(self, body: _Span, schemas: dict[int, Schema], channels: dict[int, TopicInfo]) -> ReadDataStream:
+        held = sum(len(schema.data) for schema in schemas.values()) + 256 * len(channels)
+        if body.left > self.limits.schema_bytes or held > 4 * self.limits.schema_bytes:
+            raise _Broken("its schemas are larger than any real ones")
+        return ReadDataStream(BytesIO(body.exactly(body.left)))
+
+    def _summary_topics(self) -> list[TopicInfo]:
+        """The channels that the summary section repeats; none where there is no summary or it is damaged."""
+        tail = RECORD_HEAD.size + FOOTER.size + len(MAGIC)
+        size = self.path.stat().st_size
+        if size < tail + len(MAGIC):
+            return []
+        channels: dict[int, TopicInfo] = {}
+        schemas: dict[int, Schema] = {}
+        with self.path.open("rb") as file:
+            file.seek(-tail, 2)
+            opcode, _ = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+            start, _, _ = FOOTER.unpack(file.read(FOOTER.size))
+            if opcode != Opcode.FOOTER or file.read(len(MAGIC)) != MAGIC or not 0 < start < size - tail:
+                return []
+            file.seek(start)
+            span = _Span(file, size - start, lambda distance: file.seek(distance, 1))
+            try:
+                for _ in self._walk(span, frozenset(), channels, schemas):
+                    pass
+            except (_Cut, _Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError):
+                return []
+        return list(channels.values())
+
+
+class _Inflated(_Span):
+    """What a chunk inflates to, stopped where it grows beyond its declared size."""
+
+    def __init__(self, source: _Readable, declared: int) -> None:
+        super().__init__(source, declared)
+        self._beyond = source
+        self._checked = False
+
+    def read(self, size: int = -1, /) -> bytes:
+        data = super().read(size)
+        if not self.left and not self._checked:
+            self._checked = True
+            if self._beyond.read(1):
+                raise _Broken("a chunk inflates to more than it declares")
+        return data
+
+
+def _short_string(body: _Span) -> str:
+    (length,) = struct.unpack("<I", body.exactly(4))
+    if length > 256:
+        raise _Broken("a compression's name is longer than any real one")
+    return body.exactly(length).decode()
+
+
+def _describe(channel: Channel, schema: Schema | None) -> TopicInfo:
+    if channel.schema_id and schema is None:
+        raise _Broken(f"channel {channel.id} names schema {channel.schema_id}, which is never given")
+    return TopicInfo(
+        channel.topic,
+        channel.message_encoding,
+        "" if schema is None else schema.name,
+        "" if schema is None else schema.encoding,
+        b"" if schema is None else schema.data,
+    )
+
+
+def _what_else(start: bytes) -> str:
+    if start.startswith(b"#ROSBAG"):
+        return "it is a ROS 1 bag; convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'."
+    if start.startswith(b"SQLite"):
+        return "it is a ROS 2 bag in SQLite; convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'."
+    if start.startswith(b"\x28\xb5\x2f\xfd"):
+        return "it is compressed as a whole; unpack it with 'unzstd' first."
+    return "it does not begin with MCAP's eight bytes." if start else "it is empty."

@@ -1,0 +1,186 @@
+"""Pixel encodings of ROS and foxglove -> RGB, 8 bits.
+
+mono16 keeps its upper 8 bits; an alpha channel is dropped; YUV 4:2:2 is full-range BT.601, as Foxglove shows
+it; ``8UC3`` is BGR, as OpenCV and Foxglove have it. Depth (16UC1, 32FC1) is no picture and is refused.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from io import BytesIO
+
+import numpy as np
+from jaxtyping import Integer, UInt8
+from PIL import Image, UnidentifiedImageError
+
+from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture, Picture
+from dmotion_bench.storage.imports.limits import ImportLimits
+
+RGB = UInt8[np.ndarray, "h w 3"]
+Rows = UInt8[np.ndarray, "h bytes"]
+
+
+def _order(*channels: int, of: int) -> Callable[[Rows], RGB]:
+    def unpack(rows: Rows) -> RGB:
+        return np.take(rows.reshape(len(rows), -1, of), channels, axis=2)
+
+    return unpack
+
+
+def _gray(rows: Rows) -> RGB:
+    return np.repeat(rows[..., None], 3, axis=2)
+
+
+def _yuv(luma: int, blue: int, red: int) -> Callable[[Rows], RGB]:
+    def unpack(rows: Rows) -> RGB:
+        pairs = rows.reshape(len(rows), -1, 4).astype(np.float32)
+        y = pairs[..., luma::2]
+        u, v = pairs[..., blue, None] - 128, pairs[..., red, None] - 128
+        rgb = np.stack([y + 1.402 * v, y - 0.344136 * u - 0.714136 * v, y + 1.772 * u], axis=-1)
+        rounded: RGB = np.rint(rgb.clip(0, 255)).astype(np.uint8).reshape(len(rows), -1, 3)
+        return rounded
+
+    return unpack
+
+
+def demosaic(mosaic: UInt8[np.ndarray, "h w"], pattern: str) -> RGB:
+    """Bilinear: what a pixel lacks is the mean of its nearest neighbours that have it; the border is mirrored.
+
+    Args:
+        mosaic: One colour a pixel.
+        pattern: The colours of the top left 2x2 pixels, row by row: ``"rggb"``, ``"bggr"``, ``"gbrg"``, ``"grbg"``.
+    """
+    height, width = mosaic.shape
+    colours = np.array([["rgb".index(letter) for letter in pattern[row : row + 2]] for row in (0, 2)])
+    where = np.tile(colours, (height // 2 + 1, width // 2 + 1))[:height, :width]
+    planes = np.where(where[..., None] == np.arange(3), mosaic[..., None], 0).astype(np.uint16)
+    padded = np.pad(planes, ((1, 1), (1, 1), (0, 0)), mode="reflect")
+
+    centre = padded[1:-1, 1:-1]
+    sides_x = padded[1:-1, :-2] + padded[1:-1, 2:]
+    sides_y = padded[:-2, 1:-1] + padded[2:, 1:-1]
+    corners = padded[:-2, :-2] + padded[:-2, 2:] + padded[2:, :-2] + padded[2:, 2:]
+    quarters: Integer[np.ndarray, "h w 3"] = 4 * centre + 2 * (sides_x + sides_y) + corners
+    quarters[..., 1] = (4 * centre + sides_x + sides_y)[..., 1]
+    return ((quarters + 2) // 4).astype(np.uint8)
+
+
+BAYER = {f"bayer_{pattern}8": pattern for pattern in ("rggb", "bggr", "gbrg", "grbg")}
+
+UNPACK: dict[str, tuple[int, Callable[[Rows], RGB]]] = {
+    "rgb8": (3, _order(0, 1, 2, of=3)),
+    "bgr8": (3, _order(2, 1, 0, of=3)),
+    "8UC3": (3, _order(2, 1, 0, of=3)),
+    "rgba8": (4, _order(0, 1, 2, of=4)),
+    "bgra8": (4, _order(2, 1, 0, of=4)),
+    "8UC4": (4, _order(2, 1, 0, of=4)),
+    "mono8": (1, _gray),
+    "8UC1": (1, _gray),
+    "uyvy": (2, _yuv(1, 0, 2)),
+    "yuv422": (2, _yuv(1, 0, 2)),
+    "yuyv": (2, _yuv(0, 1, 3)),
+    "yuv422_yuy2": (2, _yuv(0, 1, 3)),
+}
+"""Bytes a pixel, and what turns rows of bytes into RGB."""
+
+ENCODINGS = sorted([*UNPACK, *BAYER, "mono16"])
+PICTURE_FILES = ("JPEG", "PNG", "WEBP")
+
+
+def size_of(picture: Picture, limits: ImportLimits) -> tuple[int, int]:
+    """Height and width, after all was checked that can be without unpacking.
+
+    Raises:
+        BadPicture: It is too large, too short for its size, or of an encoding that is not known.
+    """
+    if isinstance(picture, CompressedPicture):
+        with _opened(picture, limits) as image:
+            return image.height, image.width
+    height, width = picture.height, picture.width
+    _check_size(height, width, limits)
+    row = width * _bytes_a_pixel(picture.encoding)
+    step = picture.step or row
+    if step < row:
+        raise BadPicture(f"declares {step} bytes a row, but {width} pixels of {picture.encoding} need {row}")
+    needed = step * (height - 1) + row
+    if len(picture.data) < needed:
+        raise BadPicture(
+            f"declares {width}x{height} pixels of {picture.encoding}, {needed:,} bytes, but has {len(picture.data):,}"
+        )
+    if picture.encoding in BAYER and min(height, width) < 2:
+        raise BadPicture(f"is {width}x{height} pixels of {picture.encoding}, too few for its 2x2 pattern")
+    if _is_yuv(picture.encoding) and width % 2:
+        raise BadPicture(f"is {width} pixels wide, but {picture.encoding} stores them in pairs")
+    return height, width
+
+
+def to_rgb(picture: Picture, limits: ImportLimits) -> RGB:
+    """The picture's pixels.
+
+    Raises:
+        BadPicture: As ``size_of``, or the compressed bytes are damaged.
+    """
+    if isinstance(picture, CompressedPicture):
+        return _decompress(picture, limits)
+    height, width = size_of(picture, limits)
+    row = width * _bytes_a_pixel(picture.encoding)
+    rows: Rows = np.ndarray((height, row), np.uint8, buffer=picture.data, strides=(picture.step or row, 1))
+    if picture.encoding in BAYER:
+        return demosaic(rows, BAYER[picture.encoding])
+    if picture.encoding == "mono16":
+        return _gray(rows[:, 0 if picture.big_endian else 1 :: 2])
+    return UNPACK[picture.encoding][1](rows)
+
+
+def _is_yuv(encoding: str) -> bool:
+    return encoding.startswith(("yuv", "uyvy", "yuyv"))
+
+
+def _bytes_a_pixel(encoding: str) -> int:
+    if encoding in BAYER:
+        return 1
+    if encoding == "mono16":
+        return 2
+    if encoding not in UNPACK:
+        depth = " (depth is no picture)" if encoding in {"16UC1", "32FC1"} else ""
+        raise BadPicture(f"has the encoding {encoding[:40]!r}{depth}; known are {', '.join(ENCODINGS)}")
+    return UNPACK[encoding][0]
+
+
+def _check_size(height: int, width: int, limits: ImportLimits) -> None:
+    if not height or not width:
+        raise BadPicture(f"is {width}x{height} pixels large: it is empty")
+    if height * width > limits.pixels:
+        raise BadPicture(f"declares {width}x{height} pixels, more than the {limits.pixels:,} that one may have")
+
+
+def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
+    """The compressed file with its head read, its pixels not yet."""
+    if "compresseddepth" in picture.format.lower():
+        raise BadPicture(f"has the format {picture.format[:60]!r}: depth is no picture")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            image = Image.open(BytesIO(picture.data), formats=PICTURE_FILES)
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise BadPicture(f"declares more than the {limits.pixels:,} pixels that one may have") from error
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Warning) as error:
+        raise BadPicture(
+            f"has the format {picture.format[:60]!r}, but its {len(picture.data):,} bytes are no JPEG, PNG or WebP file"
+        ) from error
+    _check_size(image.height, image.width, limits)
+    return image
+
+
+def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
+    with _opened(picture, limits) as image:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                image.load()
+                if image.mode.startswith("I;16"):
+                    return _gray((np.asarray(image) >> 8).astype(np.uint8))
+                return np.array(image.convert("RGB"))
+        except (OSError, ValueError, SyntaxError, Warning) as error:
+            raise BadPicture(f"is a damaged {image.format} file: {str(error)[:120]}") from error

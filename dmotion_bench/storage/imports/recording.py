@@ -1,0 +1,70 @@
+"""What the import asks of a foreign recording, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Int64, UInt8
+
+from dmotion_bench.storage.imports.commands import Commands
+
+
+class Clock(StrEnum):
+    """Which time counts as the time of a frame."""
+
+    LOG = "log"  # when the message was recorded
+    HEADER = "header"  # when the camera says that it took the picture
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """A stretch of a recording with one time axis.
+
+    Attributes:
+        times_ns: When each frame was taken, ascending.
+        commands: The actions over the same time; None where none were asked for.
+    """
+
+    times_ns: Int64[np.ndarray, " n"]
+    commands: Commands | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """What a recording holds, found out without unpacking its pictures.
+
+    Attributes:
+        camera: The topic or key that the pictures are from.
+        height, width: Of every picture [px].
+        segments: At least one, each with at least one frame.
+    """
+
+    camera: str
+    height: int
+    width: int
+    segments: Sequence[Segment]
+
+
+class Recording(Protocol):
+    """A file or folder of another system, opened for import."""
+
+    path: Path
+
+    def survey(self) -> Survey:
+        """Read through it once and check all that can be checked without unpacking."""
+
+    def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        """Some frames of a segment.
+
+        Args:
+            segment: Its number in the survey.
+            wanted: Frame numbers, strictly ascending.
+        """
+
+    def sha256(self) -> str:
+        """Of its bytes, in hexadecimal."""

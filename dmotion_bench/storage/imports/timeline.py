@@ -1,0 +1,91 @@
+"""When frames were taken -> which frame stands at each tick of a steady clock, in episodes without gaps.
+
+At a tick stands the latest frame that is not later, where a quarter of the camera's usual interval is forgiven:
+a 10 Hz camera that jitters by milliseconds, read at 10 Hz, gives each of its frames once.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int64
+
+from dmotion_bench.errors import RecordingImportError
+
+GAP_INTERVALS = 2.5  # of the camera
+GAP_TICKS = 1.5  # of the new clock: a shorter gap repeats a frame once at most
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """An episode to be: which frames it shows and when.
+
+    Attributes:
+        frames: Number of the source frame at each tick, ascending; a frame may stand at several ticks.
+        t_ns: The ticks.
+    """
+
+    frames: Int64[np.ndarray, " t"]
+    t_ns: Int64[np.ndarray, " t"]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def cut(self, start: int, stop: int) -> Piece:
+        """Some of its ticks."""
+        return Piece(frames=self.frames[start:stop], t_ns=self.t_ns[start:stop])
+
+
+def interval_ns(times_ns: Int64[np.ndarray, " n"]) -> float:
+    """The usual time between two frames: the median, 0 for fewer than two [ns]."""
+    return float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else 0.0
+
+
+def resample(times_ns: Int64[np.ndarray, " n"], *, hz: float, max_gap_s: float | None, most: int) -> list[Piece]:
+    """The pieces between gaps, in time order.
+
+    Args:
+        times_ns: When each frame was taken, ascending.
+        hz: Ticks a second.
+        max_gap_s: A longer time without a frame ends a piece [s]; by default two and a half of the camera's
+            usual intervals, and never less than one and a half ticks.
+        most: So many ticks may come out.
+
+    Raises:
+        RecordingImportError: More would come out.
+    """
+    usual = interval_ns(times_ns)
+    tick = 1e9 / hz
+    gap = max(GAP_INTERVALS * usual, GAP_TICKS * tick) if max_gap_s is None else max_gap_s * 1e9
+    ends = np.append(np.flatnonzero(np.diff(times_ns) > gap) + 1, len(times_ns))
+    pieces: list[Piece] = []
+    start = 0
+    for end in ends:
+        stretch = times_ns[start:end]
+        length = float(stretch[-1] - stretch[0])
+        ticks = int((length + usual / 4) // tick) + 1
+        most -= ticks
+        if most < 0:
+            raise RecordingImportError(
+                f"a recording of {length / 1e9:,.0f} s at {hz:g} Hz is more frames than can be imported at once; "
+                "import with a lower '--hz', or fewer files at a time."
+            )
+        t_ns = stretch[0] + np.rint(np.arange(ticks) * tick).astype(np.int64)
+        shown = np.searchsorted(stretch, t_ns + int(usual / 4), side="right") - 1
+        pieces.append(Piece(frames=start + shown.astype(np.int64), t_ns=t_ns))
+        start = int(end)
+    return pieces
+
+
+def cut(pieces: list[Piece], *, longest: int, shortest: int) -> list[Piece]:
+    """Pieces of at most ``longest`` ticks; what is shorter than ``shortest`` is left out.
+
+    A piece is cut into parts that differ by one tick at most, so no stub is left over at its end.
+    """
+    parts: list[Piece] = []
+    for piece in pieces:
+        edges = np.linspace(0, len(piece), -(-len(piece) // longest) + 1).round().astype(int)
+        parts += [piece.cut(a, b) for a, b in itertools.pairwise(edges.tolist()) if b - a >= shortest]
+    return parts

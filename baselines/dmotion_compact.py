@@ -163,7 +163,7 @@ class InteractionLearner(nn.Module):
             self.agent_1, self.agent_2 = _conv(4, w, stride=2), _conv(4, d, 1)
 
     def forward(
-        self, packed: Float[Tensor, "b p hp wp"], agent: Float[Tensor, "b 1 hm wm"]
+        self, packed: Float[Tensor, "b f hp wp"], agent: Float[Tensor, "b 1 hm wm"]
     ) -> Float[Tensor, "b p hp wp"]:
         agent = _map_patches(agent)
         level0 = self.level0(F.leaky_relu(self.frames_in(packed) + self.agent_in(agent), SLOPE))

@@ -7,7 +7,7 @@ the outermost pixels (``align_corners``), and zero outside. Moving to the right 
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 import torch.nn.functional as F
@@ -19,6 +19,7 @@ WHOLE_PIXEL = 1e-4
 """Added to whole-pixel shifts, where the hat function has a kink and its symmetric derivative is zero [px]."""
 
 
+@runtime_checkable
 class Motion(Protocol):
     """Moves each map by its own motion."""
 

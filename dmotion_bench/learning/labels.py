@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int, UInt8
@@ -82,6 +82,7 @@ class LabelRequest:
         return request or cls("shots", 1)
 
 
+@runtime_checkable
 class LabelledDataset(Protocol):
     """What the budget needs of a ``storage.dataset.Dataset``."""
 

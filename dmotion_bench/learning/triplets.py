@@ -8,7 +8,7 @@ copies: no worker processes, nothing is decoded (measured in DECISIONS.md).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int, UInt8
@@ -19,6 +19,7 @@ SplitProtocol = Literal["episode", "paper"]
 """``episode`` keeps whole episodes apart; ``paper`` shuffles triplets, as the paper does, and leaks."""
 
 
+@runtime_checkable
 class Frames(Protocol):
     """All frames of a data set, one episode after the other (``storage.frame_cache.FrameCache``)."""
 
@@ -29,6 +30,7 @@ class Frames(Protocol):
     def offsets(self) -> Int[np.ndarray, " e"]: ...
 
 
+@runtime_checkable
 class SplittableDataset(Protocol):
     """What splitting needs of a ``storage.dataset.Dataset``."""
 

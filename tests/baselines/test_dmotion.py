@@ -1,0 +1,154 @@
+"""DMotion: the published numbers, and the structure that the method rests on."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from baselines import dmotion_paper
+from baselines.dmotion import DMotion, DMotionConfig
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.model import Demonstrations, ModelInputs, TripletBatch
+
+INPUTS = ModelInputs(height=128, width=128, actions=4)
+SMALL = ModelInputs(height=32, width=32, actions=4)
+
+
+def _images(count: int, size: int = 32, seed: int = 0) -> torch.Tensor:
+    return torch.rand(count, 3, size, size, generator=torch.Generator().manual_seed(seed)) * 2 - 1
+
+
+def _model(inputs: ModelInputs = SMALL, **settings) -> DMotion:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return DMotion(DMotionConfig(**settings), inputs)
+
+
+def test_the_papers_architecture_has_the_papers_size() -> None:
+    model = DMotion(DMotionConfig(arch="paper", transform="affine"), INPUTS)
+    assert sum(parameter.numel() for parameter in model.parameters()) == 2_684_142
+
+
+def test_the_papers_architecture_has_the_papers_shapes() -> None:
+    maps = dmotion_paper.ImageEncoder(8)
+    shapes = []
+    for layer in maps.layers:
+        layer.register_forward_hook(lambda _m, _i, output: shapes.append(tuple(output.shape[1:])))
+    images = _images(2, 128)
+    assert maps(images).shape == (2, 8, 64, 64)
+    assert shapes == [
+        (3, 256, 256),
+        (32, 128, 128),
+        (32, 128, 128),
+        (64, 64, 64),
+        (64, 64, 64),
+        (64, 64, 64),
+        (32, 64, 64),
+        (8, 64, 64),
+    ]
+    motion = dmotion_paper.MotionEncoder(8, torch.tensor([1.0, 0, 0, 0, 1, 0]))
+    assert motion.convolutions(torch.cat([images, images], 1)).shape == (2, 8, 4, 4)
+    assert motion(images, images).shape == (2, 8, 6)
+    assert dmotion_paper.Decoder(8)(torch.zeros(2, 8, 64, 64)).shape == (2, 3, 128, 128)
+    assert dmotion_paper.InteractionLearner()(torch.zeros(2, 6, 128, 128), torch.zeros(2, 1, 64, 64)).shape == (
+        2,
+        3,
+        128,
+        128,
+    )
+
+
+def test_before_training_the_papers_motions_are_the_identity() -> None:
+    model = DMotion(DMotionConfig(arch="paper", transform="affine"), INPUTS).eval()
+    motion = model.motion(_images(2, 128), _images(2, 128, 1))
+    torch.testing.assert_close(motion, torch.tensor([[1.0, 0, 0, 0, 1, 0]] * 2))
+
+
+@pytest.mark.parametrize("arch", ["compact", "paper"])
+def test_the_next_frame_reaches_the_prediction_through_the_agents_motion_alone(arch: str) -> None:
+    model = _model(INPUTS if arch == "paper" else SMALL, arch=arch, jitter=0.0, jitter_end=0.0).eval()
+    size = 128 if arch == "paper" else 32
+    previous, current, following = (_images(2, size, seed) for seed in range(3))
+    seen = []
+    model.interaction_learner.register_forward_hook(lambda _m, _i, output: seen.append(output))
+    model.losses(TripletBatch(previous=previous, current=current, next=following))
+    torch.testing.assert_close(
+        model.unpack(seen[0]).float(),
+        model.predict_with_motion(previous, current, model.motion(current, following)),
+        atol=1e-5,
+        rtol=1e-4,
+    )
+
+
+@pytest.mark.parametrize("arch", ["compact", "paper"])
+def test_every_parameter_learns(arch: str) -> None:
+    model = _model(INPUTS if arch == "paper" else SMALL, arch=arch)
+    size = 128 if arch == "paper" else 32
+    if arch == "paper":
+        for head in model.motion_encoder.heads:
+            torch.nn.init.normal_(head[-1].weight, std=0.1)  # zero at first: nothing reaches the layers below
+    batch = TripletBatch(previous=_images(2, size), current=_images(2, size, 1), next=_images(2, size, 2))
+    model.losses(batch).total.backward()
+    idle = [name for name, value in model.named_parameters() if value.grad is None or not value.grad.abs().sum()]
+    assert idle == []
+
+
+def test_the_table_holds_the_mean_motion_of_each_actions_demonstrations() -> None:
+    model = _model().eval()
+    current, following = _images(6), _images(6, seed=1)
+    actions = torch.tensor([0, 1, 2, 3, 0, 0])
+    model.align(Demonstrations(previous=current, current=current, next=following, action=actions))
+    motion = model.motion(current, following)
+    torch.testing.assert_close(model.table[0], motion[[0, 4, 5]].mean(0))
+    torch.testing.assert_close(model.table[3], motion[3])
+    torch.testing.assert_close(
+        model.predict(current, current, actions), model.predict_with_motion(current, current, model.table[actions])
+    )
+
+
+def test_without_the_second_frame_the_past_does_not_matter() -> None:
+    model = _model(second_frame=False).eval()
+    current, action = _images(2), torch.tensor([0, 1])
+    torch.testing.assert_close(
+        model.predict(_images(2, seed=1), current, action), model.predict(_images(2, seed=2), current, action)
+    )
+
+
+@pytest.mark.parametrize("settings", [{"transform": "affine"}, {"transform": "cross_convolution", "kernel": 5}])
+@pytest.mark.parametrize("agent_entries", [1, 3])
+def test_the_ablations_learn_and_predict(settings: dict, agent_entries: int) -> None:
+    model = _model(agent_entries=agent_entries, **settings)
+    batch = TripletBatch(previous=_images(2), current=_images(2, seed=1), next=_images(2, seed=2))
+    optimizer = torch.optim.Adam(model.parameters(), 3e-3)
+    first = model.losses(batch).total.item()
+    for _ in range(15):
+        optimizer.zero_grad()
+        model.losses(batch).total.backward()
+        optimizer.step()
+    assert model.losses(batch).total.item() < 0.9 * first
+    assert model.eval().rollout(batch.previous, batch.current, torch.zeros(2, 3, dtype=torch.long)).shape == (
+        2,
+        3,
+        3,
+        32,
+        32,
+    )
+
+
+def test_noise_is_for_training_alone_and_ends_where_it_is_told() -> None:
+    model = _model(jitter=3.0, jitter_end=0.25, blur=5.0, anneal=0.5)
+    model.progress(0.25)
+    assert (model.jitter, model.blur) == (pytest.approx(1.625), pytest.approx(3.0))
+    model.progress(0.9)
+    assert (model.jitter, model.blur) == (0.25, 1.0)
+    batch = TripletBatch(previous=_images(2), current=_images(2, seed=1), next=_images(2, seed=2))
+    model.eval()
+    assert model.losses(batch).total == model.losses(batch).total
+    model.train()
+    assert model.losses(batch).total != model.losses(batch).total
+
+
+@pytest.mark.parametrize("height", [40, 33])
+def test_sizes_that_it_cannot_take_are_said(height: int) -> None:
+    with pytest.raises(InvalidSetting, match="multiple of 16"):
+        DMotion(DMotionConfig(), ModelInputs(height=height, width=height, actions=4))

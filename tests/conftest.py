@@ -1,0 +1,12 @@
+"""Shape annotations are checked while the tests run, and only then."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import install_import_hook
+
+torch.set_num_threads(1)
+
+_hook = install_import_hook(
+    ["dmotion_bench.learning", "dmotion_bench.scoring", "dmotion_bench.planning", "baselines"], "shape_check.beartype"
+)

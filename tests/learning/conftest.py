@@ -1,0 +1,69 @@
+"""A small data set in memory: what the learning code asks of a data set, and nothing on disk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, SplitName
+
+SIZE = 16
+LENGTHS = (6, 9, 3, 7, 5, 8, 6, 6, 4, 7)
+
+
+@dataclass
+class FramesInMemory:
+    frames: np.ndarray
+    offsets: np.ndarray
+
+
+class DatasetInMemory:
+    """Ten short episodes of noise with known actions; ``opened`` records whose labels were read."""
+
+    def __init__(self) -> None:
+        generator = np.random.default_rng(7)
+        frames = generator.integers(0, 256, (sum(LENGTHS), SIZE, SIZE, 3), dtype=np.uint8)
+        self._cache = FramesInMemory(frames, np.concatenate([[0], np.cumsum(LENGTHS)]))
+        self.spec = EnvSpec(
+            id="noise",
+            actions=("left", "right"),
+            agent=ObjectSpec(name="agent", shape="dot", color=(0, 255, 0)),
+            objects=(),
+            height=SIZE,
+            width=SIZE,
+        )
+        self.actions = [generator.integers(0, 2, length - 1) for length in LENGTHS]
+        self.pushed = [generator.random(length - 1) < 0.3 for length in LENGTHS]
+        self.opened: list[int] = []
+
+    def __len__(self) -> int:
+        return len(LENGTHS)
+
+    def cache(self) -> FramesInMemory:
+        return self._cache
+
+    def split(self, name: SplitName) -> np.ndarray:
+        return {"train": np.arange(0, 7), "validation": np.array([7]), "test": np.array([8, 9])}[name]
+
+    def labels(self, episode: int) -> EpisodeLabels:
+        self.opened.append(episode)
+        nothing = ObjectStates(
+            position=np.zeros((LENGTHS[episode], 0, 3)),
+            orientation=np.zeros((LENGTHS[episode], 0, 4)),
+            pixel=np.zeros((LENGTHS[episode], 0, 2)),
+            visible=np.zeros((LENGTHS[episode], 0)),
+        )
+        return EpisodeLabels(
+            actions=self.actions[episode],
+            pushed=self.pushed[episode],
+            agent=nothing,
+            objects=nothing,
+            masks=np.zeros((LENGTHS[episode], SIZE, SIZE), np.uint8),
+        )
+
+
+@pytest.fixture
+def dataset() -> DatasetInMemory:
+    return DatasetInMemory()

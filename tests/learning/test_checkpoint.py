@@ -1,0 +1,68 @@
+"""Checkpoints: round trips, damage, and nothing that unpickles."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+import torch
+
+from dmotion_bench.errors import RunCorrupt, RunMissing
+from dmotion_bench.learning import checkpoint
+
+
+def test_tensors_and_facts_survive(tmp_path) -> None:
+    tensors = {"model/a": torch.randn(3, 4).T, "model/b": torch.arange(5), "average/a": torch.ones(2).bfloat16()}
+    checkpoint.save(tmp_path / "x.safetensors", tensors, {"step": 3, "best": 0.1})
+    loaded, facts = checkpoint.load(tmp_path / "x.safetensors")
+    assert facts == {"step": 3, "best": 0.1}
+    assert loaded.keys() == tensors.keys()
+    for name, tensor in tensors.items():
+        torch.testing.assert_close(loaded[name], tensor, rtol=0, atol=0)
+
+
+def test_an_optimiser_goes_on_as_if_nothing_had_happened(tmp_path) -> None:
+    def build() -> tuple[torch.nn.Linear, torch.optim.Optimizer]:
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            model = torch.nn.Linear(4, 3)
+        return model, torch.optim.AdamW(model.parameters(), lr=0.1)
+
+    def steps(model: torch.nn.Linear, optimizer: torch.optim.Optimizer, start: int, stop: int) -> None:
+        for step in range(start, stop):
+            optimizer.zero_grad()
+            model(torch.full((2, 4), step + 1.0)).square().sum().backward()
+            optimizer.step()
+
+    whole, whole_optimizer = build()
+    steps(whole, whole_optimizer, 0, 6)
+    first, first_optimizer = build()
+    steps(first, first_optimizer, 0, 3)
+    tensors = checkpoint.with_prefix("model", first.state_dict()) | checkpoint.optimizer_tensors(first_optimizer)
+    checkpoint.save(tmp_path / "x.safetensors", tensors, {})
+    second, second_optimizer = build()
+    loaded, _ = checkpoint.load(tmp_path / "x.safetensors")
+    second.load_state_dict(checkpoint.without_prefix("model", loaded))
+    checkpoint.restore_optimizer(second_optimizer, loaded)
+    steps(second, second_optimizer, 3, 6)
+    assert all((a == b).all() for a, b in zip(whole.parameters(), second.parameters(), strict=True))
+
+
+def test_damage_is_said_in_a_sentence(tmp_path) -> None:
+    path = tmp_path / "x.safetensors"
+    with pytest.raises(RunMissing, match="not been trained"):
+        checkpoint.load(path)
+    checkpoint.save(path, {"model/a": torch.ones(100)}, {})
+    whole = path.read_bytes()
+    for damaged in (whole[:50], whole[:-10], b"", b"\xff" * 100, pickle.dumps({"a": 1})):
+        path.write_bytes(damaged)
+        with pytest.raises(RunCorrupt, match="cannot be read"):
+            checkpoint.load(path)
+
+
+def test_the_hash_sees_every_bit_and_no_layout() -> None:
+    weights = {"a": torch.randn(2, 3, 4, 4, generator=torch.Generator().manual_seed(0)), "b": torch.zeros(1)}
+    same = {"b": torch.zeros(1), "a": weights["a"].to(memory_format=torch.channels_last)}
+    assert checkpoint.weights_hash(weights) == checkpoint.weights_hash(same)
+    other = {**weights, "b": torch.tensor([-0.0])}
+    assert checkpoint.weights_hash(weights) != checkpoint.weights_hash(other)

@@ -1,0 +1,68 @@
+"""Triplets: what is gathered, how it is split, in which order it is seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dmotion_bench.learning.triplets import BatchOrder, TripletSet
+
+
+def test_a_triplet_is_three_frames_of_one_episode(dataset) -> None:
+    cache = dataset.cache()
+    triplets = TripletSet.of(cache, np.arange(len(dataset)))
+    assert len(triplets) == sum(int(b - a) - 2 for a, b in zip(cache.offsets, cache.offsets[1:], strict=False))
+    gathered = triplets.gather(np.arange(len(triplets)))
+    for row in range(len(triplets)):
+        middle = cache.offsets[triplets.episode[row]] + triplets.step[row]
+        np.testing.assert_array_equal(gathered[row], cache.frames[middle - 1 : middle + 2])
+        assert cache.offsets[triplets.episode[row]] < middle < cache.offsets[triplets.episode[row] + 1] - 1
+
+
+def test_gather_takes_repeated_indices_and_fills_what_it_is_given(dataset) -> None:
+    triplets = TripletSet.of(dataset.cache(), np.arange(3))
+    index = np.array([4, 0, 4])
+    out = np.zeros((3, 3, 16, 16, 3), np.uint8)
+    assert triplets.gather(index, out) is out
+    np.testing.assert_array_equal(out, triplets.gather(np.arange(5))[index])
+
+
+def test_splits_by_episode_share_no_episode(dataset) -> None:
+    parts = [TripletSet.of_split(dataset, name) for name in ("train", "validation", "test")]
+    seen = [set(part.episode.tolist()) for part in parts]
+    assert not (seen[0] & seen[1] or seen[0] & seen[2] or seen[1] & seen[2])
+
+
+def test_the_papers_split_shuffles_triplets_and_loses_none(dataset) -> None:
+    parts = [TripletSet.of_split(dataset, name, "paper") for name in ("train", "validation", "test")]
+    everything = np.sort(np.concatenate([part.first_frame for part in parts]))
+    np.testing.assert_array_equal(everything, TripletSet.of(dataset.cache(), np.arange(10)).first_frame)
+    assert len(parts[2]) == len(everything) // 10
+
+
+@given(triplets=st.integers(1, 40), batch=st.integers(1, 16), seed=st.integers(0, 5))
+@settings(deadline=None, derandomize=True)
+def test_every_triplet_is_seen_once_an_epoch(triplets: int, batch: int, seed: int) -> None:
+    order = BatchOrder(triplets, batch, seed)
+    size = order.batch_size
+    seen = np.concatenate([order.batch(step) for step in range(3 * triplets // size + 1)])
+    assert all(len(order.batch(step)) == size for step in range(3))
+    for epoch in range(3):
+        of_epoch = seen[epoch * triplets : (epoch + 1) * triplets]
+        if len(of_epoch) == triplets:
+            np.testing.assert_array_equal(np.sort(of_epoch), np.arange(triplets))
+
+
+def test_the_order_is_a_function_of_seed_and_step_alone() -> None:
+    through = BatchOrder(23, 5, 1)
+    walked = [through.batch(step) for step in range(12)]
+    for step in (11, 0, 7, 3):
+        np.testing.assert_array_equal(BatchOrder(23, 5, 1).batch(step), walked[step])
+    assert any((BatchOrder(23, 5, 2).batch(step) != walked[step]).any() for step in range(12))
+
+
+@pytest.mark.parametrize("epochs", [0.5, 1, 3])
+def test_steps_follow_the_epochs(epochs: float) -> None:
+    assert BatchOrder(100, 10, 0).steps(epochs) == 10 * epochs

@@ -174,6 +174,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self.render_mode = render_mode
         self.action_space = gymnasium.spaces.Discrete(len(FACTS.actions))
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE, 3), np.uint8)
+        self._place(starting_cells(np.random.default_rng(0)), np.ones(1 + OBJECTS, np.bool_))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -182,17 +183,16 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         super().reset(seed=seed)
         if options and options.get("vary"):
             raise InvalidSetting("nothing varies in grid_world: it is the paper's, and a control.")
-        self._cells = starting_cells(self.np_random)
-        self._there = np.ones(len(self._cells), np.bool_)
-        return self._draw(), {}
+        self._place(starting_cells(self.np_random), np.ones(1 + OBJECTS, np.bool_))
+        return self.render(), {}
 
     def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
         """Move the agent; a move off the grid changes nothing and ``info["illegal"]`` says so."""
         legal = bool(self.legal_actions()[action])
         if legal:
             cells, there = advance(self._cells[None], self._there[None], np.array([action]))
-            self._cells, self._there = cells[0], there[0]
-        return self._draw(), 0.0, False, False, {"illegal": not legal}
+            self._place(cells[0], there[0])
+        return self.render(), 0.0, False, False, {"illegal": not legal}
 
     def render(self) -> UInt8[np.ndarray, "h w 3"]:
         """The present frame."""
@@ -200,7 +200,8 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def legal_actions(self) -> Bool[np.ndarray, " a"]:
         """Which moves stay on the grid."""
-        return legal_moves(self._cells[:1])[0]
+        legal: Bool[np.ndarray, " a"] = legal_moves(self._cells[:1])[0]
+        return legal
 
     def agent(self) -> ObjectStates:
         """The green square."""
@@ -214,10 +215,13 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """What each pixel shows: 0 background, 1 agent, 2 + k object k."""
         return self._masks.copy()
 
-    def _draw(self) -> UInt8[np.ndarray, "h w 3"]:
-        frames, masks, centers = draw(self._cells[None], self._there[None])
-        self._frame, self._masks, self._centers = frames[0], masks[0], centers[0]
-        return self._frame.copy()
+    def _place(self, cells: Int[np.ndarray, "k 2"], there: Bool[np.ndarray, " k"]) -> None:
+        """Put everything where it is now, and draw it."""
+        self._cells, self._there = cells, there
+        frames, masks, centers = draw(cells[None], there[None])
+        self._frame: UInt8[np.ndarray, "h w 3"] = frames[0]
+        self._masks: UInt8[np.ndarray, "h w"] = masks[0]
+        self._centers: Float[np.ndarray, "k 2"] = centers[0]
 
     @classmethod
     def generate(
@@ -227,7 +231,6 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         cls(**parameters)  # refuses what the constructor refuses
         if policy != cls.default_policy:
             raise InvalidSetting(f"grid_world is recorded by {cls.default_policy!r}, not {policy!r}.")
-        rows = np.arange(len(seeds))
         cells = np.stack([starting_cells(gymnasium.utils.seeding.np_random(seed)[0]) for seed in seeds])
         there = np.ones(cells.shape[:2], np.bool_)
         draws = np.stack([policy_generator(seed).random(frames - 1) for seed in seeds])
@@ -241,13 +244,9 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             cells_then.append(cells)
             there_then.append(there)
         every_action = np.array(actions, np.int64).reshape(frames - 1, len(seeds))
-        for row in rows:
-            yield _episode(
-                np.stack([one[row] for one in cells_then]),
-                np.stack([one[row] for one in there_then]),
-                every_action[:, row],
-                seeds[row],
-            )
+        every_cell, all_there = np.stack(cells_then), np.stack(there_then)
+        for row, seed in enumerate(seeds):
+            yield _episode(every_cell[:, row], all_there[:, row], every_action[:, row], seed)
 
 
 def _episode(

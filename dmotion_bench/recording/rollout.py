@@ -6,10 +6,11 @@ from a stream of the same seed. Environments that are ``EpisodeGenerator`` make 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final, Literal
+from collections.abc import Callable, Generator, Sequence
+from typing import Final, Literal
 
 import numpy as np
+from jaxtyping import Bool
 
 from dmotion_bench.environment import Environment, EpisodeGenerator, Policy
 from dmotion_bench.errors import InvalidSetting, UnknownName
@@ -46,12 +47,15 @@ def find_policy(kind: type[Environment], recipe: DatasetRecipe) -> Callable[[], 
     return kind.policies[recipe.policy]
 
 
-def record_episodes(kind: type[Environment], recipe: DatasetRecipe, episodes: Sequence[int]) -> Iterator[Episode]:
+def record_episodes(
+    kind: type[Environment], recipe: DatasetRecipe, episodes: Sequence[int]
+) -> Generator[Episode, None, None]:
     """The episodes of these numbers, in their order."""
     seeds = [episode_seed(recipe.seed, episode) for episode in episodes]
     make_policy = find_policy(kind, recipe)
-    if isinstance(kind, EpisodeGenerator) and not recipe.vary:
-        yield from kind.generate(seeds, frames=recipe.frames, policy=recipe.policy, parameters=recipe.parameters)
+    at_once: object = kind
+    if isinstance(at_once, EpisodeGenerator) and not recipe.vary:
+        yield from at_once.generate(seeds, frames=recipe.frames, policy=recipe.policy, parameters=recipe.parameters)
         return
     env = make_environment(kind, recipe)
     try:
@@ -102,11 +106,12 @@ def _stacked(states: Sequence[ObjectStates]) -> ObjectStates:
     return ObjectStates(**{name: np.stack([getattr(one, name) for one in states]) for name in names})
 
 
-def _pushed(objects: ObjectStates, threshold: float) -> Any:
+def _pushed(objects: ObjectStates, threshold: float) -> Bool[np.ndarray, "t-1"]:
     """Whether an object moved in each step; one that vanished has moved."""
     there = ~np.isnan(objects.position[..., 0])
     moved = np.linalg.norm(np.diff(objects.position, axis=0), axis=-1) > threshold
-    return ((moved & there[1:]) | (there[:-1] & ~there[1:])).any(axis=-1)
+    pushed: Bool[np.ndarray, "t-1"] = ((moved & there[1:]) | (there[:-1] & ~there[1:])).any(axis=-1)
+    return pushed
 
 
 def _plain(value: Scalar | np.generic) -> Scalar:

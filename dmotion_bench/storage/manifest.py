@@ -111,23 +111,29 @@ class Manifest:
                 f"record one with 'dmbench record grid_world --out {dataset}'."
             ) from None
         try:
-            if len(raw) > _LARGEST:
-                raise ValueError(f"it is larger than {_LARGEST} bytes")
-            content = json.loads(raw)
-            found = content.get("format") if isinstance(content, dict) else None
-            if found != FORMAT:
-                if isinstance(found, str) and re.fullmatch(r"dmbench/\d+", found):
-                    raise DatasetVersionUnknown(
-                        f"{str(dataset)!r} is of the format {found!r} and this dmbench reads {FORMAT!r}; install "
-                        f"the dmbench that wrote it, or record it anew with 'dmbench record'."
-                    )
-                raise ValueError(f"its format is {found!r}, not {FORMAT!r}")
+            content = _checked(raw, dataset)
             return _manifest(content)
         except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetCorrupt(
                 f"{str(path)!r} cannot be read: {error}; restore it from a copy, or record the data set anew with "
                 f"'dmbench record' into another folder."
             ) from None
+
+
+def _checked(raw: bytes, dataset: Path) -> object:
+    """The JSON content, if it is of this version of the format."""
+    if len(raw) > _LARGEST:
+        raise ValueError(f"it is larger than {_LARGEST} bytes")
+    content = json.loads(raw)
+    found = content.get("format") if isinstance(content, dict) else None
+    if isinstance(found, str) and found != FORMAT and re.fullmatch(r"dmbench/\d+", found):
+        raise DatasetVersionUnknown(
+            f"{str(dataset)!r} is of the format {found!r} and this dmbench reads {FORMAT!r}; install the dmbench "
+            "that wrote it, or record the data set anew with 'dmbench record' into another folder."
+        )
+    if found != FORMAT:
+        raise ValueError(f"its format is {found!r}, not {FORMAT!r}")
+    return content
 
 
 class _Fields:

@@ -7,6 +7,7 @@ read with the official reader, by the import.
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 import zlib
@@ -15,7 +16,10 @@ from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.records import Metadata
 
 from dmotion_bench.storage.mcap_writer import CHUNK_HEAD, COMPRESSION, MAGIC, MESSAGE_HEAD, RECORD_HEAD, Span
 
@@ -24,7 +28,7 @@ _FIXED: Final = CHUNK_HEAD.size + _CHUNK_TAIL.size
 _METADATA_LIMIT: Final = 2**20  # [bytes]
 
 
-class DamagedFile(Exception):  # noqa: N818 (it is turned into DatasetCorrupt where the data set is known)
+class DamagedFile(Exception):
     """The bytes are not what was written; the text says where and why."""
 
 
@@ -122,27 +126,39 @@ def list_sections(path: Path, *, salvage: bool = False) -> list[Section]:
     """
     found: list[Section] = []
     with path.open("rb") as file:
-        size = os.fstat(file.fileno()).st_size
         try:
-            if file.read(len(MAGIC)) != MAGIC:
-                raise DamagedFile("does not start as an MCAP file")
-            for opcode, start, length in _walk(file, size):
-                end = start + RECORD_HEAD.size + length
-                if opcode == Opcode.METADATA:
-                    if length > _METADATA_LIMIT:
-                        raise DamagedFile(f"holds a metadata record of {length} bytes")
-                    found.append(Section(*_metadata(file.read(length)), Span(end, 0)))
-                elif opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
-                    if not found:
-                        raise DamagedFile("holds a chunk that belongs to nothing")
-                    found[-1] = found[-1]._replace(span=Span(found[-1].span.offset, end - found[-1].span.offset))
-                elif opcode == Opcode.DATA_END:
-                    return found
-            raise DamagedFile(f"ends after {size} bytes, before its summary")
+            for section in _sections(file):
+                if section.span.size == 0:
+                    found.append(section)
+                else:
+                    found[-1] = section
         except DamagedFile:
             if not salvage:
                 raise
     return found
+
+
+def _sections(file: BinaryIO) -> Iterator[Section]:
+    """Each section when it begins, empty, and again whenever it has grown."""
+    size = os.fstat(file.fileno()).st_size
+    if file.read(len(MAGIC)) != MAGIC:
+        raise DamagedFile("does not start as an MCAP file")
+    section: Section | None = None
+    for opcode, start, length in _walk(file, size):
+        end = start + RECORD_HEAD.size + length
+        if opcode == Opcode.METADATA:
+            if length > _METADATA_LIMIT:
+                raise DamagedFile(f"holds a metadata record of {length} bytes")
+            section = Section(*_metadata(file.read(length)), Span(end, 0))
+            yield section
+        elif opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
+            if section is None:
+                raise DamagedFile("holds a chunk that belongs to nothing")
+            section = section._replace(span=Span(section.span.offset, end - section.span.offset))
+            yield section
+        elif opcode == Opcode.DATA_END:
+            return
+    raise DamagedFile(f"ends after {size} bytes, before its summary")
 
 
 def _walk(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
@@ -159,23 +175,8 @@ def _walk(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 
 def _metadata(content: bytes) -> tuple[str, dict[str, str]]:
     """Name and pairs of a metadata record."""
-
-    def text() -> str:
-        nonlocal position
-        (size,) = struct.unpack_from("<I", content, position)
-        raw = content[position + 4 : position + 4 + size]
-        if len(raw) < size:
-            raise DamagedFile("holds a metadata record that is cut off")
-        position += 4 + size
-        return raw.decode()
-
-    position, pairs = 0, dict[str, str]()
     try:
-        name = text()
-        position += 4
-        while position < len(content):
-            key = text()
-            pairs[key] = text()
-    except (struct.error, UnicodeDecodeError) as error:
+        record = Metadata.read(ReadDataStream(io.BytesIO(content)))
+    except (McapError, struct.error, UnicodeDecodeError) as error:
         raise DamagedFile(f"holds a garbled metadata record: {error}") from None
-    return name, pairs
+    return record.name, record.metadata

@@ -196,7 +196,7 @@ def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -
 def _state_rows(message: Any, names: list[str]) -> list[tuple[float, ...]]:
     if [state.name for state in message.states] != names:
         raise DamagedFile(f"holds the states of other things than {', '.join(names)}")
-    rows = []
+    rows: list[tuple[float, ...]] = []
     for state in message.states:
         position, orientation, pixel = state.pose.position, state.pose.orientation, state.pixel
         rows.append(

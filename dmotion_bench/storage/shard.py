@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO, Final, Literal, NamedTuple
+from typing import BinaryIO, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import UInt8
@@ -253,17 +253,16 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
 
 def _row(section: Section, index: int) -> EpisodeRow:
     values: Mapping[str, str] = section.values
+    if section.name != "episode":
+        raise DamagedFile(f"holds a section {section.name!r} where an episode was expected")
     try:
-        ended = values["ended"]
-        if section.name != "episode" or (ended != "truncated" and ended != "terminated"):
-            raise ValueError(ended)
         return EpisodeRow(
             episode=int(values["episode"]),
             shard=index,
             frames=int(values["frames"]),
             start_ns=int(values["start_ns"]),
             seed=int(values["seed"]),
-            ended=ended,
+            ended=ended_as(values["ended"]),
             interactions=0,
             video=section.span,
             states=Span(0, 0),
@@ -271,6 +270,15 @@ def _row(section: Section, index: int) -> EpisodeRow:
         )
     except (KeyError, ValueError) as error:
         raise DamagedFile(f"holds a section that describes no episode: {error}") from None
+
+
+def ended_as(word: str) -> Ended:
+    """The word, if it says why an episode ended."""
+    for known in get_args(Ended):
+        if word == known:
+            ended: Ended = known
+            return ended
+    raise ValueError(f"{word!r} is no way to end")
 
 
 def read_states(path: Path, span: Span, spec: EnvSpec, frames: int) -> StateLabels:

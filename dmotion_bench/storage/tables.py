@@ -20,7 +20,7 @@ from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.mcap_writer import Span
-from dmotion_bench.storage.shard import EpisodeRow, file_facts
+from dmotion_bench.storage.shard import EpisodeRow, ended_as, file_facts
 from dmotion_bench.storage.tasks import ControlTask
 
 EPISODES: Final = "episodes.parquet"
@@ -85,12 +85,7 @@ def read_episodes(dataset: Path, manifest: Manifest) -> list[EpisodeRow]:
     """
     rows = []
     for number, values in enumerate(_read(dataset, EPISODES, _EPISODE_SCHEMA, manifest)):
-        spans = {name: Span(values[f"{name}_offset"], values[f"{name}_bytes"]) for name in _SPANS}
-        row = EpisodeRow(
-            **{name: values[name] for name in ("episode", "shard", "frames", "start_ns", "seed", "ended")},
-            interactions=values["interactions"],
-            **spans,
-        )
+        row = _row(values)
         if (
             row.episode != number
             or not 0 <= row.shard < len(manifest.shards)
@@ -103,6 +98,26 @@ def read_episodes(dataset: Path, manifest: Manifest) -> list[EpisodeRow]:
     ):
         raise DamagedFile(f"lists {len(rows)} episodes; dataset.json says {manifest.recipe.episodes}")
     return rows
+
+
+def _row(values: dict[str, Any]) -> EpisodeRow:
+    video, states, masks = (Span(values[f"{name}_offset"], values[f"{name}_bytes"]) for name in _SPANS)
+    try:
+        ended = ended_as(values["ended"])
+    except ValueError as error:
+        raise DamagedFile(f"has a row that cannot be: {error}") from None
+    return EpisodeRow(
+        episode=values["episode"],
+        shard=values["shard"],
+        frames=values["frames"],
+        start_ns=values["start_ns"],
+        seed=values["seed"],
+        ended=ended,
+        interactions=values["interactions"],
+        video=video,
+        states=states,
+        masks=masks,
+    )
 
 
 def read_tasks(dataset: Path, manifest: Manifest, lengths: Int[np.ndarray, " e"]) -> list[ControlTask]:

@@ -1,8 +1,8 @@
 """Control tasks: bring the objects from where they are at one frame to where they are at a later one.
 
-Tasks are cut out of recorded episodes, so each can be reached: goal 29 frames after the start, or the
-episode's end where it comes sooner (the original's distance). They are chosen when the data set is recorded and stored with
-it, so that every model faces the same ones; their start states do not depend on any policy under test.
+Tasks are cut out of recorded episodes, so each can be reached: the goal is 29 frames after the start, the
+original's distance, or the episode's end where that comes sooner. They are chosen when the data set is recorded
+and stored with it, so that every model faces the same ones, whatever its own policy.
 
 The original asks for at least 15 interactions (steps in which an object moves) between start and goal. In
 Grid World 31 random moves give about three, so a task there has at least two; in every environment the

@@ -1,0 +1,145 @@
+"""The compact backbone that the models share where their papers leave it open.
+
+Everything runs on 4 x 4 patches of the frame as 48 channels, at a quarter of its side and below: wide convolutions on
+small maps keep the CPU's bfloat16 units busy, narrow ones on large maps wait for memory. There is no normalisation:
+scaled initial weights and residual connections do without. What this bought is measured in DECISIONS.md.
+
+Frames are *packed*: ``Float[b 48 h/4 w/4]``, channels-last in memory.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.model import ModelInputs
+
+SLOPE = 0.2
+PATCH = 4
+CHANNELS = 3 * PATCH**2  # of a packed frame
+WIDTHS = (32, 64, 128)
+
+
+def check_size(model: str, inputs: ModelInputs) -> None:
+    """Frames must halve evenly down to the smallest map.
+
+    Raises:
+        InvalidSetting: They do not.
+    """
+    if inputs.height % 16 or inputs.width % 16:
+        raise InvalidSetting(
+            f"frames are {inputs.height} x {inputs.width}; {model} takes ones whose sides are multiples of 16."
+        )
+
+
+def pack(image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b p hp wp"]:
+    """4 x 4 patches as channels."""
+    if torch.is_autocast_enabled(image.device.type):
+        image = image.to(torch.get_autocast_dtype(image.device.type))
+    return patches(image, PATCH)
+
+
+def unpack(packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b c h w"]:
+    """Channels as 4 x 4 patches."""
+    return rearrange(packed, "b (c p q) h w -> b c (h p) (w q)", p=PATCH, q=PATCH)
+
+
+def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp wp"]:
+    """Space to depth in one copy; ``pixel_unshuffle`` and a convolution that wants another order cost two."""
+    together = rearrange(image, "b c (h p) (w q) -> b h w (c p q)", p=side, q=side)
+    return together.contiguous().permute(0, 3, 1, 2)
+
+
+def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: float = 1.0) -> nn.Conv2d:
+    """A convolution whose output has the variance of its input times gain squared."""
+    layer = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2)
+    nn.init.normal_(layer.weight, std=gain * (inputs * kernel * kernel) ** -0.5)
+    nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+    return layer
+
+
+def block(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    """A convolution and its activation, together keeping the variance."""
+    gain = nn.init.calculate_gain("leaky_relu", SLOPE)
+    return nn.Sequential(conv(inputs, outputs, kernel, stride, gain), nn.LeakyReLU(SLOPE, inplace=True))
+
+
+def up(inputs: int, outputs: int) -> nn.ConvTranspose2d:
+    """Twice the size; each input pixel makes a 2 x 2 patch."""
+    layer = nn.ConvTranspose2d(inputs, outputs, 2, 2)
+    nn.init.normal_(layer.weight, std=0.7 * inputs**-0.5)
+    nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+    return layer
+
+
+def linear(inputs: int, outputs: int, gain: float = 1.0) -> nn.Linear:
+    """A linear layer whose output has the variance of its input times gain squared."""
+    layer = nn.Linear(inputs, outputs)
+    nn.init.normal_(layer.weight, std=gain * inputs**-0.5)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+class UNet(nn.Module):
+    """The next packed frame out of the last ones; what else decides it is added at three depths.
+
+    The output is blended into x_t by a gate per pixel: what does not move is copied.
+
+    Args:
+        frames: How many frames it sees, x_t the last of them.
+    """
+
+    def __init__(self, frames: int = 2) -> None:
+        super().__init__()
+        c, w, d = WIDTHS
+        self.frames_in = conv(CHANNELS * frames, c, 1)
+        self.level0 = block(c, c)
+        self.down1, self.level1 = conv(c, w, stride=2), block(w, w)
+        self.down2 = block(w, d, stride=2)
+        self.middle = nn.Sequential(block(d, d), block(d, d))
+        self.up1, self.merge1 = up(d, w), block(w, w)
+        self.up0, self.merge0 = up(w, c), block(c, c)
+        self.painting = conv(c, CHANNELS, 1, gain=0.7)
+        self.gate = conv(c, PATCH**2, 1, gain=0.7)
+
+    def next_frame(
+        self,
+        packed: Float[Tensor, "b p hp wp"],
+        full: Float[Tensor, "b c h0 w0"],
+        half: Float[Tensor, "b w h1 w1"] | float = 0.0,
+        quarter: Float[Tensor, "b d h2 w2"] | float = 0.0,
+    ) -> Float[Tensor, "b q hp wp"]:
+        """Args: ``full``, ``half``, ``quarter``: what is added to the features of that size; broadcast if 1 x 1."""
+        level0 = self.level0(F.leaky_relu(self.frames_in(packed) + full, SLOPE))
+        level1 = self.level1(F.leaky_relu(self.down1(level0) + half, SLOPE))
+        level2 = self.down2(level1)
+        level2 = level2 + self.middle(level2 + quarter)
+        level1 = level1 + self.merge1(level1 + self.up1(level2))
+        level0 = self.merge0(level0 + self.up0(level1))
+        current = packed[:, -CHANNELS:]
+        gate = torch.sigmoid(self.gate(level0) - 1).repeat(1, 3, 1, 1)  # one gate per pixel, for its three colours
+        blended: Tensor = current + gate * (self.painting(level0) - current)
+        return blended
+
+
+class CodedUNet(UNet):
+    """The U-Net with a vector at every place of its three depths: an action, or a latent one.
+
+    Args:
+        code: Length of the vector.
+        frames: As for ``UNet``.
+    """
+
+    def __init__(self, code: int, frames: int = 2) -> None:
+        super().__init__(frames)
+        self.code_in, self.code_1, self.code_2 = (linear(code, width) for width in WIDTHS)
+
+    def forward(self, packed: Float[Tensor, "b p hp wp"], code: Float[Tensor, "b d"]) -> Float[Tensor, "b q hp wp"]:
+        full, half, quarter = (
+            rearrange(layer(code), "b c -> b c 1 1") for layer in (self.code_in, self.code_1, self.code_2)
+        )
+        return self.next_frame(packed, full, half, quarter)

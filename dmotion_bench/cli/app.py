@@ -29,6 +29,9 @@ COMMANDS = ("demo", "record", "data", "train", "score", "view", "list_names", "b
 """Modules of this package, in the order of ``dmbench --help``; each has ``register(app)``."""
 
 
+INTERRUPTED = "interrupted; run the same command again to go on where it stopped."
+
+
 def _version(value: bool) -> None:
     if value:
         typer.echo(f"dmbench {__version__}")
@@ -81,4 +84,8 @@ def main() -> None:
             _fail(f"may not write or read {error.filename!r}: {error.strerror}.", 1)
         raise
     except KeyboardInterrupt:
-        _fail("interrupted; run the same command again to go on where it stopped.", 130)
+        _fail(INTERRUPTED, 130)
+    except SystemExit as leaving:
+        if leaving.code == 130:  # what Typer makes of Ctrl-C, without a word
+            _fail(INTERRUPTED, 130)
+        raise

@@ -16,7 +16,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import Final, Protocol, TypeVar
 
-from dmotion_bench.errors import DmbenchError
+from dmotion_bench.errors import DmbenchError, UnknownName
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -107,3 +107,15 @@ def local_executor(workers: int) -> Executor:
 def available_workers() -> int:
     """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def make_executor(name: str, workers: int) -> Executor:
+    """The executor of a name.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    known = {"local": local_executor}
+    if name not in known:
+        raise UnknownName("executor", name, known)
+    return known[name](workers)

@@ -1,0 +1,98 @@
+"""``dmbench record``: record an environment into a data set."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dmotion_bench.errors import UnknownName
+from dmotion_bench.specs import Preset
+
+if TYPE_CHECKING:
+    from dmotion_bench.recording.executor import Executor
+    from dmotion_bench.recording.session import Recorded
+    from dmotion_bench.specs import DatasetRecipe
+
+
+def preset_named(name: str) -> Preset:
+    """The preset of a name, or an error that names the one that was probably meant."""
+    if name not in set(Preset):
+        raise UnknownName("preset", name, [preset.value for preset in Preset])
+    return Preset(name)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(record)
+
+
+def record(
+    environment: Annotated[str, typer.Argument(help="An environment; 'dmbench list environments' shows them.")],
+    preset: Annotated[
+        Preset, typer.Option(parser=preset_named, metavar="[tiny|small|paper]", help="How much to record.")
+    ] = Preset.SMALL,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Episodes in all; more than there are extends the data set.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(min=2, help="At most so many frames an episode.")] = None,
+    tasks: Annotated[int | None, typer.Option(min=0, help="Control tasks to store.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Decides every episode.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="The data set's folder; data/ENVIRONMENT-PRESET if left out.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes; all processors if left out. Changes no byte.")
+    ] = None,
+    executor: Annotated[str, typer.Option(help="Who records: local.")] = "local",
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Record a data set. The same command again goes on where it stopped, or extends it to --episodes."""
+    from dmotion_bench.recording.executor import available_workers, make_executor
+    from dmotion_bench.recording.preset import recipe_for
+    from dmotion_bench.storage.shard import shard_count
+    from dmotion_bench.workspace import Workspace
+
+    recipe = recipe_for(environment, preset, episodes=episodes, frames=frames, tasks=tasks, seed=seed)
+    folder = out or Workspace.current().data / f"{environment}-{preset.value}"
+    hands = make_executor(executor, min(workers or available_workers(), shard_count(recipe)))
+    recorded = record_with_progress(folder, recipe, hands)
+    if as_json:
+        typer.echo(
+            json.dumps(
+                {
+                    "dataset": str(recorded.dataset),
+                    "episodes": recorded.episodes,
+                    "frames": recorded.frames,
+                    "frames_per_s": round(recorded.made.frames_per_s, 1),
+                    "bytes_per_frame": round(recorded.bytes_per_frame, 1),
+                }
+            )
+        )
+        return
+    typer.echo(f"{recorded.dataset}")
+    typer.echo(
+        f"  {recorded.episodes} episodes, {recorded.frames} frames, {recorded.bytes_per_frame:.0f} bytes a frame "
+        f"with labels, {recorded.bytes / 2**20:.1f} MiB"
+    )
+    if recorded.made.frames:
+        typer.echo(f"  {recorded.made.frames} frames recorded at {recorded.made.frames_per_s:.0f} frames/s")
+    else:
+        typer.echo("  it was complete already; a larger --episodes extends it")
+    typer.echo(f"Look at it with 'dmbench view {recorded.dataset}', train on it with 'dmbench train dmotion'.")
+
+
+def record_with_progress(folder: Path, recipe: DatasetRecipe, executor: Executor) -> Recorded:
+    """Record with a progress bar on stderr."""
+    from dmotion_bench.cli.progress import progress_bar
+    from dmotion_bench.recording.session import Progress, record_dataset
+
+    with progress_bar() as bar:
+        task = bar.add_task(f"recording {recipe.environment}", total=recipe.episodes, status="")
+
+        def show(progress: Progress) -> None:
+            bar.update(task, completed=progress.episodes, status=f"{progress.frames_per_s:.0f} frames/s")
+
+        return record_dataset(folder, recipe, executor, show)

@@ -170,8 +170,8 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         return TrainingConfig(epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 50}[preset])
 
     def phases(self) -> tuple[Phase, ...]:
-        """The parts of a training, in order; their fractions sum to one."""
-        return (Phase(),)
+        """The parts of a training, in order; their fractions sum to one. One part by default, with labels if any."""
+        return (Phase(needs_actions=self.supervision is Supervision.ACTIONS),)
 
     def enter(self, phase: Phase) -> None:
         """Called before a phase's first step and on resuming within it: freeze and unfreeze here."""

@@ -20,10 +20,11 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND
 from recorders.robot_push.camera import Camera
 from recorders.robot_push.solids import Solid, rotation_matrix
+from recorders.table_lattice import Place
 
 SAMPLES = 3  # along each side of a pixel; odd, so that the middle one is the pixel's centre
 AMBIENT, DIFFUSE = 0.6, 0.5
-Place = tuple[int, int]  # of the tip, on its lattice
+
 BACKGROUND = (236, 239, 243)  # RGB
 NOTHING = np.float32(0.0)  # inverse depth of the background: infinitely far
 

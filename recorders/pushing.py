@@ -1,0 +1,211 @@
+"""What the two pushing environments share: four directions, six coloured objects, episodes out of seeds.
+
+A subclass says how an episode is built, how a step is simulated, and how the scene is drawn.
+"""
+
+from __future__ import annotations
+
+import colorsys
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from dmotion_bench.environment import Policy, RecordingPreset
+from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.specs import EnvSpec, ObjectSpec, ObjectStates, Preset, Scalar
+from recorders.push_policy import PushPolicy
+from recorders.table_lattice import Lattice, Place
+from recorders.variation import Factor, Variation, named_factors
+
+ACTIONS = ("up", "down", "left", "right")  # as seen in the picture
+COLORS = MappingProxyType(
+    {
+        "red": (217, 38, 38),
+        "green": (38, 173, 38),
+        "blue": (51, 51, 230),
+        "yellow": (230, 230, 38),
+        "magenta": (217, 43, 217),
+        "cyan": (38, 204, 204),
+    }
+)
+"""The objects' colours (RGB), 60 degrees of hue apart."""
+
+
+class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
+    """A pusher moves on a lattice over a table, in four directions, and pushes what it meets.
+
+    A step lasts until everything is at rest. An object that falls off the table is gone, and the episode has
+    terminated; stepping on is allowed.
+
+    ``reset``'s options may hold ``"vary"`` and values of factors, which go before the constructor's. The values of
+    an episode's factors, where they may be unusual, are in ``info["factors"]``; given as options together with the
+    seed they make the same episode.
+
+    Args:
+        facts: What is always true of the environment.
+        factors: What may vary in it.
+        lattice: Where the pusher can stand.
+        vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
+        fixed: Values of factors for every episode; None leaves the usual one.
+        render_mode: Gymnasium's; None or ``"rgb_array"``.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 -- as in Gymnasium
+    recording: ClassVar[Mapping[Preset, RecordingPreset]] = MappingProxyType(
+        {
+            Preset.TINY: RecordingPreset(episodes=6, frames=16, tasks=0),
+            Preset.SMALL: RecordingPreset(episodes=330, frames=101, tasks=100),
+            Preset.PAPER: RecordingPreset(episodes=6000, frames=101, tasks=104),
+        }
+    )
+    policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType({"push": PushPolicy})
+    default_policy: ClassVar[str] = "push"
+
+    def __init__(
+        self,
+        *,
+        facts: EnvSpec,
+        factors: Iterable[Factor],
+        lattice: Lattice,
+        vary: str | Iterable[str],
+        fixed: Mapping[str, float | None],
+        render_mode: str | None,
+    ) -> None:
+        self.facts = facts
+        self.lattice = lattice
+        self.render_mode = render_mode
+        self.action_space = gymnasium.spaces.Discrete(len(facts.actions))
+        self.observation_space = gymnasium.spaces.Box(0, 255, (facts.height, facts.width, 3), np.uint8)
+        self._variation = Variation(factors, [one.name for one in facts.objects])
+        self._vary = named_factors(vary)
+        self._fixed = {name: value for name, value in fixed.items() if value is not None}
+        self._variation.check(self._vary, self._fixed)
+        self._factors: dict[str, Scalar] = {}
+        self._place: Place = (0, 0)
+        self._moment = 0
+
+    @property
+    def moves(self) -> Float[np.ndarray, "a 2"]:
+        """Where each action takes the pusher, along the world's x and y [m]."""
+        moves: Float[np.ndarray, "a 2"] = self.lattice.step * np.asarray(self.lattice.moves)
+        return moves
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:
+        """Start an episode, a function of the seed and the options alone."""
+        super().reset(seed=seed)
+        fixed = {**self._fixed, **(options or {})}
+        vary = named_factors(fixed.pop("vary", self._vary))
+        entropy = int(self.np_random.integers(2**63))
+        self._factors = self._variation.values(entropy, vary, fixed)
+        self._moment = 0
+        self._place = self._begin(np.random.default_rng([entropy, 0]), np.random.default_rng([entropy, 1]))
+        self._frame, self._masks = self._draw()
+        return self._frame.copy(), {"factors": dict(self._factors)}
+
+    def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
+        """Move the pusher; a move off the lattice changes nothing and ``info["illegal"]`` says so."""
+        legal = bool(self.legal_actions()[action])
+        if legal:
+            self._place = self.lattice.after(self._place, int(action))
+            self._moment += 1
+            self._push(self.lattice.at(self._place))
+            self._frame, self._masks = self._draw()
+        return self._frame.copy(), 0.0, self._terminated(), False, {"illegal": not legal}
+
+    def render(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The present frame."""
+        return self._frame.copy()
+
+    def legal_actions(self) -> Bool[np.ndarray, " a"]:
+        """Which moves stay on the lattice."""
+        return self.lattice.legal(self._place)
+
+    def masks(self) -> UInt8[np.ndarray, "h w"]:
+        """What each pixel's centre shows: 0 background, 1 agent, 2 + k object k."""
+        return self._masks.copy()
+
+    @abstractmethod
+    def agent(self) -> ObjectStates:
+        """The pusher's state, k = 1."""
+
+    @abstractmethod
+    def objects(self) -> ObjectStates:
+        """The objects' states."""
+
+    @abstractmethod
+    def _begin(self, placement: np.random.Generator, distraction: np.random.Generator) -> Place:
+        """Build an episode's world with ``self._factors``; where the pusher stands in it."""
+
+    @abstractmethod
+    def _push(self, goal: tuple[float, float]) -> None:
+        """Move the pusher to ``goal`` [m] and wait until everything is at rest."""
+
+    @abstractmethod
+    def _terminated(self) -> bool:
+        """Whether an object has fallen."""
+
+    @abstractmethod
+    def _draw(self) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
+        """The present frame and masks."""
+
+    def _factor(self, name: str, of_object: str | None = None) -> float:
+        return self._variation.of(self._factors, name, of_object)
+
+    def _color(self, one: ObjectSpec) -> tuple[float, float, float]:
+        """An object's colour in this episode: RGB, 0-1."""
+        return turned(one.color, self._factor("colour", one.name))
+
+
+def colored_objects(count: int, shapes: str, known: Iterable[str]) -> tuple[ObjectSpec, ...]:
+    """So many objects, of shapes named one after the other and separated by commas, repeated where too few.
+
+    Raises:
+        InvalidSetting: There are not so many colours.
+        UnknownName: There is no such shape.
+    """
+    if not 1 <= count <= len(COLORS):
+        raise InvalidSetting(f"objects={count!r} is not possible; it takes 1 to {len(COLORS)}.")
+    names = [name.strip() for name in shapes.split(",")]
+    for name in names:
+        if name not in known:
+            raise UnknownName("shape", name, known)
+    chosen = [names[index % len(names)] for index in range(count)]
+    return tuple(
+        ObjectSpec(name=f"{color}_{shape}", shape=shape, color=COLORS[color])
+        for color, shape in zip(COLORS, chosen, strict=False)
+    )
+
+
+def turned(color: tuple[int, int, int], degrees: float) -> tuple[float, float, float]:
+    """RGB 0-255 with its hue turned, as RGB 0-1."""
+    hue, lightness, saturation = colorsys.rgb_to_hls(*(channel / 255 for channel in color))
+    return colorsys.hls_to_rgb((hue + degrees / 360) % 1.0, lightness, saturation)
+
+
+class Drift:
+    """Where things are that drift over a table, whatever the pusher does: straight on, and back at the edges.
+
+    Args:
+        count: How many.
+        reach: How far from the table's middle they go, along x and y [m].
+        speed: [m] a step.
+    """
+
+    def __init__(self, generator: np.random.Generator, count: int, *, reach: tuple[float, float], speed: float) -> None:
+        starts, turns = generator.uniform(0, 1, (count, 2)), generator.uniform(-np.pi, np.pi, count)
+        self._reach = np.asarray(reach)
+        self._starts = starts * 2 * self._reach
+        self._steps = speed * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+
+    def places(self, moment: int) -> Float[np.ndarray, "d 2"]:
+        """From the table's middle [m] after so many steps."""
+        way = (self._starts + self._steps * moment) % (4 * self._reach)
+        places: Float[np.ndarray, "d 2"] = self._reach - np.abs(way - 2 * self._reach)
+        return places

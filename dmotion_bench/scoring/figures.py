@@ -1,0 +1,65 @@
+"""From samples to the figures of a report, by their fixed names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from dmotion_bench.scoring.identification import motion_within_over_between
+from dmotion_bench.scoring.samples import (
+    FIGURE_COLUMNS,
+    IDENTIFICATION_COLUMNS,
+    column,
+    vectors,
+)
+from dmotion_bench.scoring.statistics import RESAMPLES, EpisodeBootstrap, Estimate
+
+PUSH = "_push"
+ROLLOUT_COLUMNS = ("mse", "position_error", "position_error_paper", "miss_rate")
+
+Figures = dict[str, Estimate]
+
+
+def figures_of(samples: pa.Table, predictor: str, *, resamples: int = RESAMPLES, seed: int = 0) -> Figures:
+    """Every figure that the samples of a predictor allow; one without a single value is not there."""
+    mine = _where(samples, "predictor", predictor)
+    single, rollout = (_where(mine, "metric", metric) for metric in ("prediction", "rollout"))
+    found = _single_steps(single, resamples, seed) if len(single) else {}
+    return found | _rollouts(rollout, resamples, seed)
+
+
+def _where(samples: pa.Table, name: str, value: str) -> pa.Table:
+    # a mask, not an expression: those run in a thread pool that costs more than all the figures together
+    return samples.filter(pc.equal(samples[name], value))
+
+
+def _single_steps(single: pa.Table, resamples: int, seed: int) -> Figures:
+    bootstrap = EpisodeBootstrap(column(single, "episode"), resamples=resamples, seed=seed)
+    pushed = column(single, "pushed").astype(bool)
+    found: Figures = {}
+    for suffix, counted in (("", np.ones(len(single), bool)), (PUSH, pushed)):
+        for name in FIGURE_COLUMNS:
+            if suffix and name in IDENTIFICATION_COLUMNS:
+                continue
+            if (estimate := bootstrap.mean(np.where(counted, column(single, name), np.nan))) is not None:
+                found[name + suffix] = estimate
+    motion = vectors(single, "motion")
+    if motion is not None:
+        ratio = motion_within_over_between(motion, column(single, "action"), bootstrap)
+        if ratio is not None:
+            found["motion_within_over_between"] = ratio
+    return found
+
+
+def _rollouts(rollout: pa.Table, resamples: int, seed: int) -> Figures:
+    found: Figures = {}
+    ahead, episode = column(rollout, "ahead"), column(rollout, "episode")
+    for name in ROLLOUT_COLUMNS:
+        values = column(rollout, name)
+        for step in np.unique(ahead).tolist():
+            at = ahead == step
+            bootstrap = EpisodeBootstrap(episode[at], resamples=resamples, seed=seed)
+            if (estimate := bootstrap.mean(values[at])) is not None:
+                found[f"rollout_{name}[{step}]"] = estimate
+    return found

@@ -1,0 +1,197 @@
+"""Whether a model that learned without actions found the agent, and its motion, or only something as useful.
+
+A low loss alone does not show it: two numbers can carry the action whatever the map holds. So a model that has a
+map of the agent and a motion of it (``MotionModel``: DMotion's m^0 and phi^0) is asked, for every test triplet:
+
+- ``agent_iou``: |m^0| of the current frame, resized to the frame (bilinear) and cut by Otsu's threshold (1979, 256
+  levels between its own least and greatest value), against the agent's true mask: intersection over union. The
+  threshold is each frame's own: nothing is fitted, and a constant factor on the map changes nothing.
+- ``motion_within_over_between``: variance of phi^0 within an action over its variance between actions. Zero means a
+  table of actions loses nothing.
+- ``motion_shift_error``: how far the shift that phi^0 stands for is from the agent's true one [px]; asked of models
+  that know their unit (``ShiftModel``).
+- ``motion_probe_accuracy``: how often a linear probe (discriminant analysis: nearest mean of an action, in units
+  of the pooled covariance) reads the action from phi^0. It is fitted on every other episode and asked on the rest,
+  then the other way round, so no episode is in its own fit.
+- ``mse_true_motion``: MSE with the true pair's phi^0 instead of the table's: what the table costs.
+- ``motion_swap_change``: mean squared change of the prediction, in squared pixel values, when phi^0 is another
+  triplet's, of another action: near zero when the model ignores it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int, Shaped
+from torch import Tensor
+
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
+from dmotion_bench.scoring.transitions import HeldOut
+
+LEVELS = 256  # of Otsu's histogram
+
+
+@runtime_checkable
+class MotionModel(Protocol):
+    """A model that separates the agent's place from its motion. Images as in ``learning/model.py``."""
+
+    def agent_map(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b y x"]:
+        """Where the agent is: large where it is, near zero elsewhere; at any resolution."""
+
+    def motion(self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d"]:
+        """How the agent moves between two frames."""
+
+    def predict_with_motion(
+        self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"], motion: Float[Tensor, "b d"]
+    ) -> Float[Tensor, "b c h w"]:
+        """The next frame if the agent moves so."""
+
+
+@runtime_checkable
+class ShiftModel(Protocol):
+    """A model whose motion is a shift."""
+
+    def pixel_shift(self, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b 2"]:
+        """How far the motion moves the agent: (right, down) in pixels of the frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification:
+    """What a model makes of the held-out triplets; NaN where a triplet has no value.
+
+    Attributes:
+        motion: phi^0 of each true pair.
+        agent_iou, motion_shift_error, motion_probe_accuracy: As above, of each triplet.
+        partner: A triplet of another action, to swap phi^0 with; -1 where there is none.
+    """
+
+    motion: Float[np.ndarray, "n d"]
+    agent_iou: Float[np.ndarray, " n"]
+    motion_shift_error: Float[np.ndarray, " n"]
+    motion_probe_accuracy: Float[np.ndarray, " n"]
+    partner: Int[np.ndarray, " n"]
+
+
+def identify(model: MotionModel, held_out: HeldOut, *, batch_size: int, device: torch.device) -> Identification:
+    """Ask a model about every held-out triplet, in the order of ``held_out.batches``."""
+    motions, overlaps, shift_errors, actions, episodes = [], [], [], [], []
+    for batch in held_out.batches(batch_size):
+        current, following = (to_model(torch.from_numpy(batch.frames[:, place]).to(device)) for place in (1, 2))
+        motion = model.motion(current, following)
+        overlaps.append(agent_overlap(model.agent_map(current), torch.from_numpy(batch.agent[:, 0]).to(device)).cpu())
+        if isinstance(model, ShiftModel):
+            error = model.pixel_shift(motion) - torch.from_numpy(batch.shift).to(device)
+            shift_errors.append(error.norm(dim=-1).float().cpu())
+        else:
+            shift_errors.append(torch.full((len(batch),), torch.nan))
+        motions.append(motion.float().cpu())
+        actions.append(batch.action)
+        episodes.append(batch.episode)
+    motion_table, action = torch.cat(motions).numpy(), np.concatenate(actions)
+    return Identification(
+        motion=motion_table,
+        agent_iou=torch.cat(overlaps).numpy(),
+        motion_shift_error=torch.cat(shift_errors).numpy(),
+        motion_probe_accuracy=probe_accuracy(motion_table, action, np.concatenate(episodes)),
+        partner=swap_partners(action),
+    )
+
+
+def agent_overlap(maps: Float[Tensor, "b y x"], masks: Bool[Tensor, "b h w"]) -> Float[Tensor, " b"]:
+    """Intersection over union of thresholded maps and the agent's masks; NaN where the agent is not in the picture."""
+    resized = F.interpolate(maps.abs().float()[:, None], masks.shape[1:], mode="bilinear", align_corners=False)[:, 0]
+    shown = above_otsu(resized)
+    overlap = (shown & masks).flatten(1).sum(1) / (shown | masks).flatten(1).sum(1)
+    return overlap.where(masks.flatten(1).any(1), torch.nan)
+
+
+def above_otsu(values: Float[Tensor, "b h w"]) -> Bool[Tensor, "b h w"]:
+    """Which values lie above the threshold that separates two groups best (Otsu 1979): none in a flat image."""
+    flat = values.flatten(1)
+    low, high = flat.amin(1, keepdim=True), flat.amax(1, keepdim=True)
+    level = ((flat - low) / (high - low).clamp(min=1e-12) * (LEVELS - 1)).round_().long()
+    counts = torch.zeros(len(flat), LEVELS, dtype=torch.float64, device=flat.device)
+    counts.scatter_add_(1, level, torch.ones_like(level, dtype=torch.float64))
+    share = (counts / flat.shape[1]).cumsum(1)
+    mean = (counts / flat.shape[1] * torch.arange(LEVELS, device=flat.device)).cumsum(1)
+    between = (mean[:, -1:] * share - mean).square() / (share * (1 - share)).clamp(min=1e-12)
+    threshold = between.argmax(1, keepdim=True)
+    return (level > threshold).reshape(values.shape)
+
+
+def probe_accuracy(
+    motion: Float[np.ndarray, "n d"], action: Int[np.ndarray, " n"], episode: Shaped[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """1 where the linear probe reads a triplet's action, 0 where not; NaN where there was nothing to fit it on."""
+    fold = np.unique(episode, return_inverse=True)[1] % 2
+    right = np.full(len(action), np.nan)
+    for asked in (0, 1):
+        fitted, held = fold != asked, fold == asked
+        if fitted.any() and held.any():
+            right[held] = _nearest_mean(motion[fitted], action[fitted], motion[held]) == action[held]
+    return right
+
+
+def _nearest_mean(
+    motion: Float[np.ndarray, "n d"], action: Int[np.ndarray, " n"], asked: Float[np.ndarray, "m d"]
+) -> Int[np.ndarray, " m"]:
+    known = np.unique(action)
+    means = np.stack([motion[action == one].mean(0) for one in known]).astype(np.float64)
+    residual = motion - means[np.searchsorted(known, action)]
+    covariance = residual.T @ residual / len(residual)
+    floor = 1e-6 * max(float(means.var(0).sum()), float(np.trace(covariance)), 1e-12)
+    inverse = np.linalg.inv(covariance + floor * np.eye(len(covariance)))
+    score = asked @ inverse @ means.T - 0.5 * np.einsum("kd,de,ke->k", means, inverse, means)
+    chosen: Int[np.ndarray, " m"] = known[score.argmax(1)]
+    return chosen
+
+
+def swap_partners(action: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """For each triplet the next one, in their order and round to the first again, that has another action."""
+    count = len(action)
+    twice = np.concatenate([action, action])
+    changes = np.flatnonzero(twice[1:] != twice[:-1]) + 1
+    if not len(changes):
+        return np.full(count, -1)
+    partner: Int[np.ndarray, " n"] = changes[np.searchsorted(changes, np.arange(count), side="right")] % count
+    return partner
+
+
+def motion_within_over_between(
+    motion: Float[np.ndarray, "n d"], action: Int[np.ndarray, " n"], bootstrap: EpisodeBootstrap
+) -> Estimate | None:
+    """Variance of phi^0 within an action over its variance between actions, summed over phi^0's numbers.
+
+    The figure is the mean over triplets of |phi - mean of its action|^2 / variance between, and std that of these
+    values; the interval is of the whole ratio. None where the actions' means do not differ.
+    """
+    known, index = np.unique(action, return_inverse=True)
+    of_action = np.eye(len(known))[index]
+    count = of_action.sum(0)
+    vectors = motion.astype(np.float64) - motion.mean(0, dtype=np.float64)
+    means = of_action.T @ vectors / count[:, None]
+    between = float((count @ means**2).sum() / len(vectors))
+    if between <= 0:
+        return None
+    ratio = ((vectors - means[index]) ** 2).sum(1) / between
+    size = vectors.shape[1]
+    columns = np.concatenate(
+        [of_action, (of_action[:, :, None] * vectors[:, None]).reshape(len(vectors), -1), vectors**2], axis=1
+    )
+
+    def statistic(sums: Float[np.ndarray, "r m"]) -> Float[np.ndarray, " r"]:
+        counts, totals, squares = np.split(sums, [len(known), len(known) * (1 + size)], axis=1)
+        everything = counts.sum(1, keepdims=True)
+        by_action = totals.reshape(len(sums), len(known), size)
+        explained = np.nansum(by_action**2 / counts[:, :, None], axis=1) / everything
+        total = squares / everything
+        across = explained - (by_action.sum(1) / everything) ** 2
+        return np.asarray((total - explained).sum(1) / across.sum(1))
+
+    low, high = bootstrap.interval(bootstrap.totals(columns), statistic)
+    return Estimate(mean=float(ratio.mean()), std=float(ratio.std()), low=low, high=high, n=len(ratio))

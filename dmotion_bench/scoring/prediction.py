@@ -1,0 +1,210 @@
+"""Predictions of single steps and of rollouts, by models and by references, measured frame by frame.
+
+A rollout begins with the true frames (x_{t-1}, x_t), follows the recorded actions, and feeds on what it predicted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.scoring.frame_measures import FrameMeasures
+from dmotion_bench.scoring.identification import Identification, MotionModel, identify
+from dmotion_bench.scoring.pixels import mean_squared_error
+from dmotion_bench.scoring.references import REFERENCES
+from dmotion_bench.scoring.samples import SampleRows
+from dmotion_bench.scoring.transitions import HeldOut, RolloutBatch, TransitionBatch
+
+MODEL = "model"
+Precision = Literal["float32", "bf16"]
+Progress = Callable[[str, int, int], None]
+"""Told what is being done, how much of it is done, and how much there is."""
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """Tells nobody."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Execution:
+    """How the work is done; no figure depends on it, but for the last digits of floating point.
+
+    Attributes:
+        batch_size: Triplets predicted at once.
+        device: Where.
+        progress: Told how far it is.
+    """
+
+    batch_size: int = 64
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
+    progress: Progress = silent
+
+
+@contextlib.contextmanager
+def predicting(device: torch.device, precision: Precision = "float32") -> Iterator[None]:
+    """No gradients, and true float32: without TF32, which rounds to 10 bits. ``bf16`` is autocast, for the hurried."""
+    convolutions = torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False)
+    rounded = torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16")
+    products = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("highest")
+    try:
+        with torch.inference_mode(), convolutions, rounded:
+            yield
+    finally:
+        torch.set_float32_matmul_precision(products)
+
+
+def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> pa.Table:
+    """Every held-out triplet's next frame, predicted; with the agent's identification where the model has a motion."""
+    measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("prediction", MODEL), 0
+    separates = model if isinstance(model, MotionModel) else None
+    found = identify(separates, held_out, batch_size=how.batch_size, device=how.device) if separates else None
+    for batch in held_out.batches(how.batch_size):
+        stored = torch.from_numpy(batch.frames).to(how.device)
+        previous, current = to_model(stored[:, 0]), to_model(stored[:, 1])
+        action = torch.from_numpy(batch.action).to(how.device)
+        predicted = _pixels(model, model.predict(previous, current, action), current.shape)
+        truth = stored[:, 2]
+        columns = measures.compare(predicted, truth, measures.positions(truth))
+        if separates is not None and found is not None:
+            here = slice(done, done + len(batch))
+            columns |= _by_motion(separates, found, here, previous, current, truth)
+        rows.add(_described(batch) | _numpy(columns))
+        done += len(batch)
+        how.progress("single steps", done, len(held_out))
+    return rows.table()
+
+
+def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, *, horizon: int) -> pa.Table:
+    """Rollouts of ``horizon`` steps from up to four places of each held-out episode."""
+
+    def predict(batch: RolloutBatch) -> UInt8[Tensor, "b t h w 3"]:
+        previous, current = (
+            to_model(torch.from_numpy(frames).to(how.device)) for frames in (batch.previous, batch.current)
+        )
+        actions = torch.from_numpy(batch.actions.astype(np.int64)).to(how.device)
+        frames = model.rollout(previous, current, actions)
+        return _pixels(model, frames, (len(current), actions.shape[1], *current.shape[1:]))
+
+    return _rolled_out(MODEL, predict, held_out, how, horizon)
+
+
+def score_reference_steps(held_out: HeldOut, how: Execution) -> pa.Table:
+    """The references' single steps: the same triplets, the same measures."""
+    measures, done = FrameMeasures(held_out.dataset.spec), 0
+    rows = {name: SampleRows("prediction", name) for name in REFERENCES}
+    for batch in held_out.batches(how.batch_size):
+        truth = torch.from_numpy(batch.frames[:, 2]).to(how.device)
+        positions = measures.positions(truth)
+        for name, reference in REFERENCES.items():
+            predicted = torch.from_numpy(reference(batch)).to(how.device)
+            rows[name].add(_described(batch) | _numpy(measures.compare(predicted, truth, positions)))
+        done += len(batch)
+        how.progress("references", done, len(held_out))
+    return pa.concat_tables([kept.table() for kept in rows.values()])
+
+
+def score_reference_rollouts(held_out: HeldOut, how: Execution, *, horizon: int) -> pa.Table:
+    """A rollout in which nothing ever changes. Where the agent alone moves is not known beyond one step."""
+
+    def predict(batch: RolloutBatch) -> UInt8[Tensor, "b t h w 3"]:
+        return torch.from_numpy(batch.current).to(how.device)[:, None].expand(-1, horizon, -1, -1, -1)
+
+    return _rolled_out("copy_last", predict, held_out, how, horizon)
+
+
+def _rolled_out(
+    predictor: str,
+    predict: Callable[[RolloutBatch], UInt8[Tensor, "b t h w 3"]],
+    held_out: HeldOut,
+    how: Execution,
+    horizon: int,
+) -> pa.Table:
+    measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("rollout", predictor), 0
+    total = held_out.count_rollouts(horizon)
+    for batch in held_out.rollouts(horizon, max(1, how.batch_size // horizon)):
+        predicted, truth = predict(batch), torch.from_numpy(batch.future).to(how.device)
+        for ahead in range(horizon):
+            positions = measures.positions(truth[:, ahead])
+            columns = measures.compare(predicted[:, ahead], truth[:, ahead], positions, similarity=False)
+            described = {
+                "episode": batch.episode,
+                "step": batch.start + ahead,
+                "ahead": np.full(len(batch.start), ahead + 1),
+                "action": batch.actions[:, ahead],
+                "pushed": batch.pushed[:, ahead],
+            }
+            rows.add(described | _numpy(columns))
+        done += len(batch.start)
+        how.progress(f"rollouts of {predictor}", done, total)
+    return rows.table()
+
+
+def _by_motion(
+    model: MotionModel,
+    found: Identification,
+    here: slice,
+    previous: Float[Tensor, "b c h w"],
+    current: Float[Tensor, "b c h w"],
+    truth: UInt8[Tensor, "b h w 3"],
+) -> dict[str, Tensor]:
+    """What the model predicts when it is given a motion instead of an action."""
+    partner = found.partner[here]
+    own, other = (
+        to_pixels(model.predict_with_motion(previous, current, torch.from_numpy(found.motion[rows]).to(current.device)))
+        for rows in (np.arange(here.start, here.stop), partner)
+    )
+    change = mean_squared_error(own, other).cpu()
+    return {
+        "agent_iou": torch.from_numpy(found.agent_iou[here]),
+        "motion_shift_error": torch.from_numpy(found.motion_shift_error[here]),
+        "motion_probe_accuracy": torch.from_numpy(found.motion_probe_accuracy[here]),
+        "motion": torch.from_numpy(found.motion[here]),
+        "mse_true_motion": mean_squared_error(own, truth).cpu(),
+        "motion_swap_change": change.where(torch.from_numpy(partner >= 0), torch.nan),
+    }
+
+
+def _pixels(
+    model: ForwardModel[Any], images: Float[Tensor, "*b c h w"], shape: tuple[int, ...]
+) -> UInt8[Tensor, "*b h w c"]:
+    """What a model predicted, as whole pixel values.
+
+    Raises:
+        ModelContractBroken: It has another shape, or numbers that are none.
+    """
+    kind = type(model).__name__
+    if tuple(images.shape) != tuple(shape):
+        raise ModelContractBroken(
+            f"{kind} predicted frames of shape {tuple(images.shape)}; the contract asks for {tuple(shape)}."
+        )
+    if not bool(torch.isfinite(images).all()):
+        raise ModelContractBroken(f"{kind} predicted frames that hold NaN or infinity; its training diverged.")
+    return to_pixels(images)
+
+
+def _described(batch: TransitionBatch) -> dict[str, Int[np.ndarray, " b"]]:
+    return {
+        "episode": batch.episode,
+        "step": batch.step,
+        "ahead": np.ones(len(batch), np.int64),
+        "action": batch.action,
+        "pushed": batch.pushed,
+    }
+
+
+def _numpy(columns: Mapping[str, Tensor]) -> dict[str, Any]:
+    return {
+        name: (values if values.dtype == torch.bool else values.float()).numpy() for name, values in columns.items()
+    }

@@ -1,0 +1,124 @@
+"""A run's report on disk: ``report/report.json`` and, beside it, the samples that its figures are made of.
+
+::
+
+    report.json
+      protocol       "dmbench-1": what the figures' names mean
+      code           version of dmbench and a hash of the code that scores
+      run, model, arch, preset, seed
+      labels         asked for, and the number handed out by purpose
+      dataset        name, environment, fingerprint (the hash of its content)
+      weights        the hash of the weights
+      settings       split, horizon, precision ...; metrics: what has been scored so far
+      training       what the run cost
+      versions       of Python and the packages
+      figures        name -> mean, std, low, high, n
+      reference      the same for predictors that know nothing, and published results, by their names
+      remarks        what to bear in mind of each reference, and what could not be scored
+      samples        file, rows and hash of samples.parquet
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from dmotion_bench.errors import RunCorrupt
+from dmotion_bench.scoring.samples import read_samples, write_samples
+from dmotion_bench.storage.atomic import write_atomically
+
+PROTOCOL = "dmbench-1"
+REPORT_FOLDER = "report"
+REPORT_FILE = "report.json"
+SAMPLES_FILE = "samples.parquet"
+
+FigureJson = Mapping[str, float | int | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What scoring says of one run; the fields are those of the file."""
+
+    run: str
+    model: str
+    arch: str
+    preset: str
+    seed: int
+    labels: Mapping[str, Any]
+    dataset: Mapping[str, Any]
+    weights: str
+    settings: Mapping[str, Any]
+    training: Mapping[str, Any]
+    versions: Mapping[str, str]
+    code: str
+    figures: Mapping[str, FigureJson]
+    reference: Mapping[str, Mapping[str, FigureJson]]
+    remarks: Mapping[str, str] = field(default_factory=dict)
+    protocol: str = PROTOCOL
+    samples: Mapping[str, Any] = field(default_factory=dict)
+
+    def summary(self) -> dict[str, Any]:
+        """What ``dmbench score --json`` prints of a report."""
+        return {
+            "run": self.run,
+            "model": self.model,
+            "arch": self.arch,
+            "dataset": self.dataset["name"],
+            "labels": self.labels["asked"],
+            "seed": self.seed,
+            "figures": self.figures,
+            "reference": self.reference,
+        }
+
+
+def write_report(folder: Path, report: Report, samples: pa.Table) -> Report:
+    """Write the samples, then the report that vouches for them; each is whole or not there."""
+    path = folder / SAMPLES_FILE
+    folder.mkdir(parents=True, exist_ok=True)
+    write_samples(path, samples)
+    known = {field.name: getattr(report, field.name) for field in fields(report)}
+    known["samples"] = {"file": SAMPLES_FILE, "rows": len(samples), "sha256": _sha256(path)}
+    complete = Report(**known)
+    content = json.dumps({"protocol": PROTOCOL} | known, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_atomically(folder / REPORT_FILE, content.encode())
+    return complete
+
+
+def read_report(folder: Path) -> Report | None:
+    """The report of a folder; None if there is none, or one that another version of dmbench wrote.
+
+    Raises:
+        RunCorrupt: It cannot be read.
+    """
+    path = folder / REPORT_FILE
+    try:
+        stored = json.loads(path.read_text())
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise RunCorrupt(
+            f"the report {str(path)!r} cannot be read ({error}); delete it and score the run again."
+        ) from None
+    names = {field.name for field in fields(Report)}
+    if not isinstance(stored, dict) or stored.get("protocol") != PROTOCOL or set(stored) != names:
+        return None
+    return Report(**stored)
+
+
+def read_report_samples(folder: Path, report: Report) -> pa.Table | None:
+    """The samples that a report vouches for; None if they are gone or are others."""
+    path = folder / SAMPLES_FILE
+    if not path.is_file() or _sha256(path) != report.samples.get("sha256"):
+        return None
+    return read_samples(path)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()

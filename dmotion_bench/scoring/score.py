@@ -1,0 +1,273 @@
+"""From a trained model to its figures, and from a run to its report."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from dmotion_bench import __version__
+from dmotion_bench.errors import InvalidSetting, RunMismatch
+from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.triplets import SplitProtocol
+from dmotion_bench.scoring.figures import Figures, figures_of
+from dmotion_bench.scoring.prediction import (
+    MODEL,
+    Execution,
+    Precision,
+    predicting,
+    score_reference_rollouts,
+    score_reference_steps,
+    score_rollouts,
+    score_steps,
+)
+from dmotion_bench.scoring.references import REFERENCES, published_for
+from dmotion_bench.scoring.report import PROTOCOL, REPORT_FOLDER, Report, read_report, read_report_samples, write_report
+from dmotion_bench.scoring.samples import SCHEMA
+from dmotion_bench.scoring.statistics import RESAMPLES
+from dmotion_bench.scoring.transitions import HeldOut, LabelledDataset
+from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.versions import versions
+
+Metric = Literal["prediction", "rollout"]
+METRICS: tuple[Metric, ...] = get_args(Metric)
+
+REMARKS = {
+    "copy_last": "predicts that nothing changes",
+    "agent_moves": "moves the agent as it truly moves, and nothing else; what it uncovers is taken from the truth",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreSettings:
+    """What decides a report's figures beside the weights and the data.
+
+    Attributes:
+        split: The episodes that are scored.
+        protocol: How triplets are split; a run trained on the paper's leaking split is scored on it.
+        horizon: Steps of a rollout.
+        precision: Of the model's arithmetic: ``"float32"``, or ``"bf16"`` autocast.
+        resamples: Draws of the bootstrap.
+    """
+
+    split: SplitName = "test"
+    protocol: SplitProtocol = "episode"
+    horizon: int = 15
+    precision: Precision = "float32"
+    resamples: int = RESAMPLES
+
+    def __post_init__(self) -> None:
+        if self.horizon < 1:
+            raise InvalidSetting(f"the horizon is {self.horizon}; a rollout has at least 1 step.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores:
+    """What scoring a model came to.
+
+    Attributes:
+        samples: As ``scoring/samples.py`` lays them out.
+        figures: Of the model.
+        reference: Of the predictors that know nothing.
+    """
+
+    samples: pa.Table
+    figures: Figures
+    reference: Mapping[str, Figures]
+
+
+class ReferenceScores:
+    """The references' samples, which depend on the data alone: scored once for all runs of a process."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[object, ...], pa.Table] = {}
+
+    def get(self, key: tuple[object, ...], score: Callable[[], pa.Table]) -> pa.Table:
+        """What is known under a key, or what ``score`` finds."""
+        if key not in self._known:
+            self._known[key] = score()
+        return self._known[key]
+
+
+def score_model(
+    model: ForwardModel[Any],
+    dataset: LabelledDataset,
+    *,
+    metrics: tuple[Metric, ...] = METRICS,
+    settings: ScoreSettings | None = None,
+    how: Execution | None = None,
+    references: ReferenceScores | None = None,
+    earlier: pa.Table | None = None,
+) -> Scores:
+    """Score a model on held-out episodes.
+
+    Args:
+        model: Aligned, in evaluation mode.
+        dataset: With labels.
+        metrics: Which groups of figures.
+        settings: What decides the figures.
+        how: Batch size, device, progress; the frames of one batch are in memory, and one episode's labels.
+        references: Keeps the references' samples for the next model of this process.
+        earlier: Samples of groups that are not asked for now; kept.
+    """
+    settings, how = settings or ScoreSettings(), how or Execution()
+    references = references or ReferenceScores()
+    held_out = HeldOut(dataset, settings.split, settings.protocol)
+    model = model.to(how.device).eval()
+    identity = (dataset.fingerprint, settings.split, settings.protocol)
+    tables = [] if earlier is None else [earlier]
+    with predicting(how.device):
+        if "prediction" in metrics:
+            tables.append(references.get(identity, lambda: score_reference_steps(held_out, how)))
+        if "rollout" in metrics:
+            key = (*identity, settings.horizon)
+            tables.append(
+                references.get(key, lambda: score_reference_rollouts(held_out, how, horizon=settings.horizon))
+            )
+    with predicting(how.device, settings.precision):
+        if "prediction" in metrics:
+            tables.append(score_steps(model, held_out, how))
+        if "rollout" in metrics:
+            tables.append(score_rollouts(model, held_out, how, horizon=settings.horizon))
+    samples = pa.concat_tables(tables) if tables else SCHEMA.empty_table()
+    return Scores(
+        samples=samples,
+        figures=figures_of(samples, MODEL, resamples=settings.resamples),
+        reference={name: figures_of(samples, name, resamples=settings.resamples) for name in REFERENCES},
+    )
+
+
+def score_run(
+    path: Path,
+    *,
+    metrics: tuple[Metric, ...] = METRICS,
+    settings: ScoreSettings | None = None,
+    how: Execution | None = None,
+    references: ReferenceScores | None = None,
+    renew: bool = True,
+) -> Report:
+    """Score a run on the held-out episodes of its data set and write its report.
+
+    Groups of figures that an up-to-date report already holds are kept, and with ``renew=False`` not scored again.
+
+    Raises:
+        RunMissing, RunCorrupt: There is no trained run at this path.
+        RunMismatch: The data set is not the one that the run was trained on.
+    """
+    run = Run.open(path)
+    model = run.model
+    dataset = Dataset.open(run.dataset_path)
+    if dataset.fingerprint != run.spec.fingerprint:
+        raise RunMismatch(
+            f"the data set {str(run.dataset_path)!r} has changed since the run {run.name!r} was trained on it, so its "
+            "held-out episodes may no longer be held out; train again with 'dmbench train'."
+        )
+    protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
+    settings = settings or ScoreSettings()
+    settings = ScoreSettings(**{**asdict(settings), "protocol": protocol})
+    folder = run.path / REPORT_FOLDER
+    old, earlier = _still_true(folder, run, settings)
+    held = tuple(old.settings["metrics"]) if old else ()
+    wanted = metrics if renew else tuple(metric for metric in metrics if metric not in held)
+    if old is not None and not wanted:
+        return old
+    if earlier is not None:
+        earlier = earlier.filter(~pc.is_in(pc.field("metric"), pa.array(wanted, pa.string())))
+    scores = score_model(
+        model,
+        dataset,
+        metrics=wanted,
+        settings=settings,
+        how=how,
+        references=references,
+        earlier=earlier,
+    )
+    report = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*held, *wanted))))
+    return write_report(folder, report, scores.samples)
+
+
+def _still_true(folder: Path, run: Run, settings: ScoreSettings) -> tuple[Report, pa.Table] | tuple[None, None]:
+    """The report of a folder, if scoring now would come to the same."""
+    report = read_report(folder)
+    if report is None or run.result is None:
+        return None, None
+    same = (
+        report.weights == run.result["weights"]
+        and report.dataset["fingerprint"] == run.spec.fingerprint
+        and report.code == code_version()
+        and {**report.settings, "metrics": None} == {**asdict(settings), "metrics": None}
+    )
+    samples = read_report_samples(folder, report) if same else None
+    return (report, samples) if samples is not None else (None, None)
+
+
+def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
+    result = run.result or {}
+    published = published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
+    reference = {name: _json(figures) for name, figures in scores.reference.items()}
+    remarks = dict(REMARKS)
+    if published is not None:
+        reference["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
+        remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()
+    if "rollout" in metrics and not any(name.startswith("rollout_") for name in scores.figures):
+        remarks["rollout"] = (
+            f"no {settings.split} episode has the {settings.horizon + 2} frames that a rollout needs; "
+            "ask for a smaller '--horizon'"
+        )
+    if settings.protocol == "paper":
+        remarks["split"] = "the paper's split shuffles triplets: most test frames were seen in training (it leaks)"
+    return Report(
+        run=run.name,
+        model=run.spec.model,
+        arch=run.spec.arch,
+        preset=run.spec.preset,
+        seed=run.spec.seed,
+        labels={
+            "asked": run.spec.labels,
+            "given": result.get("labels", {}),
+            "total": result.get("labels_total", 0),
+        },
+        dataset={
+            "name": dataset.name,
+            "environment": dataset.recipe.environment,
+            "fingerprint": dataset.fingerprint,
+        },
+        weights=result["weights"],
+        settings={**asdict(settings), "metrics": list(metrics)},
+        training={
+            key: result[key]
+            for key in ("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes")
+            if key in result
+        },
+        versions=versions(),
+        code=code_version(),
+        figures=_json(scores.figures),
+        reference=reference,
+        remarks=remarks,
+        protocol=PROTOCOL,
+    )
+
+
+def _json(figures: Figures) -> dict[str, Any]:
+    return {name: estimate.to_json() for name, estimate in figures.items()}
+
+
+@cache
+def code_version() -> str:
+    """The version of dmbench and a hash over the code that scores: a report by other code is not up to date."""
+    digest = hashlib.sha256()
+    package = resources.files("dmotion_bench")
+    files = sorted(package.joinpath("scoring").iterdir(), key=lambda file: file.name)
+    for file in (*files, package.joinpath("positions.py")):
+        if file.name.endswith(".py"):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return f"{__version__}+{digest.hexdigest()[:12]}"

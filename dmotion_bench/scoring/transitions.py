@@ -1,0 +1,227 @@
+"""The held-out transitions that models are scored on, in batches that reach over episodes.
+
+One episode's labels are in memory at a time, and one batch of frames, however many episodes there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from dmotion_bench.errors import DatasetError, LabelsNotAvailable
+from dmotion_bench.learning.triplets import Frames, SplitProtocol, TripletSet
+from dmotion_bench.specs import MASK_AGENT, DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
+
+STARTS_PER_EPISODE = 4
+
+
+class Outcomes(Protocol):
+    """What was done in an episode, and whether it moved an object."""
+
+    @property
+    def actions(self) -> Int[np.ndarray, " t"]: ...
+
+    @property
+    def pushed(self) -> Bool[np.ndarray, " t"]: ...
+
+
+class LabelledDataset(Protocol):
+    """What scoring needs of a ``storage.dataset.Dataset``."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def spec(self) -> EnvSpec: ...
+
+    @property
+    def recipe(self) -> DatasetRecipe: ...
+
+    @property
+    def fingerprint(self) -> str: ...
+
+    def cache(self) -> Frames: ...
+
+    def split(self, name: SplitName) -> Int[np.ndarray, " n"]: ...
+
+    def states(self, episode: int) -> Outcomes: ...
+
+    def labels(self, episode: int) -> EpisodeLabels: ...
+
+    def __len__(self) -> int: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransitionBatch:
+    """Triplets with all that is known of them; row i's ``action`` leads from its frame 1 to its frame 2.
+
+    Attributes:
+        episode, step: The middle frame's episode and its number within it.
+        frames: Axis 1 is previous, current, next.
+        action: Taken at the middle frame.
+        pushed: Whether it moves an object.
+        agent: Which pixels show the agent; axis 1 is current, next.
+        shift: How far the agent's centre moves, (right, down) [px].
+    """
+
+    episode: Int[np.ndarray, " b"]
+    step: Int[np.ndarray, " b"]
+    frames: UInt8[np.ndarray, "b 3 h w 3"]
+    action: Int[np.ndarray, " b"]
+    pushed: Bool[np.ndarray, " b"]
+    agent: Bool[np.ndarray, "b 2 h w"]
+    shift: Float[np.ndarray, "b 2"]
+
+    def __len__(self) -> int:
+        return len(self.step)
+
+    def __getitem__(self, rows: slice) -> TransitionBatch:
+        return TransitionBatch(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloutBatch:
+    """Starts of rollouts and what came of them.
+
+    Attributes:
+        episode, start: The episode, and the number within it of ``current``.
+        previous, current: The two true frames that a rollout begins with.
+        future: The true frames after them.
+        actions: The recorded ones; ``actions[:, k]`` leads to ``future[:, k]``.
+        pushed: Whether that action moves an object.
+    """
+
+    episode: Int[np.ndarray, " b"]
+    start: Int[np.ndarray, " b"]
+    previous: UInt8[np.ndarray, "b h w 3"]
+    current: UInt8[np.ndarray, "b h w 3"]
+    future: UInt8[np.ndarray, "b t h w 3"]
+    actions: Int[np.ndarray, "b t"]
+    pushed: Bool[np.ndarray, "b t"]
+
+
+class HeldOut:
+    """One split of a labelled data set, as scoring reads it.
+
+    Args:
+        dataset: Must have labels.
+        split: Which part.
+        protocol: ``"paper"`` takes the triplets of the paper's leaking split; rollouts are by episode always.
+
+    Raises:
+        LabelsNotAvailable: The actions of the data set are not known.
+        DatasetError: The split is empty.
+    """
+
+    def __init__(self, dataset: LabelledDataset, split: SplitName, protocol: SplitProtocol = "episode") -> None:
+        if not dataset.spec.actions:
+            raise LabelsNotAvailable(
+                f"the actions of {dataset.name!r} are not known, so predictions that follow them cannot be scored; "
+                "import the recording with its action topic, or score on a recorded data set."
+            )
+        self.dataset, self.split, self.protocol = dataset, split, protocol
+        self._triplets = TripletSet.of_split(dataset, split, protocol)
+        if not len(self._triplets):
+            raise DatasetError(
+                f"the {split} split of {dataset.name!r} has no triplet; record more episodes "
+                "with 'dmbench record' and a larger '--episodes'."
+            )
+
+    def __len__(self) -> int:
+        """Number of triplets."""
+        return len(self._triplets)
+
+    def batches(self, size: int) -> Iterator[TransitionBatch]:
+        """All triplets in the order of their episodes and steps, ``size`` at a time, the last batch the rest."""
+        waiting: list[TransitionBatch] = []
+        for part in self._by_episode():
+            waiting.append(part)
+            if sum(map(len, waiting)) >= size:
+                merged = _joined(waiting)
+                whole = len(merged) // size * size
+                for start in range(0, whole, size):
+                    yield merged[start : start + size]
+                waiting = [merged[whole:]]
+        if sum(map(len, waiting)):
+            yield _joined(waiting)
+
+    def rollouts(self, horizon: int, size: int) -> Iterator[RolloutBatch]:
+        """Rollouts of ``horizon`` steps, ``size`` at a time; see ``rollout_starts``."""
+        pairs = self._starts(horizon)
+        for first in range(0, len(pairs), size):
+            yield self._rollout_batch(pairs[first : first + size], horizon)
+
+    def count_rollouts(self, horizon: int) -> int:
+        """How many rollouts of ``horizon`` steps there are."""
+        return len(self._starts(horizon))
+
+    def _starts(self, horizon: int) -> list[tuple[int, int]]:
+        offsets = np.asarray(self.dataset.cache().offsets)
+        lengths = np.diff(offsets)
+        return [
+            (episode, start)
+            for episode in self.dataset.split(self.split).tolist()
+            for start in rollout_starts(int(lengths[episode]), horizon).tolist()
+        ]
+
+    def _rollout_batch(self, pairs: list[tuple[int, int]], horizon: int) -> RolloutBatch:
+        cache = self.dataset.cache()
+        states = {episode: self.dataset.states(episode) for episode in {episode for episode, _ in pairs}}
+        frames, actions, pushed = [], [], []
+        for episode, start in pairs:
+            place = int(cache.offsets[episode]) + start
+            frames.append(cache.frames[place - 1 : place + horizon + 1])
+            actions.append(states[episode].actions[start : start + horizon])
+            pushed.append(states[episode].pushed[start : start + horizon])
+        stacked = np.stack(frames)
+        return RolloutBatch(
+            episode=np.asarray([episode for episode, _ in pairs]),
+            start=np.asarray([start for _, start in pairs]),
+            previous=stacked[:, 0],
+            current=stacked[:, 1],
+            future=stacked[:, 2:],
+            actions=np.stack(actions),
+            pushed=np.stack(pushed),
+        )
+
+    def _by_episode(self) -> Iterator[TransitionBatch]:
+        episodes, first, count = np.unique(self._triplets.episode, return_index=True, return_counts=True)
+        for episode, start, rows in zip(episodes.tolist(), first.tolist(), count.tolist(), strict=True):
+            part = self._triplets.subset(np.arange(start, start + rows))
+            labels, step = self.dataset.labels(episode), part.step
+            masks = labels.masks == MASK_AGENT
+            place = labels.agent.pixel[:, 0]
+            yield TransitionBatch(
+                episode=part.episode,
+                step=step,
+                frames=part.gather(np.arange(rows)),
+                action=labels.actions[step].astype(np.int64),
+                pushed=labels.pushed[step],
+                agent=np.stack([masks[step], masks[step + 1]], axis=1),
+                shift=(place[step + 1] - place[step]).astype(np.float64),
+            )
+
+
+def rollout_starts(frames: int, horizon: int) -> Int[np.ndarray, " s"]:
+    """Where the rollouts of an episode begin: up to four places, spread evenly from its first to its last possible.
+
+    Every rollout has its whole horizon of true frames, so all steps of a rollout curve are over the same starts;
+    an episode of fewer than ``horizon`` + 2 frames has none.
+    """
+    last = frames - 1 - horizon
+    if last < 1:
+        return np.zeros(0, np.int64)
+    return np.unique(np.linspace(1, last, STARTS_PER_EPISODE).round().astype(np.int64))
+
+
+def _joined(parts: list[TransitionBatch]) -> TransitionBatch:
+    return TransitionBatch(
+        **{
+            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(TransitionBatch)
+        }
+    )

@@ -127,7 +127,12 @@ class DMotion(ForwardModel[DMotionConfig]):
                 clip_norm=0.0,
             )
         return TrainingConfig(
-            epochs={Preset.TINY: 1, Preset.SMALL: 20, Preset.PAPER: 50}[preset], learning_rate=3e-3, ema=0.995
+            epochs={Preset.TINY: 1, Preset.SMALL: 20, Preset.PAPER: 50}[preset],
+            learning_rate=3e-3,
+            optimizer="muon",
+            schedule="linear",
+            clip_norm=0.0,
+            hard_share=0.5,
         )
 
     def progress(self, share: float) -> None:
@@ -150,6 +155,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         return Losses(
             total=extraction + prediction,
             terms={"extraction": extraction.detach(), "prediction": prediction.detach()},
+            per_triplet=(predicted.detach() - following).float().square().mean((1, 2, 3)),
         )
 
     @torch.no_grad()

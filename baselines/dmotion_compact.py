@@ -5,8 +5,9 @@ What differs from ``dmotion_paper.py``, and what each difference bought, is meas
 - Everything runs on 4 x 4 patches of the frame as 48 channels, at 32 x 32 and below: wide convolutions on small maps
   keep the CPU's bfloat16 units busy, narrow ones on large maps wait for memory.
 - No normalisation: scaled initial weights and residual connections do without.
-- The motion encoder sums its features over the picture instead of flattening them. A sum knows what moved and how, not
-  where, so phi^0 cannot become a function of the agent's place, and one demonstration per action is enough.
+- The motion encoder sums its features over the picture instead of flattening them: a sum knows what moved and how, not
+  where. And it is antisymmetric, phi(a, b) = -phi(b, a): going back undoes going there. Without the two, phi^0 becomes
+  a function of the agent's place, and one demonstration per action is not enough.
 - The interaction learner is a U-Net whose output is blended into x_t by a gate per pixel: what does not move is copied.
 
 Frames are *packed*: ``Float[b 48 h/4 w/4]``, channels-last in memory.
@@ -20,7 +21,7 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baselines.layers import CHANNELS, SLOPE, WIDTHS, UNet, block, conv, pack, patches, unpack, up
+from baselines.layers import CHANNELS, OUTPUT_GAIN, WIDTHS, UNet, block, conv, pack, patches, unpack, up
 
 __all__ = ["Decoder", "ImageEncoder", "InteractionLearner", "MotionEncoder", "pack", "unpack"]
 
@@ -29,14 +30,17 @@ MOTION_RATE = 0.3  # the motion's last layer learns at this share of the rate: i
 
 
 class ImageEncoder(nn.Module):
-    """A packed frame to n maps of half its side (64 x 64 for 128 pixels)."""
+    """A packed frame to n maps of half its side (64 x 64 for 128 pixels).
+
+    The branch at half the size widens the receptive field: the agent before and after a move must overlap on the maps.
+    """
 
     def __init__(self, maps: int) -> None:
         super().__init__()
         c, w, _ = WIDTHS
-        self.stem = nn.Sequential(block(CHANNELS, c, 1), block(c, c))
+        self.stem = block(CHANNELS, c, 1)
         self.context = nn.Sequential(block(c, w, stride=2), block(w, w), up(w, c))
-        self.head = nn.Sequential(block(c, c), conv(c, 4 * maps, 1, gain=0.7))
+        self.head = nn.Sequential(block(c, c), conv(c, 4 * maps, 1, gain=OUTPUT_GAIN))
 
     def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b k hm wm"]:
         features = self.stem(packed)
@@ -57,7 +61,7 @@ class MotionEncoder(nn.Module):
 
     def __init__(self, maps: int, identity: Float[Tensor, " d"]) -> None:
         super().__init__()
-        c, w, _ = WIDTHS
+        c, w, d = WIDTHS
         self.maps = maps
         self.convolutions = nn.Sequential(
             block(2 * CHANNELS, c, 1),
@@ -66,19 +70,20 @@ class MotionEncoder(nn.Module):
             block(w, w, stride=2),
             block(w, w),
         )
-        self.hidden = nn.Sequential(nn.Linear(w, 128), nn.LeakyReLU(SLOPE))
-        self.motion = nn.Linear(128, maps * len(identity))
-        nn.init.normal_(self.motion.weight, std=0.01)
-        nn.init.zeros_(self.motion.bias)
-        for parameter in self.motion.parameters():
-            parameter.rate_factor = MOTION_RATE  # type: ignore[attr-defined]
+        self.hidden = block(w, d, 1)
+        self.motion = nn.Linear(d, maps * len(identity), bias=False)
+        nn.init.normal_(self.motion.weight, std=0.05)
+        self.motion.weight.rate_factor = MOTION_RATE  # type: ignore[assignment]
+        self.motion.weight.is_output = True  # type: ignore[assignment]
         self.register_buffer("identity", identity.clone())
 
     def forward(
         self, current: Float[Tensor, "b p hp wp"], following: Float[Tensor, "b p hp wp"]
     ) -> Float[Tensor, "b k d"]:
-        features = self.convolutions(torch.cat([current, following], dim=1)).sum((2, 3)) * 0.1
-        motion = rearrange(self.motion(self.hidden(features)), "b (k d) -> b k d", k=self.maps)
+        there_and_back = torch.cat([torch.cat(pair, dim=1) for pair in ((current, following), (following, current))])
+        summed = self.convolutions(there_and_back).sum((2, 3), keepdim=True) * 0.1
+        there, back = self.hidden(summed).flatten(1).float().chunk(2)
+        motion = rearrange(self.motion(there - back), "b (k d) -> b k d", k=self.maps)
         bounded: Tensor = self.identity + LARGEST_SHIFT * torch.tanh(motion.float())
         return bounded
 
@@ -89,7 +94,7 @@ class Decoder(nn.Module):
     def __init__(self, maps: int) -> None:
         super().__init__()
         c = WIDTHS[0]
-        self.layers = nn.Sequential(block(4 * maps, c), block(c, c), conv(c, CHANNELS, 1, gain=0.7))
+        self.layers = nn.Sequential(block(4 * maps, c), conv(c, CHANNELS, 1, gain=OUTPUT_GAIN))
 
     def forward(self, maps: Float[Tensor, "b k hm wm"]) -> Float[Tensor, "b p hp wp"]:
         packed: Tensor = self.layers(patches(maps, 2))

@@ -22,6 +22,8 @@ SLOPE = 0.2
 PATCH = 4
 CHANNELS = 3 * PATCH**2  # of a packed frame
 WIDTHS = (32, 64, 128)
+MIDDLE_BLOCKS = 3
+OUTPUT_GAIN = 0.35
 
 
 def check_size(model: str, inputs: ModelInputs) -> None:
@@ -55,16 +57,24 @@ def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp
 
 
 def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: float = 1.0) -> nn.Conv2d:
-    """A convolution whose output has the variance of its input times gain squared."""
+    """A convolution with He's initial weights times ``gain``: without normalisation they alone keep the scale."""
     layer = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2)
-    nn.init.normal_(layer.weight, std=gain * (inputs * kernel * kernel) ** -0.5)
-    nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+    nn.init.kaiming_normal_(layer.weight, a=SLOPE)
+    with torch.no_grad():
+        layer.weight.mul_(gain)
+        layer.bias.zero_()  # type: ignore[union-attr]
     return layer
 
 
-def block(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    """A convolution and its activation, together keeping the variance."""
-    gain = nn.init.calculate_gain("leaky_relu", SLOPE)
+def output(inputs: int, outputs: int) -> nn.Conv2d:
+    """A 1 x 1 convolution that ends a network: small at first, and left to Adam where Muon trains the rest."""
+    layer = conv(inputs, outputs, 1, gain=OUTPUT_GAIN)
+    layer.weight.is_output = True  # type: ignore[assignment]
+    return layer
+
+
+def block(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: float = 1.0) -> nn.Sequential:
+    """A convolution and its activation, together keeping the variance (times gain squared)."""
     return nn.Sequential(conv(inputs, outputs, kernel, stride, gain), nn.LeakyReLU(SLOPE, inplace=True))
 
 
@@ -100,11 +110,10 @@ class UNet(nn.Module):
         self.level0 = block(c, c)
         self.down1, self.level1 = conv(c, w, stride=2), block(w, w)
         self.down2 = block(w, d, stride=2)
-        self.middle = nn.Sequential(block(d, d), block(d, d))
+        self.middle = nn.ModuleList(block(d, d, gain=0.5) for _ in range(MIDDLE_BLOCKS))
         self.up1, self.merge1 = up(d, w), block(w, w)
         self.up0, self.merge0 = up(w, c), block(c, c)
-        self.painting = conv(c, CHANNELS, 1, gain=0.7)
-        self.gate = conv(c, PATCH**2, 1, gain=0.7)
+        self.painting, self.gate = output(c, CHANNELS), output(c, PATCH**2)
 
     def next_frame(
         self,
@@ -116,8 +125,9 @@ class UNet(nn.Module):
         """Args: ``full``, ``half``, ``quarter``: what is added to the features of that size; broadcast if 1 x 1."""
         level0 = self.level0(F.leaky_relu(self.frames_in(packed) + full, SLOPE))
         level1 = self.level1(F.leaky_relu(self.down1(level0) + half, SLOPE))
-        level2 = self.down2(level1)
-        level2 = level2 + self.middle(level2 + quarter)
+        level2 = self.down2(level1) + quarter
+        for inner in self.middle:
+            level2 = level2 + inner(level2)
         level1 = level1 + self.merge1(level1 + self.up1(level2))
         level0 = self.merge0(level0 + self.up0(level1))
         current = packed[:, -CHANNELS:]

@@ -46,28 +46,32 @@ class _SeparableShift(torch.autograd.Function):
     @staticmethod
     def forward(ctx: torch.autograd.function.FunctionCtx, maps: Tensor, shift: Tensor, blur: float) -> Tensor:
         size = maps.shape[-1]
-        place = torch.arange(size, dtype=torch.float32, device=maps.device)
         pixels = shift.float() * ((size - 1) / 2)
         pixels = pixels + (pixels == pixels.round()) * WHOLE_PIXEL
-        source = place + pixels[..., None]  # b k (x y) out
-        distance = source[..., None] - place  # b k (x y) out in
-        weights = (1 - distance.abs() / blur).clamp_(min=0).div_(blur).to(maps.dtype)
+        offsets = torch.arange(size - 1, -size, -1, dtype=torch.float32, device=maps.device)
+        distance = pixels[..., None] + offsets  # b k (x y) 2n-1: from the place read to each pixel
+        hat = (1 - distance.abs() / blur).clamp_(min=0)
+        weights = _toeplitz(hat / blur, maps.dtype)
         across, down = weights[:, :, 0], weights[:, :, 1]
         rows = maps @ across.mT
-        ctx.save_for_backward(maps, rows, weights, distance.sign().to(maps.dtype))
-        ctx.blur = blur  # type: ignore[attr-defined]
+        slope = distance.sign() * (hat > 0) * (-(size - 1) / 2 / blur**2)
+        ctx.save_for_backward(maps, rows, weights, _toeplitz(slope, maps.dtype))
         return down @ rows
 
     @staticmethod
     def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, None]:
-        maps, rows, weights, sign = ctx.saved_tensors  # type: ignore[attr-defined]
+        maps, rows, weights, slopes = ctx.saved_tensors  # type: ignore[attr-defined]
         gradient = gradients[0].contiguous()
-        across, down = weights[:, :, 0], weights[:, :, 1]
-        of_rows = down.mT @ gradient
-        of_weights = torch.stack([of_rows.mT @ maps, gradient @ rows.mT], dim=2)
-        slope = -(maps.shape[-1] - 1) / 2 / ctx.blur**2  # type: ignore[attr-defined]
-        of_shift = (of_weights * sign * (weights > 0)).sum(-1, dtype=torch.float32).sum(-1) * slope
-        return of_rows @ across, of_shift, None
+        of_rows = weights[:, :, 1].mT @ gradient
+        of_x = (of_rows * (maps @ slopes[:, :, 0].mT)).sum((2, 3), dtype=torch.float32)
+        of_y = (gradient * (slopes[:, :, 1] @ rows)).sum((2, 3), dtype=torch.float32)
+        return of_rows @ weights[:, :, 0], torch.stack([of_x, of_y], dim=2), None
+
+
+def _toeplitz(diagonals: Float[Tensor, "b k a n"], dtype: torch.dtype) -> Float[Tensor, "b k a s s"]:
+    """The matrices W with W[i, j] = diagonals[s - 1 - i + j]: only 2 s - 1 values each, read through a window."""
+    size = (diagonals.shape[-1] + 1) // 2
+    return diagonals.to(dtype).unfold(-1, size, 1).flip(-2)
 
 
 class Translation:

@@ -65,10 +65,12 @@ class Losses:
     Attributes:
         total: What is differentiated.
         terms: Detached scalars by name; ``validation`` figures that are not minimised may stand here too.
+        per_triplet: Detached loss of each triplet of the batch, for ``TrainingConfig.hard_share``.
     """
 
     total: Float[Tensor, ""]
     terms: Mapping[str, Float[Tensor, ""]] = field(default_factory=dict)
+    per_triplet: Float[Tensor, " b"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,13 +96,17 @@ class TrainingConfig:
         epochs: Passes over the training triplets.
         batch_size: Triplets a step.
         learning_rate: Peak of the schedule.
-        schedule: ``"one-cycle"`` (warm-up, then cosine to zero), ``"cosine"`` or ``"constant"``.
-        optimizer: ``"adamw"`` or ``"adam"``.
+        schedule: ``"one-cycle"`` (warm-up, then cosine to zero), ``"linear"`` (warm-up, then a line to zero),
+            ``"cosine"`` or ``"constant"``.
+        optimizer: ``"adamw"``, ``"adam"`` or ``"muon"``.
         weight_decay: Decoupled, AdamW's.
         clip_norm: Largest norm of the gradient; 0 leaves it alone.
         precision: ``"bf16"`` autocast where the hardware has it, or ``"float32"``.
         channels_last: Memory format of images and weights.
         ema: Decay of the averaged weights that are validated and kept; 0 keeps the raw ones.
+        hard_share: Share of each batch, after the first epoch, that is drawn by the square roots of the
+            triplets' latest losses instead of evenly; needs ``Losses.per_triplet``. Rare events, such as pushes, are
+            seen more often.
         validations: How many times the run is validated and its checkpoint written.
     """
 
@@ -114,14 +120,15 @@ class TrainingConfig:
     precision: str = "bf16"
     channels_last: bool = True
     ema: float = 0.0
+    hard_share: float = 0.0
     validations: int = 10
 
     def __post_init__(self) -> None:
         from dmotion_bench.errors import InvalidSetting
 
         for name, value, allowed in (
-            ("schedule", self.schedule, ("one-cycle", "cosine", "constant")),
-            ("optimizer", self.optimizer, ("adamw", "adam")),
+            ("schedule", self.schedule, ("one-cycle", "linear", "cosine", "constant")),
+            ("optimizer", self.optimizer, ("adamw", "adam", "muon")),
             ("precision", self.precision, ("bf16", "float32")),
         ):
             if value not in allowed:
@@ -133,6 +140,9 @@ class TrainingConfig:
         ):
             if not number > 0:
                 raise InvalidSetting(f"{name} is {number}; it must be above zero.")
+        for name, share in (("hard_share", self.hard_share), ("ema", self.ema)):
+            if not 0 <= share < 1:
+                raise InvalidSetting(f"{name} is {share}; it must be in [0, 1).")
 
 
 ConfigT = TypeVar("ConfigT")

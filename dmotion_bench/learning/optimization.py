@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from dmotion_bench.learning.model import TrainingConfig
+from dmotion_bench.learning.muon import Muon
 
 WARM_UP = 0.1  # share of a one-cycle schedule in which the rate rises
 
@@ -34,25 +35,36 @@ def learning_rate(config: TrainingConfig, progress: float) -> float:
     """The rate at a share ``progress`` in [0, 1] of a phase."""
     if config.schedule == "constant":
         return config.learning_rate
-    warm = WARM_UP if config.schedule == "one-cycle" else 0.0
+    warm = 0.0 if config.schedule == "cosine" else WARM_UP
     if progress < warm:
         return config.learning_rate * (0.04 + 0.96 * progress / warm)
+    if config.schedule == "linear":
+        return config.learning_rate * max(1e-3, (1 - progress) / (1 - warm))
     return config.learning_rate * 0.5 * (1 + math.cos(math.pi * (progress - warm) / (1 - warm)))
 
 
 def make_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.Optimizer:
-    """Adam or AdamW; parameters that carry ``rate_factor`` learn at that multiple of the rate.
+    """Adam, AdamW or Muon.
 
-    Biases and gains are not decayed.
+    A parameter may carry ``rate_factor``, the multiple of the rate that it learns at, and ``is_output``, which says
+    that its layer is no hidden one: Muon leaves those, biases and gains to Adam. Biases and gains are not decayed.
     """
-    groups: dict[tuple[float, bool], list[nn.Parameter]] = {}
+    groups: dict[tuple[float, bool, bool], list[nn.Parameter]] = {}
     for parameter in model.parameters():
-        decays = parameter.ndim > 1
-        groups.setdefault((getattr(parameter, "rate_factor", 1.0), decays), []).append(parameter)
+        matrix = parameter.ndim > 1
+        hidden = matrix and not getattr(parameter, "is_output", False)
+        groups.setdefault((getattr(parameter, "rate_factor", 1.0), matrix, hidden), []).append(parameter)
     described = [
-        {"params": parameters, "rate_factor": factor, "weight_decay": config.weight_decay if decays else 0.0}
-        for (factor, decays), parameters in groups.items()
+        {
+            "params": parameters,
+            "rate_factor": factor,
+            "weight_decay": config.weight_decay if matrix else 0.0,
+            **({"matrices": hidden} if config.optimizer == "muon" else {}),
+        }
+        for (factor, matrix, hidden), parameters in groups.items()
     ]
+    if config.optimizer == "muon":
+        return Muon(described, lr=config.learning_rate)
     kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
     return kind(described, lr=config.learning_rate, fused=True)
 

@@ -20,7 +20,7 @@ from typing import IO, Any
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from lightning_fabric import Fabric
 from torch import Tensor
 
@@ -136,6 +136,7 @@ class _Trainer:
         wrapped.mark_forward_method("losses")
         self.wrapped = wrapped
         self.average = AveragedWeights(self.model, self.config.ema) if self.config.ema else None
+        self.hardness = {part.phase.name: np.full(len(part.batches), np.nan, np.float32) for part in self.parts}
         self.state = _State()
         self._resume()
 
@@ -225,7 +226,9 @@ class _Trainer:
         began = time.perf_counter()
         progress = (step - part.start) / (part.stop - part.start)
         set_learning_rate(self.optimizer, learning_rate(self.config, progress))
-        index = part.order.batch(step - part.start)[self.fabric.global_rank :: self.fabric.world_size]
+        hardness = self.hardness[part.phase.name]
+        chosen = part.order.mixed_batch(step - part.start, hardness, self.config.hard_share)
+        index = chosen[self.fabric.global_rank :: self.fabric.world_size]
         self.model.progress(progress)
         with _seeded(self.run.spec.seed, step, self.fabric.device):
             with autocast(self.config, self.fabric.device):
@@ -237,10 +240,19 @@ class _Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         if self.average is not None:
             self.average.update(self.model, step)
+        if self.config.hard_share and losses.per_triplet is not None:
+            self._remember(hardness, chosen, losses.per_triplet)
         terms = {"loss": losses.total.detach(), **losses.terms}
         self.state.clock.sitting += time.perf_counter() - began
         self.state.clock.triplets += part.order.batch_size
         return terms
+
+    def _remember(self, hardness: Float[np.ndarray, " n"], chosen: Int[np.ndarray, " b"], losses: Tensor) -> None:
+        """Keep each triplet's loss; with several processes each learns the others'."""
+        gathered = self.fabric.all_gather(losses.detach().float())
+        by_rank = torch.as_tensor(gathered).reshape(self.fabric.world_size, -1).cpu().numpy()
+        for rank, values in enumerate(by_rank):
+            hardness[chosen[rank :: self.fabric.world_size]] = values
 
     def _rate(self) -> float:
         clock = self.state.clock
@@ -283,6 +295,7 @@ class _Trainer:
             tensors |= checkpoint.optimizer_tensors(self.optimizer)
             if self.average is not None:
                 tensors |= checkpoint.with_prefix("average", self.average.tensors)
+            tensors |= {f"hardness/{name}": torch.from_numpy(values) for name, values in self.hardness.items()}
             state = self.state
             facts = {
                 "step": state.step,
@@ -301,6 +314,8 @@ class _Trainer:
         checkpoint.restore_optimizer(self.optimizer, tensors)
         if self.average is not None:
             self.average.restore(checkpoint.without_prefix("average", tensors))
+        for name, values in checkpoint.without_prefix("hardness", tensors).items():
+            self.hardness[name][:] = values.numpy()
         self.state.step = facts["step"]
         self.state.best = math.inf if facts["best"] is None else facts["best"]
         self.state.best_step = facts["best_step"]

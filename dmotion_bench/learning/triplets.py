@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Int, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from dmotion_bench.specs import SplitName
 
@@ -154,6 +154,21 @@ class BatchOrder:
         """The steps ``start`` ... ``stop - 1``."""
         for step in range(start, stop):
             yield self.batch(step)
+
+    def mixed_batch(self, step: int, losses: Float[np.ndarray, " n"], share: float) -> Int[np.ndarray, " b"]:
+        """A batch of which a share is drawn by the triplets' latest losses, once every triplet has one.
+
+        Args:
+            losses: Latest loss of each triplet, NaN for one not yet seen.
+            share: Of the batch; the rest goes on evenly through the epochs.
+        """
+        if not share or np.isnan(losses).any():
+            return self.batch(step)
+        hard = int(share * self.batch_size)
+        generator = np.random.default_rng(np.random.SeedSequence([self.seed, step]))
+        bounds = np.cumsum(np.sqrt(losses))
+        drawn = np.searchsorted(bounds, generator.random(hard) * bounds[-1], side="right")
+        return np.concatenate([self.batch(step)[hard:], np.minimum(drawn, self.triplets - 1)])
 
     def _epoch_order(self, epoch: int) -> Int[np.ndarray, " n"]:
         if epoch != self._epoch:

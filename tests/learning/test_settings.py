@@ -32,7 +32,7 @@ def test_each_key_goes_to_the_config_that_has_it() -> None:
         ("transform=rotation", "translation, affine"),
         ("agent_entries=2", "1, 3"),
         ("learning_rate=-1", "above zero"),
-        ("schedule=linear", "one-cycle"),
+        ("schedule=steps", "one-cycle"),
     ],
 )
 def test_a_wrong_setting_is_named(setting: str, sentence: str) -> None:

@@ -149,7 +149,12 @@ class VideoReader:
 
 
 class VideoWriter:
-    """An MP4 file of frames at a steady rate; whole after ``close``."""
+    """An MP4 file of frames at a steady rate; whole after ``close``.
+
+    Attributes:
+        count: Frames given so far.
+        bytes: That the encoder has given back so far.
+    """
 
     def __init__(self, path: Path, codec: Codec, *, fps: Fraction, height: int, width: int) -> None:
         av = pyav("writing a LeRobot data set")
@@ -158,14 +163,14 @@ class VideoWriter:
         self._container = av.open(str(path), "w")
         self._stream = self._container.add_stream(codec.encoder, rate=fps, options=dict(codec.options))
         self._stream.height, self._stream.width, self._stream.pix_fmt = height, width, codec.pixels
-        self._stream.time_base = 1 / fps
-        self.count = 0
+        self._stream.codec_context.time_base = self._unit = 1 / fps
+        self.count = self.bytes = 0
 
     def write(self, frames: UInt8[np.ndarray, "t h w 3"]) -> None:
         """Append frames."""
         for image in frames:
             frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
-            frame.pts, frame.time_base = self.count, self._stream.time_base
+            frame.pts, frame.time_base = self.count, self._unit
             self._mux(self._stream.encode(frame))
             self.count += 1
 
@@ -176,4 +181,5 @@ class VideoWriter:
 
     def _mux(self, packets: Any) -> None:
         for packet in packets:
+            self.bytes += packet.size
             self._container.mux(packet)

@@ -9,12 +9,11 @@ and the parsing of channels and schemas are that package's own.
 from __future__ import annotations
 
 import struct
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Final, Protocol, cast
+from typing import IO, Final, cast
 
 import lz4.frame
 import zstandard
@@ -25,6 +24,7 @@ from mcap.records import Channel, Schema
 
 from dmotion_bench.errors import RecordingImportError, RecordingTruncated
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
+from dmotion_bench.storage.imports.spans import Broken, Cut, Inflated, Readable, Span
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD_HEAD: Final = struct.Struct("<BQ")
@@ -58,72 +58,6 @@ class RawMessage:
     topic: TopicInfo
     log_ns: int
     data: bytes
-
-
-class _Readable(Protocol):
-    def read(self, size: int, /) -> bytes: ...
-
-
-class _Cut(Exception):
-    """The bytes end before they should."""
-
-
-class _Broken(Exception):
-    """The bytes cannot be what a writer meant."""
-
-
-class _Span:
-    """The next ``length`` bytes of a source, and never one more.
-
-    Args:
-        source: Where they come from.
-        length: How many there are.
-        seek: Moves the source ahead without reading, where it can.
-    """
-
-    def __init__(self, source: _Readable, length: int, seek: Callable[[int], object] | None = None) -> None:
-        self._source, self._seek = source, seek
-        self.left = length
-        self.crc: int | None = None  # a number: the checksum of what was read
-
-    def read(self, size: int = -1, /) -> bytes:
-        """At most ``size`` bytes; empty at the end of the span."""
-        data = self._source.read(self.left if size < 0 else min(size, self.left))
-        self.left -= len(data)
-        if self.crc is not None:
-            self.crc = zlib.crc32(data, self.crc)
-        return data
-
-    def exactly(self, size: int) -> bytes:
-        """``size`` bytes."""
-        if size > self.left:
-            raise _Cut
-        data = self.read(size)
-        while len(data) < size:
-            more = self.read(size - len(data))
-            if not more:
-                raise _Cut
-            data += more
-        return data
-
-    def skip(self) -> None:
-        """Go to the span's end."""
-        if self._seek is not None and self.crc is None:
-            self._seek(self.left)
-            self.left = 0
-        while self.left:
-            self.exactly(min(self.left, MIB))
-
-    def part(self, length: int) -> _Span:
-        """The next bytes as a span of their own, to be used up before this one is read on."""
-        if length > self.left:
-            raise _Cut
-        return _Span(self, length, None if self._seek is None or self.crc is not None else self._ahead)
-
-    def _ahead(self, distance: int) -> None:
-        assert self._seek is not None
-        self._seek(distance)
-        self.left -= distance
 
 
 class McapFile:
@@ -171,18 +105,18 @@ class McapFile:
         schemas: dict[int, Schema] = {}
         size = self.path.stat().st_size
         with self.path.open("rb") as file:
-            whole = _Span(file, size, lambda distance: file.seek(distance, 1))
+            whole = Span(file, size, lambda distance: file.seek(distance, 1))
             try:
                 whole.exactly(len(MAGIC))
                 yield from self._walk(whole, topics, channels, schemas)
-            except _Cut:
+            except Cut:
                 if self.salvage:
                     return
                 raise RecordingTruncated(
                     f"{str(self.path)!r} is cut off: it ends in the middle of a record, after {size:,} bytes; "
                     "import what stands before the cut with '--salvage'."
                 ) from None
-            except (_Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError, zstandard.ZstdError) as error:
+            except (Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError, zstandard.ZstdError) as error:
                 self._damaged(file.tell(), error)
             except RuntimeError as error:  # all that lz4 raises
                 self._damaged(file.tell(), error)
@@ -195,7 +129,7 @@ class McapFile:
             ) from None
 
     def _walk(
-        self, span: _Span, topics: frozenset[str], channels: dict[int, TopicInfo], schemas: dict[int, Schema]
+        self, span: Span, topics: frozenset[str], channels: dict[int, TopicInfo], schemas: dict[int, Schema]
     ) -> Iterator[RawMessage]:
         while True:
             opcode, length = RECORD_HEAD.unpack(span.exactly(RECORD_HEAD.size))
@@ -213,7 +147,7 @@ class McapFile:
 
     def _walk_chunk(
         self,
-        inside: _Span,
+        inside: Span,
         crc: int,
         topics: frozenset[str],
         channels: dict[int, TopicInfo],
@@ -228,12 +162,12 @@ class McapFile:
                 if message is not None:
                     yield message
                 body.skip()
-        except _Cut:
-            raise _Broken("a chunk holds less than it declares") from None
+        except Cut:
+            raise Broken("a chunk holds less than it declares") from None
         if crc and inside.crc != crc:
-            raise _Broken("a chunk's checksum does not match its content")
+            raise Broken("a chunk's checksum does not match its content")
 
-    def _chunk(self, body: _Span) -> tuple[int, _Span]:
+    def _chunk(self, body: Span) -> tuple[int, Span]:
         _, _, declared, crc = CHUNK_HEAD.unpack(body.exactly(CHUNK_HEAD.size))
         compression = _short_string(body)
         (stored,) = struct.unpack("<Q", body.exactly(8))
@@ -246,10 +180,10 @@ class McapFile:
         packed = body.part(stored)
         if compression == "":
             if stored != declared:
-                raise _Broken("an uncompressed chunk declares another size than it has")
+                raise Broken("an uncompressed chunk declares another size than it has")
             return crc, packed
         if compression == "zstd":
-            source: _Readable = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW).stream_reader(
+            source: Readable = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW).stream_reader(
                 cast("IO[bytes]", packed)
             )
         elif compression == "lz4":
@@ -259,12 +193,12 @@ class McapFile:
                 f"{str(self.path)!r} is compressed with {compression[:20]!r}; known are 'zstd' and 'lz4'. "
                 "Convert it with 'mcap compress --compression zstd'."
             )
-        return crc, _Inflated(source, declared)
+        return crc, Inflated(source, declared)
 
     def _record(
         self,
         opcode: int,
-        body: _Span,
+        body: Span,
         topics: frozenset[str],
         channels: dict[int, TopicInfo],
         schemas: dict[int, Schema],
@@ -273,7 +207,7 @@ class McapFile:
             number, _, log_ns, _ = MESSAGE_HEAD.unpack(body.exactly(MESSAGE_HEAD.size))
             topic = channels.get(number)
             if topic is None:
-                raise _Broken(f"a message belongs to channel {number}, which is never described")
+                raise Broken(f"a message belongs to channel {number}, which is never described")
             if topic.topic not in topics:
                 return None
             if body.left > self.limits.message_bytes:
@@ -282,7 +216,7 @@ class McapFile:
                     f"{self.limits.message_bytes // MIB} MiB that one may have."
                 )
             if log_ns > LATEST:
-                raise _Broken(f"a message on {topic.topic!r} has the impossible time {log_ns} ns")
+                raise Broken(f"a message on {topic.topic!r} has the impossible time {log_ns} ns")
             return RawMessage(topic, log_ns, body.exactly(body.left))
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(self._small(body, schemas, channels))
@@ -291,13 +225,13 @@ class McapFile:
             channel = Channel.read(self._small(body, schemas, channels))
             described = _describe(channel, schemas.get(channel.schema_id))
             if channels.setdefault(channel.id, described).topic != channel.topic:
-                raise _Broken(f"channel {channel.id} is described twice, differently")
+                raise Broken(f"channel {channel.id} is described twice, differently")
         return None
 
-    def _small(self, body: _Span, schemas: dict[int, Schema], channels: dict[int, TopicInfo]) -> ReadDataStream:
+    def _small(self, body: Span, schemas: dict[int, Schema], channels: dict[int, TopicInfo]) -> ReadDataStream:
         held = sum(len(schema.data) for schema in schemas.values()) + 256 * len(channels)
         if body.left > self.limits.schema_bytes or held > 4 * self.limits.schema_bytes:
-            raise _Broken("its schemas are larger than any real ones")
+            raise Broken("its schemas are larger than any real ones")
         return ReadDataStream(BytesIO(body.exactly(body.left)))
 
     def _summary_topics(self) -> list[TopicInfo]:
@@ -315,42 +249,25 @@ class McapFile:
             if opcode != Opcode.FOOTER or file.read(len(MAGIC)) != MAGIC or not 0 < start < size - tail:
                 return []
             file.seek(start)
-            span = _Span(file, size - start, lambda distance: file.seek(distance, 1))
+            span = Span(file, size - start, lambda distance: file.seek(distance, 1))
             try:
                 for _ in self._walk(span, frozenset(), channels, schemas):
                     pass
-            except (_Cut, _Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError):
+            except (Cut, Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError):
                 return []
         return list(channels.values())
 
 
-class _Inflated(_Span):
-    """What a chunk inflates to, stopped where it grows beyond its declared size."""
-
-    def __init__(self, source: _Readable, declared: int) -> None:
-        super().__init__(source, declared)
-        self._beyond = source
-        self._checked = False
-
-    def read(self, size: int = -1, /) -> bytes:
-        data = super().read(size)
-        if not self.left and not self._checked:
-            self._checked = True
-            if self._beyond.read(1):
-                raise _Broken("a chunk inflates to more than it declares")
-        return data
-
-
-def _short_string(body: _Span) -> str:
+def _short_string(body: Span) -> str:
     (length,) = struct.unpack("<I", body.exactly(4))
     if length > 256:
-        raise _Broken("a compression's name is longer than any real one")
+        raise Broken("a compression's name is longer than any real one")
     return body.exactly(length).decode()
 
 
 def _describe(channel: Channel, schema: Schema | None) -> TopicInfo:
     if channel.schema_id and schema is None:
-        raise _Broken(f"channel {channel.id} names schema {channel.schema_id}, which is never given")
+        raise Broken(f"channel {channel.id} names schema {channel.schema_id}, which is never given")
     return TopicInfo(
         channel.topic,
         channel.message_encoding,

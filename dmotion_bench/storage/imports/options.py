@@ -1,0 +1,89 @@
+"""What an import is asked for, and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.storage.imports.fitting import Fit
+from dmotion_bench.storage.imports.limits import ImportLimits
+from dmotion_bench.storage.imports.recording import Clock
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """How recordings become episodes.
+
+    Attributes:
+        camera: Topic (MCAP) or feature (LeRobot) of the pictures; None for the only one there is.
+        actions: Topic or feature of the actions; None imports the video alone.
+        size: Side of a frame [px].
+        hz: Frames a second.
+        fit: What becomes of a picture that is not square.
+        clock: Which time counts as the time of a frame.
+        max_gap_s: A longer time without a picture ends an episode [s]; None: see ``timeline.resample``.
+        min_frames: A shorter episode is left out.
+        frames_per_episode: A longer one is cut into equal parts.
+        seed: Of the split into training, validation and test.
+        salvage: Take what stands before the damage in a damaged file.
+        limits: What a file may make us do.
+    """
+
+    camera: str | None = None
+    actions: str | None = None
+    size: int = 128
+    hz: float = 10.0
+    fit: Fit = Fit.CROP
+    clock: Clock = Clock.LOG
+    max_gap_s: float | None = None
+    min_frames: int = 3
+    frames_per_episode: int = 100
+    seed: int = 0
+    salvage: bool = False
+    limits: ImportLimits = field(default_factory=ImportLimits)
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("size", 8, 4096),
+            ("hz", 0.01, 1000),
+            ("min_frames", 3, 1_000_000),
+            ("frames_per_episode", 3, 1_000_000),
+            ("seed", 0, 2**63 - 1),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InvalidSetting(f"{name} is {value}; allowed is {low} ... {high}.")
+        if self.max_gap_s is not None and not self.max_gap_s > 0:
+            raise InvalidSetting(f"max_gap_s is {self.max_gap_s}; a gap is longer than 0 s.")
+        if self.min_frames > self.frames_per_episode:
+            raise InvalidSetting(
+                f"min_frames is {self.min_frames}, more than the {self.frames_per_episode} frames_per_episode."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportReport:
+    """What came of it.
+
+    Attributes:
+        path: The data set.
+        episodes, frames: That it has.
+        source_frames: Pictures in the recordings.
+        source_height, source_width: Of the pictures [px].
+        source_hz: Pictures a second in the longest recording.
+        repeated: Frames that show the same picture as the one before, as the camera was slower than asked for.
+        left_out: Frames of episodes that were too short.
+        actions: Names of the actions, none without labels.
+    """
+
+    path: Path
+    episodes: int
+    frames: int
+    source_frames: int
+    source_height: int
+    source_width: int
+    source_hz: float
+    repeated: int
+    left_out: int
+    actions: tuple[str, ...]

@@ -28,7 +28,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 from jaxtyping import UInt8
 
-from dmotion_bench.errors import UsageError
+from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.statistics import PixelCounts, Summary, of_numbers
 from dmotion_bench.storage.video import H264, Codec, VideoReader, VideoWriter
@@ -87,6 +87,15 @@ class _Placed:
     file: int
     first: int
     summaries: Mapping[str, Summary]
+
+
+def has_labels(dataset: Dataset) -> bool:
+    """Whether the data set's labels are there."""
+    try:
+        dataset.states(0)
+    except LabelsNotAvailable:
+        return False
+    return True
 
 
 def export_lerobot(

@@ -1,0 +1,131 @@
+"""``dmbench data import``: recordings of other systems become a data set."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dmotion_bench.errors import UnknownName
+
+if TYPE_CHECKING:
+    from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
+
+
+def register(data: typer.Typer) -> None:
+    """Add the command to the group ``data``."""
+    data.command("import")(data_import)
+
+
+def data_import(
+    recordings: Annotated[
+        list[Path], typer.Argument(help="MCAP files, folders of such, or folders of LeRobot data sets (v3).")
+    ],
+    camera: Annotated[
+        str | None, typer.Option(help="Topic (MCAP) or feature (LeRobot) of the pictures; the only one if left out.")
+    ] = None,
+    actions: Annotated[
+        str | None,
+        typer.Option(help="Topic or feature of discrete actions, kept apart as labels; video alone if left out."),
+    ] = None,
+    size: Annotated[int, typer.Option(min=8, max=4096, help="Side of a frame in pixels.")] = 128,
+    hz: Annotated[float, typer.Option(min=0.01, max=1000, help="Frames a second.")] = 10.0,
+    fit: Annotated[
+        str, typer.Option(metavar="[crop|pad|stretch]", help="What becomes of a picture that is not square.")
+    ] = "crop",
+    clock: Annotated[
+        str, typer.Option(metavar="[log|header]", help="Time of a frame: when it was logged, or its own time stamp.")
+    ] = "log",
+    max_gap: Annotated[
+        float | None,
+        typer.Option(help="Seconds without a picture that end an episode; 2.5 of the camera's intervals if left out."),
+    ] = None,
+    min_frames: Annotated[int, typer.Option(min=3, help="Shorter episodes are left out.")] = 3,
+    frames_per_episode: Annotated[int, typer.Option(min=3, help="Longer episodes are cut into equal parts.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Of the split into training, validation and test.")] = 0,
+    salvage: Annotated[
+        bool, typer.Option("--salvage", help="Take what stands before the damage in a damaged file.")
+    ] = False,
+    max_chunk: Annotated[int, typer.Option(min=1, help="MiB that one chunk of a file may inflate to.")] = 1024,
+    out: Annotated[Path | None, typer.Option(help="The data set's folder; data/imported-NAME if left out.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Make a data set of MCAP recordings (foxglove, ROS 2) or of LeRobot data sets.
+
+    Times and sizes are looked through first; nothing is left behind when a recording cannot be imported.
+    """
+    from dmotion_bench.storage.imports.fitting import Fit
+    from dmotion_bench.storage.imports.limits import MIB, ImportLimits
+    from dmotion_bench.storage.imports.options import ImportOptions
+    from dmotion_bench.storage.imports.recording import Clock
+    from dmotion_bench.workspace import Workspace
+
+    for option, given, allowed in (("fit", fit, list(Fit)), ("clock", clock, list(Clock))):
+        if given not in allowed:
+            raise UnknownName(option, given, [str(choice) for choice in allowed])
+    options = ImportOptions(
+        camera=camera,
+        actions=actions,
+        size=size,
+        hz=hz,
+        fit=Fit(fit),
+        clock=Clock(clock),
+        max_gap_s=max_gap,
+        min_frames=min_frames,
+        frames_per_episode=frames_per_episode,
+        seed=seed,
+        salvage=salvage,
+        limits=ImportLimits(chunk_bytes=max_chunk * MIB),
+    )
+    folder = out or Workspace.current().data / f"imported-{_plain(recordings[0])}"
+    report = _import_with_progress(recordings, folder, options)
+    if as_json:
+        typer.echo(json.dumps(dataclasses.asdict(report) | {"path": str(report.path)}))
+    else:
+        typer.echo(_summary(report, options))
+
+
+def _import_with_progress(recordings: list[Path], folder: Path, options: ImportOptions) -> ImportReport:
+    from dmotion_bench.cli.progress import progress_bar
+    from dmotion_bench.storage.imports.importing import import_recordings
+
+    with progress_bar() as bar:
+        task = bar.add_task("importing", total=None, status="")
+
+        def progress(what: str, done: int, total: int) -> None:
+            bar.update(task, description=what, completed=done, total=total)
+
+        return import_recordings(recordings, folder, options, progress)
+
+
+def _plain(path: Path) -> str:
+    """A file's name as a folder's name: letters, digits, dots, dashes."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", path.resolve().name.removesuffix(".mcap")).strip("-.") or "recording"
+
+
+def _summary(report: ImportReport, options: ImportOptions) -> str:
+    lines = [
+        f"{report.path}",
+        f"  {report.episodes} episodes, {report.frames} frames of {options.size}x{options.size} pixels at "
+        f"{options.hz:g} Hz, from {report.source_frames} pictures of {report.source_width}x{report.source_height} at "
+        f"{report.source_hz:.1f} Hz",
+    ]
+    if report.repeated:
+        lines.append(
+            f"  {report.repeated} frames repeat the one before, as no newer picture had come; "
+            "a lower '--hz' has fewer of them"
+        )
+    if report.left_out:
+        lines.append(f"  {report.left_out} frames are left out: their episodes were too short, or had no action yet")
+    if report.actions:
+        lines.append(f"  actions, held out as labels: {', '.join(report.actions)}")
+    if report.episodes < 3:
+        lines.append("  too few episodes to train, validate and test: cut them shorter with '--frames-per-episode'")
+    lines.append(
+        f"Look at it with 'dmbench view {report.path}', train on it with 'dmbench train dmotion --data {report.path}'."
+    )
+    return "\n".join(lines)

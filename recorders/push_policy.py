@@ -6,7 +6,7 @@ a third of the steps move an object, and an episode ends after some 40 frames be
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +17,6 @@ TOWARD = 0.7
 CHOOSE_ANEW = 0.15
 
 
-@runtime_checkable
 class Pushing(Protocol):
     """What the policy needs to know beyond ``Environment``."""
 
@@ -34,17 +33,26 @@ class PushPolicy:
 
     def __call__(self, env: Environment, generator: np.random.Generator) -> int:
         """The next action; ``env`` must also be ``Pushing``."""
-        assert isinstance(env, Pushing)
-        legal = np.flatnonzero(env.legal_actions())
-        objects = env.objects().position[:, :2]
-        present = np.flatnonzero(~np.isnan(objects[:, 0]))
+        legal: list[int] = np.flatnonzero(env.legal_actions()).tolist()
+        objects = env.objects().position
+        present: list[int] = np.flatnonzero(~np.isnan(objects[:, 0])).tolist()
         if self._target not in present or generator.random() < CHOOSE_ANEW:
-            self._target = int(generator.choice(present)) if len(present) else None
+            self._target = present[int(generator.random() * len(present))] if present else None
         if self._target is not None and generator.random() < TOWARD:
-            way = objects[self._target] - env.agent().position[0, :2]
-            gain = env.moves[legal] @ way
+            x, y = (objects[self._target, :2] - env.agent().position[0, :2]).tolist()
+            moves = cast(Pushing, env).moves.tolist()
             # The longer leg more often than the other, so that the way is no fixed zigzag.
-            weights = np.clip(gain, 0.0, None) ** 2
-            if weights.sum() > 0:
-                return int(generator.choice(legal, p=weights / weights.sum()))
-        return int(generator.choice(legal))
+            weights = [max(0.0, moves[action][0] * x + moves[action][1] * y) ** 2 for action in legal]
+            if sum(weights) > 0:
+                return legal[_drawn(weights, generator.random())]
+        return legal[int(generator.random() * len(legal))]
+
+
+def _drawn(weights: list[float], number: float) -> int:
+    """An index with a probability in proportion to its weight, by a number in [0, 1)."""
+    left = number * sum(weights)
+    for index, weight in enumerate(weights):
+        left -= weight
+        if left < 0:
+            return index
+    return max(range(len(weights)), key=weights.__getitem__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from recorders.table_lattice import Lattice, TableTop
 from recorders.variation import Factor
 
-TABLE = TableTop(size=(0.55, 0.62), center=(0.495, 0.0), edge_gap=0.02, gap=0.012)
+TABLE = TableTop(size=(0.55, 0.62), center=(0.495, 0.0), edge_gap=0.03, gap=0.012)
 TABLE_COLOR = (0.80, 0.72, 0.60)
 TABLE_THICKNESS = 0.03  # [m], as drawn
 

@@ -1,0 +1,207 @@
+"""The environment ``planar_push``: pushing seen from straight above, the fast step between the paper's two.
+
+Nothing hides anything and light changes no colour, so that what ``robot_push`` adds (perspective, shading, an arm in
+the way) can be told from what pushing alone asks of a model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import gymnasium
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
+from recorders.planar_push.drawing import Stamp, View, stamp
+from recorders.planar_push.shapes import SHAPES, circle, rectangle
+from recorders.planar_push.table_physics import Piece, PlanarPhysics
+from recorders.pushing import ACTIONS, Drift, PushingEnvironment, colored_objects
+from recorders.table_lattice import Lattice, Place, TableTop
+from recorders.variation import Factor
+
+TABLE = TableTop(size=(0.52, 0.52), center=(0.0, 0.0), edge_gap=0.03, gap=0.012)
+LATTICE = Lattice(
+    places=(13, 13),
+    origin=(-0.24, -0.24),
+    step=0.04,  # 8 pixels
+    moves=((0, 1), (0, -1), (-1, 0), (1, 0)),
+)
+DISC = circle(0.025)
+DRIFTING, DRIFT_SPEED = circle(0.03), 0.02  # distractors: [m], [m] a step
+TABLE_COLOR, FLOOR_COLOR = (214, 196, 168), (236, 239, 243)
+DISC_COLOR, DRIFTING_COLOR = (35, 35, 40), (150, 150, 150)
+
+FACTORS = (
+    Factor(name="friction", usual=0.5, low=0.25, high=0.9, each=True, meaning="an object's friction on the table"),
+    Factor(name="mass", usual=0.15, low=0.05, high=0.6, each=True, meaning="an object's mass [kg]"),
+    Factor(name="colour", usual=0, low=-15, high=15, each=True, meaning="turn of an object's hue [deg]"),
+    Factor(name="light", usual=1, low=0.8, high=1.05, meaning="brightness of the whole picture"),
+    Factor(name="camera", usual=0, low=-10, high=10, meaning="turn of the camera about its axis [deg]"),
+    Factor(
+        name="distractors",
+        usual=0,
+        low=0,
+        high=3,
+        whole=True,
+        meaning="number of grey discs that drift over the table and touch nothing",
+    ),
+)
+
+
+class PlanarPush(PushingEnvironment):
+    """A dark disc pushes flat shapes over a table; 128x128 pixels of 5 mm, four directions, 8 pixels a step.
+
+    Args:
+        objects: How many objects there are, 1 to 6; they are red, green, blue, yellow, magenta, cyan.
+        shapes: Their shapes in this order, separated by commas; repeated where there are fewer than objects.
+        vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
+        friction, mass, colour, light, camera, distractors: Values of these factors, the same in every episode;
+            None: the usual ones.
+        render_mode: Gymnasium's; None or ``"rgb_array"``.
+    """
+
+    def __init__(
+        self,
+        *,
+        objects: int = 6,
+        shapes: str = ",".join(SHAPES),
+        vary: str | Iterable[str] = (),
+        friction: float | None = None,
+        mass: float | None = None,
+        colour: float | None = None,
+        light: float | None = None,
+        camera: float | None = None,
+        distractors: int | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        super().__init__(
+            facts=EnvSpec(
+                id="planar_push",
+                actions=ACTIONS,
+                agent=ObjectSpec(name="disc", shape="circle", color=DISC_COLOR),
+                objects=colored_objects(objects, shapes, SHAPES),
+                agent_has_color=True,
+                push_threshold=3e-3,
+            ),
+            factors=FACTORS,
+            lattice=LATTICE,
+            vary=vary,
+            fixed={
+                "friction": friction,
+                "mass": mass,
+                "colour": colour,
+                "light": light,
+                "camera": camera,
+                "distractors": distractors,
+            },
+            render_mode=render_mode,
+        )
+        self._shapes = [SHAPES[one.shape] for one in self.facts.objects]
+        self._physics = PlanarPhysics(size=TABLE.size, disc=DISC.radius)
+        self._look: tuple[float, float] | None = None
+
+    def agent(self) -> ObjectStates:
+        """The disc."""
+        place = np.array([self.lattice.at(self._place)])
+        return self._states(place, np.zeros(1))
+
+    def objects(self) -> ObjectStates:
+        """The shapes; z is 0, and nothing hides anything."""
+        return self._object_states
+
+    def _states(self, places: Float[np.ndarray, "k 2"], angles: Float[np.ndarray, " k"]) -> ObjectStates:
+        nothing = 0 * angles  # NaN for one that is gone
+        return ObjectStates(
+            position=np.column_stack([places, nothing]),
+            orientation=np.stack([nothing, nothing, np.sin(angles / 2), np.cos(angles / 2)], axis=-1),
+            pixel=self._view.project(places),
+            visible=(~np.isnan(angles)).astype(np.float64),
+        )
+
+    def _begin(self, placement: np.random.Generator, distraction: np.random.Generator) -> Place:
+        spots, place = TABLE.scatter(
+            [shape.radius for shape in self._shapes], pusher=DISC.radius, lattice=self.lattice, generator=placement
+        )
+        turns = placement.uniform(-np.pi, np.pi, len(self._shapes))
+        pieces = [
+            Piece(
+                shape=shape,
+                mass=self._factor("mass", one.name),
+                friction=self._factor("friction", one.name),
+                position=(float(x), float(y)),
+                angle=float(turn),
+            )
+            for one, shape, (x, y), turn in zip(self.facts.objects, self._shapes, spots, turns, strict=True)
+        ]
+        self._physics.build(pieces, self.lattice.at(place))
+        reach = TABLE.size[0] / 2 - DRIFTING.radius
+        self._drift = Drift(distraction, int(self._factor("distractors")), reach=(reach, reach), speed=DRIFT_SPEED)
+        self._colors = [self._lit(255 * np.asarray(self._color(one))) for one in self.facts.objects]
+        look = (self._factor("camera"), self._factor("light"))
+        if look != self._look:
+            self._look = look
+            self._view = View(size=self.facts.height, turn=look[0])
+            self._table = self._empty_table()
+            self._discs: dict[Place, Stamp | None] = {}
+        self._drawn = np.full((len(self._shapes), 3), np.nan)
+        self._stamps: list[Stamp | None] = [None] * len(self._shapes)
+        self._still: tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]] | None = None
+        return place
+
+    def _push(self, goal: tuple[float, float]) -> None:
+        self._physics.move(goal)
+
+    def _terminated(self) -> bool:
+        return bool(self._physics.fallen.any())
+
+    def _draw(self) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
+        poses = np.column_stack([self._physics.positions, self._physics.angles])
+        moved = np.flatnonzero((poses != self._drawn).any(axis=-1) & ~(np.isnan(poses) & np.isnan(self._drawn)).any(-1))
+        for index in moved:
+            gone = self._physics.fallen[index]
+            self._stamps[index] = None if gone else self._stamp_of(int(index), poses[index])
+        self._drawn = poses
+        self._object_states = self._states(poses[:, :2], poses[:, 2])
+        if self._still is None or len(moved) or self._factor("distractors"):
+            self._still = self._draw_objects()
+        frame, masks = self._still[0].copy(), self._still[1].copy()
+        if self._place not in self._discs:
+            place = np.asarray(self.lattice.at(self._place))
+            self._discs[self._place] = stamp(self._view, DISC, place, 0.0, self._lit(np.asarray(DISC_COLOR)))
+        disc = self._discs[self._place]
+        if disc is not None:
+            disc.lay(frame)
+            masks[disc.window][disc.inside] = MASK_AGENT
+        return frame, masks
+
+    def _draw_objects(self) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
+        frame, masks = self._table.copy(), np.zeros(self._table.shape[:2], np.uint8)
+        for place in self._drift.places(self._moment):
+            drifting = stamp(self._view, DRIFTING, place, 0.0, self._lit(np.asarray(DRIFTING_COLOR)))
+            if drifting is not None:
+                drifting.lay(frame)
+        for index, one in enumerate(self._stamps):
+            if one is not None:
+                one.lay(frame)
+                masks[one.window][one.inside] = MASK_FIRST_OBJECT + index
+        return frame, masks
+
+    def _stamp_of(self, index: int, pose: Float[np.ndarray, "3"]) -> Stamp | None:
+        return stamp(self._view, self._shapes[index], pose[:2], float(pose[2]), self._colors[index])
+
+    def _empty_table(self) -> UInt8[np.ndarray, "h w 3"]:
+        frame = np.empty((self.facts.height, self.facts.width, 3), np.uint8)
+        frame[:] = np.asarray(self._lit(np.asarray(FLOOR_COLOR)), np.uint8)
+        table = stamp(self._view, rectangle(*TABLE.size), np.zeros(2), 0.0, self._lit(np.asarray(TABLE_COLOR)))
+        if table is not None:
+            table.lay(frame)
+        return frame
+
+    def _lit(self, color: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
+        """A colour (RGB, 0-255) under this episode's light."""
+        red, green, blue = np.rint(np.clip(self._factor("light") * color, 0, 255))
+        return float(red), float(green), float(blue)
+
+
+gymnasium.register(id="dmbench/PlanarPush-v0", entry_point="recorders.planar_push:PlanarPush")

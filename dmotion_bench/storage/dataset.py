@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int, UInt8
 
-from dmotion_bench.errors import DatasetCorrupt, DatasetIncomplete, LabelsNotAvailable, UnknownName, UsageError
+from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable, UnknownName, UsageError
 from dmotion_bench.specs import Episode, EpisodeLabels, SplitName
 from dmotion_bench.storage.frame_cache import FrameCache, build_cache, open_cache
 from dmotion_bench.storage.manifest import Manifest
@@ -22,7 +22,6 @@ from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, read_states, 
 from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
 from dmotion_bench.storage.tables import EPISODES, TASKS, read_episodes, read_tasks
 from dmotion_bench.storage.tasks import ControlTask
-from dmotion_bench.storage.writer import record_command
 
 CACHE = "cache"
 
@@ -56,12 +55,7 @@ class Dataset:
             DatasetVersionUnknown: It is of another version of the format.
             DatasetCorrupt: Its tables are damaged, or a video shard is missing or cut off.
         """
-        manifest = Manifest.read(path)
-        if not manifest.complete:
-            raise DatasetIncomplete(
-                f"the recording of {str(path)!r} was not finished; "
-                f"go on with it: '{record_command(manifest.recipe, path)}'."
-            )
+        manifest = Manifest.read_complete(path)
         try:
             rows = read_episodes(path, manifest)
         except DamagedFile as damage:

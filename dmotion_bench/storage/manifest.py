@@ -11,12 +11,13 @@ import dataclasses
 import hashlib
 import json
 import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from dmotion_bench.errors import DatasetCorrupt, DatasetMissing, DatasetVersionUnknown
+from dmotion_bench.errors import DatasetCorrupt, DatasetIncomplete, DatasetMissing, DatasetVersionUnknown
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectSpec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.shard import FileFacts
@@ -118,6 +119,31 @@ class Manifest:
                 f"{str(path)!r} cannot be read: {error}; restore it from a copy, or record the data set anew with "
                 f"'dmbench record' into another folder."
             ) from None
+
+    @classmethod
+    def read_complete(cls, dataset: Path) -> Manifest:
+        """The manifest of a data set whose recording was finished.
+
+        Raises:
+            DatasetIncomplete: It was not; and what ``read`` raises.
+        """
+        manifest = cls.read(dataset)
+        if not manifest.complete:
+            raise DatasetIncomplete(
+                f"the recording of {str(dataset)!r} was not finished; "
+                f"go on with it: '{record_command(manifest.recipe, dataset)}'."
+            )
+        return manifest
+
+
+def record_command(recipe: DatasetRecipe, dataset: Path) -> str:
+    """The command that completes a data set."""
+    if recipe.environment == "imported":
+        return "dmbench data import"
+    return (
+        f"dmbench record {recipe.environment} --episodes {recipe.episodes} --frames {recipe.frames} "
+        f"--tasks {recipe.tasks} --seed {recipe.seed} --out {shlex.quote(str(dataset))}"
+    )
 
 
 def _checked(raw: bytes, dataset: Path) -> object:

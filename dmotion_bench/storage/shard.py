@@ -226,7 +226,7 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
     masks = {one.values.get("episode"): one for one in sections if one.name == "masks"}
     rows, found = list[EpisodeRow](), list[tuple[Candidate, ...]]()
     for section in videos:
-        row = _row(section, index)
+        row = episode_row(section, index)
         possible: tuple[Candidate, ...] = ()
         if has_labels:
             number = section.values["episode"]
@@ -251,7 +251,8 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
     )
 
 
-def _row(section: Section, index: int) -> EpisodeRow:
+def episode_row(section: Section, index: int) -> EpisodeRow:
+    """What a section of a video file says of its episode; where its labels are, it does not know."""
     values: Mapping[str, str] = section.values
     if section.name != "episode":
         raise DamagedFile(f"holds a section {section.name!r} where an episode was expected")

@@ -9,10 +9,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
-import fcntl
 import os
-import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -20,7 +18,8 @@ from typing import Self
 from dmotion_bench.errors import DatasetError, RecipeMismatch, StorageFull, UsageError
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode
 from dmotion_bench.storage.atomic import remove_leftovers
-from dmotion_bench.storage.manifest import Manifest, ShardEntry
+from dmotion_bench.storage.lock import lock_folder
+from dmotion_bench.storage.manifest import Manifest, ShardEntry, record_command
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.shard import (
     LABELS,
@@ -59,16 +58,6 @@ def storage_full_explained(dataset: Path) -> Iterator[None]:
         ) from None
 
 
-def record_command(recipe: DatasetRecipe, dataset: Path) -> str:
-    """The command that completes a data set."""
-    if recipe.environment == "imported":
-        return "dmbench data import"
-    return (
-        f"dmbench record {recipe.environment} --episodes {recipe.episodes} --frames {recipe.frames} "
-        f"--tasks {recipe.tasks} --seed {recipe.seed} --out {shlex.quote(str(dataset))}"
-    )
-
-
 class DatasetWriter:
     """The one writer of a data set's folder; leave its ``with`` block and another may write.
 
@@ -99,7 +88,7 @@ class DatasetWriter:
                     f"{str(path)!r} is not empty and holds no data set; name another folder with '--out DIR'."
                 )
             path.mkdir(parents=True, exist_ok=True)
-            lock = _lock(path)
+            lock = lock_folder(path)
             try:
                 receipts: list[ShardReceipt] = []
                 if existing:
@@ -146,8 +135,13 @@ class DatasetWriter:
         """Take note of a shard that another process has written."""
         self._receipts[receipt.index] = receipt
 
-    def finish(self, *, salvaged: bool = False) -> Manifest:
-        """Write the tables and declare the data set complete; every shard must be there."""
+    def finish(self, *, salvaged: bool = False, made_with: Mapping[str, str] | None = None) -> Manifest:
+        """Write the tables and declare the data set complete; every shard must be there.
+
+        Args:
+            salvaged: Whether episodes were lost on the way here.
+            made_with: The versions of packages to state; those of this process if left out.
+        """
         if self.missing:
             raise DatasetError(f"{len(self.missing)} shards of {str(self.path)!r} are still missing.")
         receipts = [self._receipts[index] for index in range(shard_count(self.recipe))]
@@ -163,7 +157,7 @@ class DatasetWriter:
                 spec=self.spec,
                 complete=True,
                 salvaged=salvaged,
-                versions=versions(_PACKAGES),
+                versions=made_with or versions(_PACKAGES),
                 tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
                 shards=tuple(
                     ShardEntry(episodes=len(one.rows), frames=one.frames, video=one.video, labels=one.labels)
@@ -186,21 +180,6 @@ class DatasetWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _lock(path: Path) -> int:
-    """Hold the folder for this process; the system lets go of it however the process ends."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise DatasetError(
-            f"another dmbench is recording into {str(path)!r}; wait for it, or name another folder with '--out DIR'."
-        ) from None
-    except OSError:
-        pass  # a file system without locks: what is written is atomic in any case
-    return handle
 
 
 def _check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path: Path) -> None:

@@ -1,0 +1,146 @@
+"""``dmbench data``: look at a data set, check it, mend it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+group = typer.Typer(help="Look at a data set, check it, mend it.", no_args_is_help=True)
+
+DatasetFolder = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[DIR]", help="The data set; the only one of the workspace if left out.", show_default=False
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group of commands."""
+    app.add_typer(group, name="data")
+
+
+@group.command()
+def info(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
+    """What a data set is: how it was made, how large it is, its splits."""
+    from dmotion_bench.storage.summary import summarize
+    from dmotion_bench.workspace import Workspace
+
+    summary = summarize(Workspace.current().dataset(dataset))
+    if as_json:
+        typer.echo(json.dumps(summary))
+        return
+    for name, text in _lines(summary):
+        typer.echo(f"{name:12s} {text}")
+
+
+def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    recipe, frame = summary["recipe"], summary["frame"]
+    drawn = "".join(f", {key} {recipe[key]}" for key in ("parameters", "vary") if recipe[key])
+    lines = [
+        ("data set", f"{summary['dataset']} ({summary['format']})"),
+        ("made by", f"{recipe['environment']}, policy {recipe['policy']}, seed {recipe['seed']}{drawn}"),
+        ("frames", f"{frame['width']}x{frame['height']} pixels, {1e9 / frame['step_ns']:g} a second"),
+        ("actions", ", ".join(summary["actions"]) or "unknown"),
+        ("objects", ", ".join(summary["objects"]) or "unknown"),
+    ]
+    if not summary["complete"]:
+        shards = -(-recipe["episodes"] // recipe["shard_episodes"])
+        lines.append(("state", f"not finished: {summary['shards_done']} of {shards} shards are there"))
+        return [*lines, ("go on with", summary["go_on_with"])]
+    per_frame = (summary["video_bytes"] + summary["labels_bytes"]) / summary["frames"]
+    split = ", ".join(f"{count} {name}" for name, count in summary["split"].items())
+    sizes = (("video", "video_bytes"), ("labels", "labels_bytes"), ("cache", "cache_bytes"))
+    return [
+        *lines,
+        ("episodes", f"{summary['episodes']}: {split}; {summary['frames']} frames in {summary['shards']} shards"),
+        ("labels", summary["labels"]),
+        (
+            "size",
+            ", ".join(f"{name} {_size(summary[key])}" for name, key in sizes) + f"; {per_frame:.0f} bytes a frame",
+        ),
+        ("state", "repaired; episodes were lost" if summary["salvaged"] else "complete"),
+        ("fingerprint", summary["fingerprint"]),
+        ("made with", ", ".join(f"{name} {version}" for name, version in summary["versions"].items())),
+    ]
+
+
+def _size(count: int) -> str:
+    return f"{count / 2**20:.1f} MiB" if count >= 2**20 else f"{count / 2**10:.1f} KiB"
+
+
+@group.command()
+def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
+    """Read every byte of a data set and compare it with what was recorded."""
+    from dmotion_bench.errors import DatasetCorrupt
+    from dmotion_bench.storage.check import check_dataset
+    from dmotion_bench.workspace import Workspace
+
+    folder = Workspace.current().dataset(dataset)
+    with _progress("checking") as show:
+        report = check_dataset(folder, show)
+    recipe = report.manifest.recipe
+    frames = sum(shard.frames for shard in report.manifest.shards)
+    if as_json:
+        damages = [{"file": damage.file, "what": damage.what} for damage in report.damages]
+        whole = {"dataset": str(folder), "sound": not damages, "damages": damages, "labels": report.labels}
+        typer.echo(json.dumps(whole | {"episodes": recipe.episodes, "frames": frames}))
+    else:
+        for damage in report.damages:
+            typer.echo(f"{damage.file} {damage.what}")
+    if report.damages:
+        raise DatasetCorrupt(
+            f"{str(folder)!r} is damaged in {len(report.damages)} places; mend it with 'dmbench data repair {folder}'."
+        )
+    if not as_json:
+        typer.echo(f"{folder} is sound: {recipe.episodes} episodes, {frames} frames, labels {report.labels}.")
+
+
+@group.command()
+def repair(
+    dataset: DatasetFolder = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that record lost shards anew.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Mend a data set: record lost shards anew from the recipe, or else keep all that can be read."""
+    from dmotion_bench.recording.executor import local_executor
+    from dmotion_bench.recording.restore import repair_dataset
+    from dmotion_bench.workspace import Workspace
+
+    folder = Workspace.current().dataset(dataset)
+    with _progress("checking") as show:
+        done = repair_dataset(folder, local_executor(workers), show)
+    lost = list(done.salvaged.lost) if done.salvaged else []
+    if as_json:
+        result = {"dataset": str(folder), "how": done.how, "shards": list(done.shards), "episodes_lost": lost}
+        typer.echo(json.dumps(result | {"original": str(done.salvaged.original) if done.salvaged else None}))
+    elif done.salvaged:
+        typer.echo(
+            f"{folder} could not be recorded anew; {len(done.salvaged.kept)} episodes were kept and {len(lost)} are "
+            f"lost. The damaged original is {done.salvaged.original}: delete it when you do not need it."
+        )
+    elif done.how == "restored":
+        anew = f"{len(done.shards)} shards were recorded anew, " if done.shards else "its tables were made anew, "
+        typer.echo(f"{folder} is restored: {anew}byte for byte as they were.")
+    else:
+        typer.echo(f"{folder} is sound; nothing was changed.")
+
+
+def _progress(what: str) -> Any:
+    """A progress bar on stderr, as a context that gives a function of (done, total)."""
+    import contextlib
+    from collections.abc import Callable, Iterator
+
+    from dmotion_bench.cli.progress import progress_bar
+
+    @contextlib.contextmanager
+    def shown() -> Iterator[Callable[[int, int], None]]:
+        with progress_bar() as bar:
+            task = bar.add_task(what, total=None, status="shards")
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+
+    return shown()

@@ -1,0 +1,91 @@
+"""Mending a data set by the road that loses least.
+
+A shard is a function of the recipe, so a damaged one is recorded anew and put in its place if it has the very
+bytes that ``dataset.json`` says it had. Where that cannot be done (an imported recording, an environment that is
+not installed or draws differently now), the episodes that can still be read are salvaged.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from dmotion_bench.errors import PackageNotInstalled, UsageError
+from dmotion_bench.recording.executor import Executor, SerialExecutor
+from dmotion_bench.recording.session import ShardJob, record_shard
+from dmotion_bench.registry import environment_names
+from dmotion_bench.storage.atomic import sync_folder
+from dmotion_bench.storage.check import CheckReport, check_dataset
+from dmotion_bench.storage.repair import Salvaged, held, rebuild_tables, salvage
+from dmotion_bench.storage.shard import LABELS, VIDEO, shard_path
+from dmotion_bench.storage.writer import storage_full_explained
+
+_STAGING = "repairing"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repaired:
+    """What a repair did.
+
+    Attributes:
+        how: ``"sound"``: there was nothing to do; ``"restored"``: all is as it was recorded, byte for byte;
+            ``"salvaged"``: episodes were lost.
+        shards: Those that were recorded anew.
+        salvaged: What was kept and lost, if anything was lost.
+    """
+
+    how: Literal["sound", "restored", "salvaged"]
+    shards: tuple[int, ...] = ()
+    salvaged: Salvaged | None = None
+
+
+def repair_dataset(
+    path: Path,
+    executor: Executor | None = None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Repaired:
+    """Check a data set and mend what is damaged.
+
+    Args:
+        path: Its folder.
+        executor: Who records shards anew; this process by default.
+        on_progress: Called with the number of shards that are checked, and of all.
+    """
+    report = check_dataset(path, on_progress)
+    lost = report.shards if report.labels != "missing" else tuple(range(len(report.manifest.shards)))
+    if not report.damages and not lost:
+        return Repaired(how="sound")
+    if lost and not _record_anew(report, lost, executor or SerialExecutor()):
+        return Repaired(how="salvaged", salvaged=salvage(path)) if report.damages else Repaired(how="sound")
+    if any(damage.shard is None for damage in report.damages):
+        rebuild_tables(path, report.manifest)
+    return Repaired(how="restored", shards=lost)
+
+
+def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor) -> bool:
+    """Replace shards by ones that the recipe makes, if those have the same bytes; all of them or none."""
+    manifest, path = report.manifest, report.dataset
+    if manifest.salvaged or manifest.recipe.environment not in environment_names():
+        return False
+    staging = path / _STAGING
+    with held(path), storage_full_explained(path):
+        shutil.rmtree(staging, ignore_errors=True)
+        try:
+            jobs = [ShardJob(dataset=staging, recipe=manifest.recipe, spec=manifest.spec, index=one) for one in shards]
+            for receipt in executor.map_unordered(record_shard, jobs):
+                entry = manifest.shards[receipt.index]
+                if (receipt.video, receipt.labels) != (entry.video, entry.labels):
+                    return False
+            for kind in (VIDEO, LABELS):
+                (path / kind).mkdir(exist_ok=True)
+                for index in shards:
+                    shard_path(staging, kind, index).replace(shard_path(path, kind, index))
+                sync_folder(path / kind)
+        except (PackageNotInstalled, UsageError):  # the environment cannot be made here
+            return False
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+    return True

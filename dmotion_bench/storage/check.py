@@ -1,0 +1,140 @@
+"""Is a data set what was recorded? Every file's hash, every chunk's checksum, the tables against the shards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from dmotion_bench.errors import DatasetCorrupt
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.manifest import Manifest, ShardEntry
+from dmotion_bench.storage.mcap_reader import DamagedFile
+from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, FileFacts, file_facts, scan_shard, shard_path
+from dmotion_bench.storage.tables import EPISODES, TASKS, read_episodes, read_tasks
+
+LabelsState = Literal["present", "missing", "none"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Damage:
+    """Something that is not as it was recorded.
+
+    Attributes:
+        file: Relative to the data set's folder.
+        shard: The shard it belongs to; None for a table.
+        what: Says what is wrong with the file: "is missing".
+    """
+
+    file: str
+    shard: int | None
+    what: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckReport:
+    """The outcome of a check.
+
+    Attributes:
+        dataset: The folder.
+        manifest: What should be there.
+        damages: What is wrong, empty for a sound data set.
+        labels: Whether ``labels/`` is there, was taken away as a whole, which is allowed, or never was.
+    """
+
+    dataset: Path
+    manifest: Manifest
+    damages: tuple[Damage, ...]
+    labels: LabelsState
+
+    @property
+    def shards(self) -> tuple[int, ...]:
+        """The numbers of the damaged shards."""
+        return tuple(sorted({damage.shard for damage in self.damages if damage.shard is not None}))
+
+
+def labels_state(dataset: Path, manifest: Manifest) -> LabelsState:
+    """Whether a data set has labels, never had, or has lost them altogether."""
+    if all(shard.labels is None for shard in manifest.shards):
+        return "none"
+    return "present" if any((dataset / LABELS).glob("*.mcap")) else "missing"
+
+
+def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _done, _total: None) -> CheckReport:
+    """Read everything that a data set holds.
+
+    Args:
+        path: Its folder.
+        on_progress: Called with the number of shards that are checked, and of all.
+    """
+    manifest = Manifest.read_complete(path)
+    labels = labels_state(path, manifest)
+    damages = list(_table_damages(path, manifest))
+    rows = _rows(path, manifest)
+    for index, entry in enumerate(manifest.shards):
+        on_progress(index, len(manifest.shards))
+        files = [(VIDEO, entry.video), (LABELS, entry.labels if labels == "present" else None)]
+        found = [one for kind, facts in files if facts is not None for one in _file_damage(path, kind, index, facts)]
+        found = found or list(_content_damages(path, manifest, rows, index, entry, labels))
+        damages += found
+    on_progress(len(manifest.shards), len(manifest.shards))
+    return CheckReport(dataset=path, manifest=manifest, damages=tuple(damages), labels=labels)
+
+
+def _rows(path: Path, manifest: Manifest) -> list[EpisodeRow] | None:
+    try:
+        return read_episodes(path, manifest)
+    except DamagedFile:
+        return None
+
+
+def _table_damages(path: Path, manifest: Manifest) -> Iterator[Damage]:
+    try:
+        lengths = Dataset(path, manifest, read_episodes(path, manifest)).lengths
+    except DamagedFile as damage:
+        yield Damage(file=EPISODES, shard=None, what=str(damage))
+        return
+    try:
+        read_tasks(path, manifest, lengths)
+    except DamagedFile as damage:
+        yield Damage(file=TASKS, shard=None, what=str(damage))
+
+
+def _file_damage(path: Path, kind: str, index: int, facts: FileFacts) -> Iterator[Damage]:
+    file = shard_path(path, kind, index)
+    name = f"{kind}/{file.name}"
+    if not file.is_file():
+        yield Damage(file=name, shard=index, what="is missing")
+    elif file.stat().st_size != facts.size:
+        yield Damage(file=name, shard=index, what=f"has {file.stat().st_size} bytes instead of {facts.size}")
+    elif file_facts(file) != facts:
+        yield Damage(file=name, shard=index, what="has other bytes than were recorded")
+
+
+def _content_damages(
+    path: Path, manifest: Manifest, rows: list[EpisodeRow] | None, index: int, entry: ShardEntry, labels: LabelsState
+) -> Iterator[Damage]:
+    """What is wrong with a shard whose hashes are right: the writer's fault, or a forged dataset.json."""
+    name = f"{VIDEO}/{shard_path(path, VIDEO, index).name}"
+    try:
+        receipt = scan_shard(path, manifest.spec, index)
+    except DamagedFile as damage:
+        yield Damage(file=name, shard=index, what=str(damage))
+        return
+    if (len(receipt.rows), receipt.frames) != (entry.episodes, entry.frames):
+        yield Damage(file=name, shard=index, what="holds other episodes than dataset.json says")
+    if rows is None:
+        return
+    listed = [row for row in rows if row.shard == index]
+    if labels != "missing" and listed != list(receipt.rows):
+        yield Damage(file=name, shard=index, what=f"holds other episodes than {EPISODES} says")
+    dataset = Dataset(path, manifest, rows)
+    for row in listed:
+        try:
+            dataset.video(row.episode)
+            if labels == "present" and row.states.size:
+                dataset.labels(row.episode)
+        except DatasetCorrupt as error:
+            yield Damage(file=name, shard=index, what=f"cannot be read: {error}")
+            return

@@ -1,0 +1,157 @@
+"""Mending a data set from what is left of it; the original stays until the new one is whole.
+
+``rebuild_tables`` makes the tables again from sound shards. ``salvage`` keeps every episode that can be read to
+its last frame: of a truncated file each complete chunk is read, in the order of the file, which is what the
+official reader's ``NonSeekingReader(log_time_order=False)`` would yield. Recording lost shards anew from the
+recipe, which loses nothing, is ``dmotion_bench.recording.restore``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable
+from dmotion_bench.storage.check import labels_state
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.lock import lock_folder
+from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections
+from dmotion_bench.storage.shard import (
+    LABELS,
+    VIDEO,
+    EpisodeRow,
+    Footage,
+    episode_row,
+    scan_shard,
+    shard_path,
+    shard_range,
+)
+from dmotion_bench.storage.tables import read_episodes
+from dmotion_bench.storage.writer import DatasetWriter
+
+_UNFINISHED = ".repairing"
+_ORIGINAL = ".damaged"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Salvaged:
+    """What a salvage gave.
+
+    Attributes:
+        kept: The episodes that could be read, by their old numbers.
+        lost: Those that could not.
+        original: Where the damaged data set was moved to.
+    """
+
+    kept: tuple[int, ...]
+    lost: tuple[int, ...]
+    original: Path
+
+
+@contextlib.contextmanager
+def held(path: Path) -> Iterator[None]:
+    """Nobody else writes into the folder meanwhile."""
+    lock = lock_folder(path)
+    try:
+        yield
+    finally:
+        os.close(lock)
+
+
+def rebuild_tables(path: Path, manifest: Manifest) -> None:
+    """Make ``episodes.parquet`` and ``tasks.parquet`` again; all shards must be sound.
+
+    Raises:
+        DamagedFile: A shard is not.
+    """
+    receipts = [scan_shard(path, manifest.spec, index) for index in range(len(manifest.shards))]
+    with DatasetWriter(path, manifest.recipe, manifest.spec, receipts, lock_folder(path)) as writer:
+        writer.finish(salvaged=manifest.salvaged, made_with=manifest.versions)
+
+
+def salvage(path: Path) -> Salvaged:
+    """Put what can be read into a new data set in the old one's place, and the old one beside it.
+
+    Raises:
+        DatasetCorrupt: Nothing can be read, or an earlier repair's original is still there.
+    """
+    path = path.resolve()
+    manifest = Manifest.read_complete(path)
+    original = path.with_name(f"{path.name}{_ORIGINAL}")
+    if original.exists():
+        raise DatasetCorrupt(
+            f"{str(original)!r}, the original of an earlier repair, is still there; move or delete it, then run "
+            f"'dmbench data repair {path}' again."
+        )
+    with held(path):
+        listed = list(_listed_episodes(path, manifest))
+        damaged = Dataset(path, manifest, listed)
+        labelled = labels_state(path, manifest) == "present"
+        kept = [place for place in range(len(listed)) if _readable(damaged, place, labelled)]
+        if not kept:
+            raise DatasetCorrupt(
+                f"not one episode of {str(path)!r} can be read; record it anew with 'dmbench record' "
+                "into another folder, or restore it from a copy."
+            )
+        unfinished = path.with_name(f"{path.name}{_UNFINISHED}")
+        shutil.rmtree(unfinished, ignore_errors=True)
+        recipe = dataclasses.replace(manifest.recipe, episodes=len(kept))
+        with DatasetWriter.create_or_resume(unfinished, recipe, manifest.spec) as writer:
+            for index in writer.missing:
+                places = [kept[number] for number in shard_range(recipe, index)]
+                writer.write_shard(index, (_footage(damaged, place, labelled) for place in places))
+            writer.finish(salvaged=True)
+        path.rename(original)
+        unfinished.rename(path)
+    numbers = {listed[place].episode for place in kept}
+    return Salvaged(
+        kept=tuple(sorted(numbers)),
+        lost=tuple(number for number in range(manifest.recipe.episodes) if number not in numbers),
+        original=original,
+    )
+
+
+def _listed_episodes(path: Path, manifest: Manifest) -> Iterator[EpisodeRow]:
+    """Where episodes should be: as the table says, or, without it, as the shards say of themselves."""
+    try:
+        yield from read_episodes(path, manifest)
+    except DamagedFile:
+        for index in range(len(manifest.shards)):
+            labels = {
+                (one.name, one.values.get("episode")): one.span for one in _sections(shard_path(path, LABELS, index))
+            }
+            for section in _sections(shard_path(path, VIDEO, index)):
+                with contextlib.suppress(DamagedFile):
+                    row = episode_row(section, index)
+                    number = section.values["episode"]
+                    states, masks = (labels.get((name, number), row.states) for name in ("states", "masks"))
+                    yield dataclasses.replace(row, states=states, masks=masks)
+
+
+def _sections(file: Path) -> list[Section]:
+    return list_sections(file, salvage=True) if file.is_file() else []
+
+
+def _readable(dataset: Dataset, place: int, labelled: bool) -> bool:
+    try:
+        _footage(dataset, place, labelled)
+    except (DatasetCorrupt, LabelsNotAvailable):
+        return False
+    return True
+
+
+def _footage(dataset: Dataset, place: int, labelled: bool) -> Footage:
+    row = dataset.rows[place]
+    return Footage(
+        frames=dataset.video(place),
+        labels=dataset.labels(place) if labelled else None,
+        seed=row.seed,
+        ended=row.ended,
+        start_ns=row.start_ns,
+    )

@@ -1,0 +1,54 @@
+"""What a data set is, in figures: for ``dmbench data info``, complete or not."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from dmotion_bench.storage.check import labels_state
+from dmotion_bench.storage.manifest import FORMAT, Manifest, record_command
+from dmotion_bench.storage.shard import LABELS, VIDEO
+from dmotion_bench.storage.split import split_episodes
+
+
+def summarize(path: Path) -> dict[str, Any]:
+    """The figures of a data set, as plain values.
+
+    Raises:
+        DatasetMissing, DatasetVersionUnknown, DatasetCorrupt: ``dataset.json`` cannot be read.
+    """
+    manifest = Manifest.read(path)
+    recipe, spec = manifest.recipe, manifest.spec
+    summary: dict[str, Any] = {
+        "dataset": str(path),
+        "format": FORMAT,
+        "complete": manifest.complete,
+        "salvaged": manifest.salvaged,
+        "environment": recipe.environment,
+        "recipe": dataclasses.asdict(recipe),
+        "frame": {"height": spec.height, "width": spec.width, "step_ns": spec.step_ns},
+        "actions": list(spec.actions),
+        "objects": [one.name for one in spec.objects],
+        "episodes": recipe.episodes,
+        "video_bytes": _size(path / VIDEO),
+        "labels_bytes": _size(path / LABELS),
+        "cache_bytes": _size(path / "cache"),
+        "versions": dict(manifest.versions),
+    }
+    if not manifest.complete:
+        summary["shards_done"] = len(list((path / VIDEO).glob("*.mcap")))
+        summary["go_on_with"] = record_command(recipe, path)
+        return summary
+    split = split_episodes(recipe.seed, recipe.episodes)
+    return summary | {
+        "frames": sum(shard.frames for shard in manifest.shards),
+        "shards": len(manifest.shards),
+        "labels": labels_state(path, manifest),
+        "split": {name: len(members) for name, members in split.items()},
+        "fingerprint": manifest.fingerprint,
+    }
+
+
+def _size(folder: Path) -> int:
+    return sum(file.stat().st_size for file in folder.glob("*") if file.is_file())

@@ -1,0 +1,138 @@
+"""Reports as tables for the terminal: one run in full, or many runs in a row each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from dmotion_bench.scoring.report import FigureJson, Report
+
+SHOWN_AHEAD = (1, 2, 5, 10, 15)
+"""Steps of a rollout that stand in the table of one run; the report has all of them."""
+
+WORDS = {
+    "mse": "MSE",
+    "psnr": "PSNR [dB]",
+    "ssim": "SSIM",
+    "position_error_paper": "position error, paper's [px]",
+    "position_error": "position error [px]",
+    "miss_rate": "miss rate",
+    "false_positive_rate": "false positive rate",
+    "agent_iou": "agent IoU",
+    "motion_shift_error": "motion shift error [px]",
+    "motion_probe_accuracy": "motion probe accuracy",
+    "mse_true_motion": "MSE with the true motion",
+    "motion_swap_change": "change by a swapped motion",
+    "motion_within_over_between": "motion within/between",
+}
+
+OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_rate", "rollout_mse[15]")
+
+
+def show_report(report: Report) -> None:
+    """One run in full, beside its references."""
+    console = _console()
+    beside = [name for name in ("paper", "copy_last", "agent_moves") if name in report.reference]
+    table = Table(title=_headline(report), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("figure", no_wrap=True)
+    for heading in ("mean ± std", "95% interval", "n", *beside):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, figure in report.figures.items():
+        if not _is_shown(name):
+            continue
+        others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
+        table.add_row(_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others)
+    console.print(table)
+    for name in (*beside, "rollout", "split"):
+        if name in report.remarks:
+            console.print(f"  {name}: {report.remarks[name]}")
+    console.print(f"  labels used: {report.labels['total']}; all figures in {report.run}/report/")
+
+
+def show_overview(reports: Sequence[Report]) -> None:
+    """Many runs, a row each, by data set and then by MSE; what knows nothing of learning and the paper below."""
+    console = _console()
+    for dataset in dict.fromkeys(report.dataset["name"] for report in reports):
+        here = sorted((one for one in reports if one.dataset["name"] == dataset), key=_mse)
+        table = Table(
+            title=f"{dataset}, {here[0].settings['split']} episodes",
+            title_justify="left",
+            box=SIMPLE_HEAD,
+            pad_edge=False,
+        )
+        table.add_column("run", overflow="fold")
+        table.add_column("labels", justify="right")
+        shown = [name for name in OVERVIEW if any(name in report.figures for report in here)]
+        for name in shown:
+            table.add_column(_words(name), justify="right")
+        for report in here:
+            labels = f"{report.labels['asked']} ({report.labels['total']})"
+            table.add_row(report.run, labels, *_row(report.figures, shown))
+            if "paper" in report.reference:
+                table.add_row(f"  {report.model} in the paper", "", *_row(report.reference["paper"], shown))
+        table.add_section()
+        for name in ("agent_moves", "copy_last"):
+            if name in here[0].reference:
+                table.add_row(name, "", *_row(here[0].reference[name], shown))
+        console.print(table)
+
+
+def _console() -> Console:
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:  # a file or a pipe has no edge to fold at
+        console.width = 200
+    return console
+
+
+def _headline(report: Report) -> str:
+    arch = "" if report.arch == "compact" else f" ({report.arch})"
+    return f"{report.run}: {report.model}{arch} on {report.dataset['name']}, {report.settings['split']} episodes"
+
+
+def _is_shown(name: str) -> bool:
+    if "_objects" in name or name.startswith("rollout_position_error_paper"):
+        return False
+    return not name.startswith("rollout_") or name.endswith(tuple(f"[{ahead}]" for ahead in SHOWN_AHEAD))
+
+
+def _words(name: str) -> str:
+    if name.startswith("rollout_"):
+        base, _, ahead = name.removeprefix("rollout_").rstrip("]").partition("[")
+        return f"{WORDS.get(base, base)} {ahead} ahead"
+    if name.endswith("_push"):
+        return f"{_words(name.removesuffix('_push'))}, pushes"
+    return WORDS.get(name, name)
+
+
+def _mse(report: Report) -> float:
+    figure = report.figures.get("mse")
+    return float("inf") if figure is None or figure["mean"] is None else figure["mean"]
+
+
+def _row(figures: Mapping[str, FigureJson], shown: Iterable[str]) -> list[str]:
+    return [_mean_std(figures.get(name)) for name in shown]
+
+
+def _mean_std(figure: FigureJson | None, *, short: bool = False) -> str:
+    if figure is None:
+        return ""
+    if short or figure["std"] is None:
+        return _number(figure["mean"])
+    return f"{_number(figure['mean'])} ± {_number(figure['std'])}"
+
+
+def _interval(figure: FigureJson) -> str:
+    return "" if figure["low"] is None else f"{_number(figure['low'])} to {_number(figure['high'])}"
+
+
+def _number(value: float | int | None) -> str:
+    """Three digits that mean something, never an exponent."""
+    if value is None:
+        return ""
+    size = abs(value)
+    return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.3g}" if size >= 1e-4 else "0"

@@ -68,6 +68,22 @@ class Environment(Protocol):
         """Free the simulator."""
 
 
+@runtime_checkable
+class Restorable(Protocol):
+    """An environment whose state can be put back much faster than by replaying its actions.
+
+    Offered to whoever tries things out, such as the oracle; what is recorded or judged is always replayed.
+    Continuing from a restored state should do what continuing from the original does, as nearly as the simulator can.
+    """
+
+    def snapshot(self) -> Any:
+        """The present state; fit for every environment with the same parameters that was reset with the same seed."""
+
+    def restore(self, snapshot: Any) -> None:
+        """Be in this state, with ``agent``, ``objects`` and the next ``step`` as there."""
+
+
+@runtime_checkable
 class Policy(Protocol):
     """Chooses the actions of a recording."""
 

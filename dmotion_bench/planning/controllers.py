@@ -1,0 +1,205 @@
+"""Who chooses the actions.
+
+A model with a planner is given images: the last two, and the goal. The references beside it: ``idle`` does nothing
+(1.000 by definition), ``random`` any action, ``oracle`` plans with the simulator in the model's place, ``scripted``
+(``pusher.py``) pushes by rules. Only those two are handed the simulator, through another door (``act_in``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int, UInt8
+
+from dmotion_bench.environment import Environment
+from dmotion_bench.errors import ModelContractBroken, UnknownName
+from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.planning.costs import PositionCost, make_cost
+from dmotion_bench.planning.futures import ModelFutures
+from dmotion_bench.planning.planner import Moment, Plan, Planner, make_planner
+from dmotion_bench.planning.problems import World
+from dmotion_bench.planning.simulation import Simulation, SimulatorFutures
+from dmotion_bench.specs import EnvSpec
+
+NO_ACTION = -1
+REFERENCES = ("idle", "random", "oracle", "scripted")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What is known at one control step of some tasks: images, and what the controller itself did.
+
+    Attributes:
+        previous, current: The last two images; at the start the first one twice. A step that changed nothing in the
+            picture is not counted.
+        goals: What it should look like.
+        step: How many actions were taken before.
+        blocked: Actions that left the picture as it is, since it last changed.
+        generators: See ``Moment``.
+        memory: See ``Moment``.
+    """
+
+    previous: UInt8[np.ndarray, "b h w 3"]
+    current: UInt8[np.ndarray, "b h w 3"]
+    goals: UInt8[np.ndarray, "b h w 3"]
+    step: int
+    blocked: Bool[np.ndarray, "b a"]
+    generators: tuple[np.random.Generator, ...]
+    memory: Int[np.ndarray, "b n t"] | None = None
+
+    @property
+    def moment(self) -> Moment:
+        """What a planner is told of it."""
+        return Moment(generators=self.generators, blocked=self.blocked, memory=self.memory)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """The actions to take, ``NO_ACTION`` for none, and the plan behind them if there is one."""
+
+    action: Int[np.ndarray, " b"]
+    plan: Plan | None = None
+
+
+@runtime_checkable
+class Controller(Protocol):
+    """Chooses an action for each of some tasks from what is seen of them."""
+
+    def act(self, seen: Seen) -> Decision:
+        """The next actions."""
+
+
+@runtime_checkable
+class KnowsSimulator(Protocol):
+    """A reference that may look behind the picture."""
+
+    def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
+        """The next actions."""
+
+
+class ModelController:
+    """A forward model and a planner.
+
+    Args:
+        model: Aligned; put into evaluation mode.
+        spec: What the objects look like.
+        planner: Searches what the model imagines.
+        cost: Of ``costs.COSTS``; None for what suits the model.
+        bf16: See ``ModelFutures``.
+        device: Where the model runs.
+
+    Raises:
+        ModelContractBroken: The model knows other actions than the environment.
+    """
+
+    def __init__(
+        self,
+        model: ForwardModel[Any],
+        spec: EnvSpec,
+        planner: Planner,
+        *,
+        cost: str | None = None,
+        bf16: bool | None = None,
+        device: torch.device | None = None,
+    ) -> None:
+        if model.inputs.actions != len(spec.actions):
+            raise ModelContractBroken(
+                f"the model was made for {model.inputs.actions} actions, and {spec.id!r} has {len(spec.actions)}; "
+                "plan on the data set that it was trained on."
+            )
+        self.device = device or torch.device("cpu")
+        self.model = model.to(self.device, memory_format=torch.channels_last).eval()
+        self.spec, self.planner, self.cost, self.bf16 = spec, planner, cost, bf16
+
+    def futures(self, seen: Seen) -> ModelFutures:
+        """What the model imagines from what is seen."""
+        previous, current, goals = (
+            torch.from_numpy(images).to(self.device) for images in (seen.previous, seen.current, seen.goals)
+        )
+        with torch.inference_mode():
+            cost = make_cost(self.cost, self.model, self.spec, goals)
+        return ModelFutures(self.model, cost, previous, current, bf16=self.bf16)
+
+    def act(self, seen: Seen) -> Decision:
+        """The first action of the best plan."""
+        plan = self.planner.plan(self.futures(seen), seen.moment)
+        return Decision(action=plan.action, plan=plan)
+
+
+class IdleController:
+    """Does nothing."""
+
+    def act(self, seen: Seen) -> Decision:
+        """No action."""
+        return Decision(action=np.full(len(seen.current), NO_ACTION))
+
+
+class RandomController:
+    """Any action, each as likely."""
+
+    def act(self, seen: Seen) -> Decision:
+        """One number of each task's generator."""
+        return Decision(action=np.array([generator.integers(seen.blocked.shape[1]) for generator in seen.generators]))
+
+
+class OracleController:
+    """The same planner and the same cost with the true simulator as the model.
+
+    Args:
+        spec: What the objects look like.
+        planner: Searches the simulator's futures.
+        make_env: Makes simulators to try things out in.
+    """
+
+    def __init__(self, spec: EnvSpec, planner: Planner, make_env: Callable[[], Environment]) -> None:
+        self._spec, self._planner, self._make_env = spec, planner, make_env
+        self._simulations: dict[int, Simulation] = {}
+
+    def act(self, seen: Seen) -> Decision:
+        """Not without the simulator."""
+        raise TypeError("the oracle needs the simulator")
+
+    def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
+        """The first action of the best plan."""
+        simulations = [self._simulation(place, world) for place, world in enumerate(worlds)]
+        plan = self._planner.plan(SimulatorFutures(simulations, seen.blocked.shape[1]), seen.moment)
+        return Decision(action=plan.action, plan=plan)
+
+    def _simulation(self, place: int, world: World) -> Simulation:
+        """A simulator for the tasks that come by at one place of the group, where the world is."""
+        known = self._simulations.get(place)
+        if known is None or known.problem is not world.problem:
+            env = known.env if known else self._make_env()
+            goal = torch.from_numpy(world.problem.goal_frame)[None]
+            cost, first = PositionCost(self._spec, goal), torch.zeros(1, dtype=torch.long)
+            known = self._simulations[place] = Simulation(
+                env, world.problem, lambda frame: float(cost.of_frames(torch.from_numpy(frame)[None], first))
+            )
+        known.follow(world)
+        return known
+
+
+def make_reference(
+    name: str, spec: EnvSpec, make_env: Callable[[], Environment], planner: Planner | None = None
+) -> Controller:
+    """A reference by its name.
+
+    Raises:
+        UnknownName: There is none of this name.
+    """
+    from dmotion_bench.planning.pusher import ScriptedPusher
+
+    if name == "oracle":
+        return OracleController(spec, planner or make_planner("cem"), make_env)
+    simple: dict[str, Callable[[], Controller]] = {
+        "idle": IdleController,
+        "random": RandomController,
+        "scripted": ScriptedPusher,
+    }
+    if name not in simple:
+        raise UnknownName("reference", name, REFERENCES)
+    return simple[name]()

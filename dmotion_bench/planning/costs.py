@@ -1,0 +1,126 @@
+"""How far a predicted future is from the goal.
+
+The paper (section III-C): the summed squared distances, over objects, between the centres that are found in the
+predicted frame and those in the goal image; the minimum over the horizon is the planner's business. An object that
+the goal shows and the prediction lacks costs a fixed distance. The agent does not count.
+
+Models that do not draw frames (``needs_pixels`` is False) are asked for features instead, or their states are
+compared as they are.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.model import ForwardModel, State
+from dmotion_bench.positions import PositionFinder
+from dmotion_bench.specs import EnvSpec
+
+COSTS = ("position", "pixel", "feature")
+MISSING = 0.5
+"""What a missing object costs: this share of the frame's width, as a distance."""
+
+
+@runtime_checkable
+class FeatureModel(Protocol):
+    """A model that knows what matters of its states."""
+
+    def features(self, state: State) -> Float[Tensor, "b d"]:
+        """Vectors whose distance says how different two states are."""
+
+
+@runtime_checkable
+class Cost(Protocol):
+    """The cost of some futures, each of one task."""
+
+    def __call__(self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """Zero where the goal is reached."""
+
+
+class PositionCost:
+    """The paper's: summed squared distances of the objects' centres [px^2].
+
+    Args:
+        spec: Says what the objects look like.
+        goals: The goal image of each task.
+        missing: The distance that an object costs which the goal shows and the prediction lacks [px].
+    """
+
+    def __init__(self, spec: EnvSpec, goals: UInt8[Tensor, "b h w 3"], missing: float | None = None) -> None:
+        if not spec.objects:
+            raise InvalidSetting(f"{spec.id!r} has no coloured objects to find; plan with another '--cost'.")
+        self._finder, self._objects = PositionFinder(spec), len(spec.objects)
+        self._missing = float(spec.width * MISSING if missing is None else missing)
+        wanted = self._finder.find(goals)
+        self._centre, self._wanted = wanted.centre[:, : self._objects], wanted.found[:, : self._objects]
+
+    def of_frames(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """The cost of pictures."""
+        seen = self._finder.find(frames)
+        centre, found = seen.centre[:, : self._objects], seen.found[:, : self._objects]
+        squared = (centre - self._centre[task]).square().sum(-1)
+        squared = squared.where(found, squared.new_tensor(self._missing**2))
+        return torch.where(self._wanted[task], squared, 0.0).sum(-1)
+
+    def __call__(self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """The cost of the frames that the states look like."""
+        return self.of_frames(to_pixels(model.frame(state)), task)
+
+
+class PixelCost:
+    """Mean squared difference between the predicted frame and the goal image, in [-1, 1] units; the agent counts."""
+
+    def __init__(self, goals: UInt8[Tensor, "b h w 3"]) -> None:
+        self._goals = to_model(goals)
+
+    def __call__(self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """The cost of the frames that the states look like."""
+        return (model.frame(state).float() - self._goals[task]).square().flatten(1).mean(1)
+
+
+class FeatureCost:
+    """Squared distance between a state's features and those of the goal, seen twice; the agent counts.
+
+    A model that is no ``FeatureModel`` has its states compared number by number.
+    """
+
+    def __init__(self, model: ForwardModel[Any], goals: UInt8[Tensor, "b h w 3"]) -> None:
+        images = to_model(goals)
+        self._goals = features_of(model, model.begin(images, images))
+
+    def __call__(self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """The cost of the states."""
+        return (features_of(model, state) - self._goals[task]).square().mean(1)
+
+
+def features_of(model: ForwardModel[Any], state: State) -> Float[Tensor, "b d"]:
+    """A state as a vector."""
+    if isinstance(model, FeatureModel):
+        return model.features(state).float()
+    parts = state if isinstance(state, tuple) else (state,)
+    return torch.cat([part.flatten(1).float() for part in parts], dim=1)
+
+
+def make_cost(
+    name: str | None, model: ForwardModel[Any], spec: EnvSpec, goals: UInt8[Tensor, "b h w 3"]
+) -> Cost:
+    """A cost by its name; None is the paper's for models of pixels, else features.
+
+    Raises:
+        UnknownName: There is no such cost.
+    """
+    if name is None:
+        name = "position" if model.needs_pixels and spec.objects else "feature"
+    if name == "position":
+        return PositionCost(spec, goals)
+    if name == "pixel":
+        return PixelCost(goals)
+    if name == "feature":
+        return FeatureCost(model, goals)
+    raise UnknownName("cost", name, COSTS)

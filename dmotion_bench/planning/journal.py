@@ -1,0 +1,126 @@
+"""The control loop's progress on disk, so that a killed run goes on where it was, with the same result.
+
+One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the planner
+of the unfinished group remembers. A file of another key is not taken up: it belongs to other weights, other tasks
+or another planner.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from jaxtyping import Int
+
+from dmotion_bench.planning.problems import Problem, World
+from dmotion_bench.storage.atomic import write_atomically
+
+FORMAT: Final = "dmbench-control/1"
+WRITE_EVERY: Final = 5.0  # [s]
+
+
+@dataclass(kw_only=True)
+class TaskRecord:
+    """What has happened in one task.
+
+    Attributes:
+        actions: Taken so far.
+        distance, lost: At the start and after each of them.
+        frames: Imagined for it so far.
+    """
+
+    actions: list[int] = field(default_factory=list)
+    distance: list[float] = field(default_factory=list)
+    lost: list[int] = field(default_factory=list)
+    frames: int = 0
+
+    def note(self, world: World) -> None:
+        """Take down how things stand."""
+        self.distance.append(world.distance)
+        self.lost.append(world.lost)
+
+
+class Journal:
+    """Keeps records in a file.
+
+    Args:
+        path: The file; None keeps nothing.
+        key: What decides the result, as JSON's types.
+    """
+
+    def __init__(self, path: Path | None, key: Mapping[str, Any]) -> None:
+        self._path, self._key = path, json.loads(json.dumps(key))
+        self._records: dict[int, TaskRecord] = {}
+        self._memory: dict[int, list[list[int]]] = {}
+        self._written = time.monotonic()
+        if path is not None:
+            self._read(path)
+
+    @classmethod
+    def nowhere(cls) -> Self:
+        """A journal that keeps nothing."""
+        return cls(None, {})
+
+    def records(self, problems: Sequence[Problem]) -> dict[int, TaskRecord]:
+        """What is known of some tasks that are worked on together: all at the same step, or all at the start."""
+        known = {problem.number: self._records.get(problem.number, TaskRecord()) for problem in problems}
+        if len({len(record.actions) for record in known.values()}) > 1:
+            known = {number: TaskRecord() for number in known}
+        return known
+
+    def memory(self, problems: Sequence[Problem]) -> Int[np.ndarray, "b n t"] | None:
+        """What the planner remembers of these tasks."""
+        found = [self._memory.get(problem.number) for problem in problems]
+        if any(one is None for one in found):
+            return None
+        return np.array(found, np.int64)
+
+    def write(
+        self, records: Mapping[int, TaskRecord], memory: Int[np.ndarray, "b n t"] | None, *, last: bool
+    ) -> None:
+        """Keep these records; on disk every few seconds and after a group's last step."""
+        self._records.update(records)
+        self._memory = {}
+        if memory is not None and not last:
+            self._memory = {number: own.tolist() for number, own in zip(records, memory, strict=True)}
+        if self._path is not None and (last or time.monotonic() - self._written >= WRITE_EVERY):
+            content = {
+                "format": FORMAT,
+                "key": self._key,
+                "tasks": {str(number): asdict(record) for number, record in self._records.items()},
+                "memory": {str(number): own for number, own in self._memory.items()},
+            }
+            write_atomically(self._path, json.dumps(content).encode())
+            self._written = time.monotonic()
+
+    def remove(self) -> None:
+        """Delete the file: the result stands elsewhere now."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+    def _read(self, path: Path) -> None:
+        try:
+            content = json.loads(path.read_text())
+            if content["format"] != FORMAT or content["key"] != self._key:
+                return
+            records = {int(number): _record(**fields) for number, fields in content["tasks"].items()}
+            memory = {int(number): own for number, own in content["memory"].items()}
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
+            return  # nothing, or nothing usable: begin at the beginning
+        self._records, self._memory = records, memory
+
+
+def _record(actions: list[int], distance: list[float], lost: list[int], frames: int) -> TaskRecord:
+    if not len(actions) + 1 == len(distance) == len(lost):
+        raise ValueError("a record whose parts do not fit")
+    return TaskRecord(
+        actions=[int(action) for action in actions],
+        distance=[float(value) for value in distance],
+        lost=[int(value) for value in lost],
+        frames=int(frames),
+    )

@@ -1,0 +1,140 @@
+"""The simulator's own futures: what a perfect model would imagine. For the oracle alone.
+
+A state is what leads to it, a seed and actions, so any state can be had by replay. Environments that are
+``Restorable`` are put back instead, which is much faster. Everything happens in a simulator of its own, so that the
+one that is being controlled never feels it.
+
+What has been tried is remembered: where a step moves nothing but the agent, different sequences lead to the very
+same places, and most of a plan's futures were known at the step before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.environment import Environment, Restorable
+from dmotion_bench.planning.futures import States
+from dmotion_bench.planning.problems import Problem, World, start
+
+Price = Callable[[UInt8[np.ndarray, "h w 3"]], float]
+"""The cost of a picture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A state that the simulator has been in.
+
+    Attributes:
+        actions: What leads there from the problem's start.
+        snapshot: Of the environment, where it can be restored.
+        name: Where everything is, bit by bit: places of the same name are the same.
+        cost: Of what is seen there.
+    """
+
+    actions: tuple[int, ...]
+    snapshot: Any
+    name: bytes
+    cost: float
+
+
+class Simulation:
+    """A simulator in which one problem's futures are tried out.
+
+    Args:
+        env: Used by nobody else meanwhile.
+        problem: Whose start it is brought to.
+        price: The cost of a picture.
+
+    Attributes:
+        here: Where the problem's world is.
+        tried: How many steps were simulated.
+    """
+
+    def __init__(self, env: Environment, problem: Problem, price: Price) -> None:
+        self.env, self.problem, self.tried = env, problem, 0
+        self._price = price
+        self._after: dict[tuple[bytes, int], Place] = {}
+        frame = start(env, problem)
+        self.here = self._now = _place(env, (), price(frame))
+
+    def follow(self, world: World) -> None:
+        """Be where the world is."""
+        actions = tuple(world.actions)
+        if actions == self.here.actions:
+            return
+        if isinstance(self.env, Restorable):  # a restored state may differ from the true one in its last bits
+            self.here = _place(world.env, actions, np.nan)
+        else:
+            for action in actions[len(self.here.actions) :]:
+                self.here = self.step(self.here, action)
+
+    def step(self, place: Place, action: int) -> Place:
+        """Where an action leads."""
+        known = self._after.get((place.name, action))
+        if known is None:
+            self._go(place)
+            frame = self.env.step(action)[0]
+            self.tried += 1
+            known = self._now = _place(self.env, (*place.actions, action), self._price(frame))
+            self._after[place.name, action] = known
+        if known.actions[:-1] != place.actions:  # the same place, reached on another way
+            known = Place(
+                actions=(*place.actions, action), snapshot=known.snapshot, name=known.name, cost=known.cost
+            )
+        return known
+
+    def _go(self, place: Place) -> None:
+        if self._now.name == place.name:
+            return
+        if isinstance(self.env, Restorable):
+            self.env.restore(place.snapshot)
+        else:
+            start(self.env, self.problem, place.actions)
+
+
+def _place(env: Environment, actions: tuple[int, ...], cost: float) -> Place:
+    agent, objects = env.agent(), env.objects()
+    parts = (agent.position, objects.position, objects.orientation)
+    return Place(
+        actions=actions,
+        snapshot=env.snapshot() if isinstance(env, Restorable) else None,
+        name=b"".join(np.ascontiguousarray(part).tobytes() for part in parts),
+        cost=cost,
+    )
+
+
+class SimulatorFutures:
+    """What the simulator would do; the same door as a model's.
+
+    Args:
+        simulations: One per task, each where its task stands.
+        actions: How many there are.
+    """
+
+    at_once = 64
+
+    def __init__(self, simulations: Sequence[Simulation], actions: int) -> None:
+        self._simulations = simulations
+        self.tasks, self.actions = len(simulations), actions
+        self._places = [simulation.here for simulation in simulations]
+
+    def begin(self) -> States:
+        """Numbers of places: each task's own first."""
+        return (torch.arange(self.tasks),)
+
+    def expand(
+        self, states: States, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
+    ) -> tuple[States, Float[Tensor, " n"]]:
+        """What truly comes next."""
+        first = len(self._places)
+        for number, of_task, taken in zip(states[0].tolist(), task.tolist(), action.tolist(), strict=True):
+            self._places.append(self._simulations[of_task].step(self._places[number], taken))
+        costs = torch.tensor([place.cost for place in self._places[first:]], dtype=torch.float32)
+        return (torch.arange(first, len(self._places)),), costs

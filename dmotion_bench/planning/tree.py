@@ -1,0 +1,108 @@
+"""The futures of many action sequences, with every shared beginning imagined once.
+
+Fifty sequences of five actions out of four share most of their first steps: of their 250 frames only some 150 are
+different, and a planner's later iterations meet most of its earlier prefixes again. So frames are nodes of a tree
+whose edges are actions; a node is imagined when a sequence first goes through it and is remembered from then on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from dmotion_bench.planning.futures import Futures, States
+
+
+@dataclass(kw_only=True)
+class _Level:
+    """All nodes at one depth, in the order in which they were imagined.
+
+    Attributes:
+        key: ``parent * actions + action`` of each node.
+        task: Which task it belongs to.
+        cost: Of each node.
+        chunks: Their states, in the batches in which they were imagined.
+        starts: The first node of each chunk.
+    """
+
+    key: Int[np.ndarray, " n"]
+    task: Int[np.ndarray, " n"]
+    cost: Float[np.ndarray, " n"]
+    chunks: list[States] = field(default_factory=list)
+    starts: list[int] = field(default_factory=list)
+
+    def nodes_of(self, keys: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+        """The nodes with these keys, -1 where there is none yet."""
+        if not len(self.key):
+            return np.full(len(keys), -1)
+        order = self.key.argsort(kind="stable")
+        place = np.searchsorted(self.key, keys, sorter=order).clip(max=len(order) - 1)
+        nodes: Int[np.ndarray, " m"] = np.where(self.key[order[place]] == keys, order[place], -1)
+        return nodes
+
+    def gather(self, nodes: Int[np.ndarray, " m"]) -> States:
+        """The states of nodes whose numbers do not fall."""
+        chunk = np.searchsorted(self.starts, nodes, side="right") - 1
+        parts = []
+        for index in np.unique(chunk).tolist():
+            rows = torch.from_numpy(nodes[chunk == index] - self.starts[index])
+            parts.append(tuple(tensor[rows.to(tensor.device)] for tensor in self.chunks[index]))
+        return parts[0] if len(parts) == 1 else tuple(torch.cat(tensors) for tensors in zip(*parts, strict=True))
+
+
+class FutureTree:
+    """Remembers the futures of some tasks from one moment on.
+
+    Args:
+        futures: What imagines them.
+        horizon: The length of the longest sequence; the states at its end are not kept.
+
+    Attributes:
+        frames: How many frames have been imagined.
+    """
+
+    def __init__(self, futures: Futures, horizon: int) -> None:
+        self.futures, self.horizon, self.frames = futures, horizon, 0
+        tasks = np.arange(futures.tasks)
+        root = _Level(key=tasks, task=tasks, cost=np.full(len(tasks), np.nan), chunks=[futures.begin()], starts=[0])
+        self._levels = [root] + [
+            _Level(key=np.zeros(0, np.int64), task=np.zeros(0, np.int64), cost=np.zeros(0)) for _ in range(horizon)
+        ]
+
+    def costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t"]:
+        """What each sequence of each task costs after each of its steps."""
+        if sequences.shape[2] > self.horizon:
+            raise ValueError(f"sequences of {sequences.shape[2]} actions in a tree made for {self.horizon}")
+        node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])
+        costs = np.empty(sequences.shape)
+        for depth in range(sequences.shape[2]):
+            wanted, place = np.unique(node * self.futures.actions + sequences[:, :, depth], return_inverse=True)
+            level = self._levels[depth + 1]
+            unknown = wanted[level.nodes_of(wanted) < 0]
+            if len(unknown):
+                self._imagine(depth, unknown)
+            node = level.nodes_of(wanted)[place].reshape(sequences.shape[:2])
+            costs[:, :, depth] = level.cost[node]
+        return costs
+
+    def _imagine(self, depth: int, keys: Int[np.ndarray, " n"]) -> None:
+        """Add nodes below those at ``depth``; the keys rise, so parents do not fall."""
+        above, level = self._levels[depth], self._levels[depth + 1]
+        parent, action = np.divmod(keys, self.futures.actions)
+        task, costs = above.task[parent], []
+        for start in range(0, len(keys), self.futures.at_once):
+            part = slice(start, start + self.futures.at_once)
+            states, cost = self.futures.expand(
+                above.gather(parent[part]), torch.from_numpy(task[part]), torch.from_numpy(action[part])
+            )
+            costs.append(cost.double().numpy())
+            if depth + 1 < self.horizon:
+                level.starts.append(len(level.key) + start)
+                level.chunks.append(states)
+        level.key = np.concatenate([level.key, keys])
+        level.task = np.concatenate([level.task, task])
+        level.cost = np.concatenate([level.cost, *costs])
+        self.frames += len(keys)

@@ -73,8 +73,8 @@ class MotionEncoder(nn.Module):
         self.hidden = block(w, d, 1)
         self.motion = nn.Linear(d, maps * len(identity), bias=False)
         nn.init.normal_(self.motion.weight, std=0.05)
-        self.motion.weight.rate_factor = MOTION_RATE  # type: ignore[assignment]
-        self.motion.weight.is_output = True  # type: ignore[assignment]
+        self.motion.weight.rate_factor = MOTION_RATE  # type: ignore[attr-defined]
+        self.motion.weight.is_output = True  # type: ignore[attr-defined]
         self.register_buffer("identity", identity.clone())
 
     def forward(

@@ -56,6 +56,11 @@ def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp
     return together.contiguous().permute(0, 3, 1, 2)
 
 
+def squared_error(predicted: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Float[Tensor, " b"]:
+    """Of each row, averaged over all else, in float32."""
+    return (predicted.float() - true.float()).square().flatten(1).mean(1)
+
+
 def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: float = 1.0) -> nn.Conv2d:
     """A convolution with He's initial weights times ``gain``: without normalisation they alone keep the scale."""
     layer = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2)
@@ -69,7 +74,7 @@ def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: floa
 def output(inputs: int, outputs: int) -> nn.Conv2d:
     """A 1 x 1 convolution that ends a network: small at first, and left to Adam where Muon trains the rest."""
     layer = conv(inputs, outputs, 1, gain=OUTPUT_GAIN)
-    layer.weight.is_output = True  # type: ignore[assignment]
+    layer.weight.is_output = True  # type: ignore[attr-defined]
     return layer
 
 
@@ -153,3 +158,64 @@ class CodedUNet(UNet):
             rearrange(layer(code), "b c -> b c 1 1") for layer in (self.code_in, self.code_1, self.code_2)
         )
         return self.next_frame(packed, full, half, quarter)
+
+
+class FrameEncoder(nn.Module):
+    """Packed frames to a vector.
+
+    Args:
+        inputs: The size of the frames.
+        features: Length of the vector.
+        frames: How many frames, one behind the other in the channels.
+    """
+
+    def __init__(self, inputs: ModelInputs, features: int, frames: int = 1) -> None:
+        super().__init__()
+        c, w, d = WIDTHS
+        self.convolutions = nn.Sequential(
+            block(CHANNELS * frames, c, 1),
+            block(c, w, stride=2),
+            block(w, w),
+            block(w, d, stride=2),
+            block(d, c, 1),
+        )
+        self.out = linear(c * (inputs.height // 16) * (inputs.width // 16), features)
+
+    def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b d"]:
+        vector: Tensor = self.out(rearrange(self.convolutions(packed), "b c h w -> b (h w c)"))
+        return vector
+
+
+class FrameDecoder(nn.Module):
+    """A vector to a packed frame.
+
+    Args:
+        inputs: The size of the frame.
+        features: Length of the vector.
+        hidden: Width of the layer between the vector and the smallest map.
+    """
+
+    def __init__(self, inputs: ModelInputs, features: int, hidden: int = 256) -> None:
+        super().__init__()
+        c, w, d = WIDTHS
+        self.height, self.width = inputs.height // 16, inputs.width // 16
+        gain = nn.init.calculate_gain("leaky_relu", SLOPE)
+        self.vector = nn.Sequential(
+            linear(features, hidden, gain),
+            nn.LeakyReLU(SLOPE),
+            linear(hidden, c * self.height * self.width, gain),
+            nn.LeakyReLU(SLOPE),
+        )
+        self.layers = nn.Sequential(
+            block(c, d),
+            up(d, w),
+            block(w, w),
+            up(w, c),
+            block(c, c),
+            output(c, CHANNELS),
+        )
+
+    def forward(self, vector: Float[Tensor, "b d"]) -> Float[Tensor, "b p hp wp"]:
+        smallest = rearrange(self.vector(vector), "b (h w c) -> b c h w", h=self.height, w=self.width)
+        packed: Tensor = self.layers(smallest)
+        return packed

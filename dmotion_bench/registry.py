@@ -55,11 +55,11 @@ def environment_class(name: str) -> type[Environment]:
     return loaded
 
 
-def model_class(name: str) -> type[ForwardModel]:
+def model_class(name: str) -> type[ForwardModel[Any]]:
     """The class of a model.
 
     Raises:
         UnknownName: Nothing is registered under this name.
     """
-    loaded: type[ForwardModel] = _load(MODELS, "model", name)
+    loaded: type[ForwardModel[Any]] = _load(MODELS, "model", name)
     return loaded

@@ -1,0 +1,50 @@
+"""``dmbench bench``: speeds on this machine beside their physical limits."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(bench)
+
+
+def bench(
+    only: Annotated[str, typer.Option(help="Only speeds whose name holds this text, such as train[dmotion.")] = "",
+    seconds: Annotated[float, typer.Option(min=0.1, help="How long each speed is measured.")] = 5.0,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Measure recording, loading, training and planning on this machine, beside what bounds them."""
+    from dataclasses import asdict
+
+    from dmotion_bench.benchmarks.speeds import measure
+    from dmotion_bench.cli.progress import progress_bar
+
+    with progress_bar() as bar:
+        task = bar.add_task("measuring", total=None, status="")
+        results = list(measure(only, seconds, lambda name: bar.update(task, status=name)))
+    if as_json:
+        typer.echo(json.dumps({"results": [asdict(result) for result in results]}))
+        return
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for column, side in (
+        ("what", "left"),
+        ("speed", "right"),
+        ("unit", "left"),
+        ("of limit", "right"),
+        ("limit", "left"),
+    ):
+        table.add_column(column, justify="right" if side == "right" else "left")
+    for result in results:
+        share = f"{100 * result.value / result.limit:.0f}%" if result.limit else ""
+        bound = f"{result.limit:,.0f} ({result.limit_name})" if result.limit else ""
+        table.add_row(result.name, f"{result.value:,.1f}", result.unit, share, bound)
+    Console().print(table)

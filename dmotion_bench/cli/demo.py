@@ -1,0 +1,89 @@
+"""``dmbench demo``: everything once, small: record, train, score, look."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+ENVIRONMENT = "grid_world"
+MODEL = "dmotion"
+EPISODES = 200
+EPOCHS = 5
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(demo)
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Workspace that the demo's folders are made in.")] = Path("demo"),
+    seed: Annotated[int, typer.Option(min=0, help="Decides the recording and the training.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Record Grid World, train DMotion on the video alone, score it, and write a recording for Rerun."""
+    from dmotion_bench.cli.record import record_with_progress
+    from dmotion_bench.cli.score import score_runs
+    from dmotion_bench.cli.train import train_run
+    from dmotion_bench.cli.view import save_view
+    from dmotion_bench.learning.start import TrainingRequest, open_run
+    from dmotion_bench.recording.executor import available_workers, make_executor
+    from dmotion_bench.recording.preset import recipe_for
+    from dmotion_bench.scoring.score import ScoreSettings
+    from dmotion_bench.specs import Preset
+    from dmotion_bench.storage.dataset import Dataset
+    from dmotion_bench.workspace import Workspace
+
+    began = time.monotonic()
+    workspace = Workspace(out)
+    say = (lambda _: None) if as_json else typer.echo
+
+    say(f"1/4 recording {EPISODES} episodes of {ENVIRONMENT}")
+    recipe = recipe_for(ENVIRONMENT, Preset.SMALL, episodes=EPISODES, tasks=0, seed=seed)
+    folder = workspace.data / f"{ENVIRONMENT}-demo"
+    recorded = record_with_progress(folder, recipe, make_executor("local", available_workers()))
+    say(f"    {recorded.frames} frames in {folder}")
+
+    dataset = Dataset.open(folder)
+    request = TrainingRequest(model=MODEL, seed=seed, settings=(f"epochs={EPOCHS}",))
+    run = open_run(request, dataset, workspace.runs / f"{MODEL}-demo", workspace)
+    say(f"2/4 training {MODEL} on the video, without a single action label")
+    result = train_run(run, dataset)
+    say(f"    {result['triplets']} triplets in {result['seconds']:.0f} s, {result['triplets_per_s']:.0f} triplets/s")
+    say(f"    then {result['labels_total']} labels: one demonstration of each action")
+
+    say("3/4 scoring it on episodes that it has not seen")
+    reports, failures = score_runs([run.path], ("prediction", "rollout"), ScoreSettings())
+    for sentence in failures.values():
+        raise _failed(sentence)
+
+    say("4/4 writing what it imagines for Rerun")
+    recording = workspace.root / "demo.rrd"
+    save_view(run.path, recording)
+    seconds = time.monotonic() - began
+    if as_json:
+        summary: dict[str, Any] = {
+            "dataset": str(folder),
+            "run": str(run.path),
+            "recording": str(recording),
+            "seconds": round(seconds, 1),
+            "reports": [report.summary() for report in reports],
+        }
+        typer.echo(json.dumps(summary))
+        return
+    from dmotion_bench.cli.score import show_reports
+
+    show_reports(reports)
+    minutes, rest = divmod(round(seconds), 60)
+    say(f"Done in {minutes} min {rest} s. See the model's imagination with 'rerun {recording}',")
+    say(f"or in a browser with 'dmbench view {run.path} --web'.")
+
+
+def _failed(sentence: str) -> Exception:
+    from dmotion_bench.errors import RunError
+
+    return RunError(sentence)

@@ -34,7 +34,7 @@ class FrameCache:
     """
 
     frames: UInt8[np.ndarray, "n h w 3"]
-    offsets: Int[np.ndarray, " e+1"]
+    offsets: Int[np.ndarray, " o"]  # o = e + 1
 
     def episode(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]:
         """One episode's frames, not copied."""

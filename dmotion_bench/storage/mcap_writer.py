@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -25,7 +25,6 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -45,6 +44,7 @@ CHUNK_LIMIT: Final = 16 * 2**20
 RECORD_HEAD: Final = struct.Struct("<BQ")  # opcode, length
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")  # record head, channel, sequence, log time, publish time
 CHUNK_HEAD: Final = struct.Struct("<QQQI")  # first time, last time, uncompressed size, CRC-32
+_INDEX_HEAD: Final = struct.Struct("<HI")  # channel, size of the entries
 _FOOTER_HEAD: Final = struct.Struct("<BQQQ")  # record head, the start of the summary, of the summary offsets
 
 
@@ -63,6 +63,7 @@ class Span(NamedTuple):
     size: int
 
 
+@runtime_checkable
 class Sink(Protocol):
     """Where bytes go: an open file, or something that stands in front of one."""
 
@@ -134,7 +135,12 @@ class McapWriter:
         offsets = {}
         for channel, records in index.items():
             offsets[channel] = self._position
-            self._write(_records([MessageIndex(channel_id=channel, records=records)]))
+            entries = struct.pack(f"<{2 * len(records)}Q", *(number for entry in records for number in entry))
+            self._write(
+                RECORD_HEAD.pack(Opcode.MESSAGE_INDEX, _INDEX_HEAD.size + len(entries)),
+                _INDEX_HEAD.pack(channel, len(entries)),
+                entries,
+            )
         self._chunks.append(
             ChunkIndex(
                 chunk_start_offset=chunk.offset,

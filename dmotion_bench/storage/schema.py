@@ -120,24 +120,21 @@ class MessageType:
     new: Any
 
 
-def _message_type(file: str, name: str, pool: DescriptorPool) -> MessageType:
+_POOL = DescriptorPool()
+for _name in _FILES:
+    _POOL.Add(_file(_name))
+
+
+def _message_type(file: str, name: str) -> MessageType:
     needed = list(dict.fromkeys(_closure(file)))
     descriptors = FileDescriptorSet(file=[_file(one) for one in needed]).SerializeToString(deterministic=True)
-    return MessageType(name, descriptors, GetMessageClass(pool.FindMessageTypeByName(name)))
+    return MessageType(name, descriptors, GetMessageClass(_POOL.FindMessageTypeByName(name)))
 
 
-def _pool() -> DescriptorPool:
-    pool = DescriptorPool()
-    for name in _FILES:
-        pool.Add(_file(name))
-    return pool
-
-
-_POOL = _pool()
-RAW_IMAGE: Final = _message_type("foxglove/RawImage.proto", "foxglove.RawImage", _POOL)
-ACTION: Final = _message_type("dmbench/labels.proto", "dmbench.Action", _POOL)
-STATES: Final = _message_type("dmbench/labels.proto", "dmbench.States", _POOL)
-FACTORS: Final = _message_type("dmbench/labels.proto", "dmbench.Factors", _POOL)
+RAW_IMAGE: Final = _message_type("foxglove/RawImage.proto", "foxglove.RawImage")
+ACTION: Final = _message_type("dmbench/labels.proto", "dmbench.Action")
+STATES: Final = _message_type("dmbench/labels.proto", "dmbench.States")
+FACTORS: Final = _message_type("dmbench/labels.proto", "dmbench.Factors")
 
 VIDEO_CHANNELS: Final = ((CAMERA_TOPIC, RAW_IMAGE),)
 LABEL_CHANNELS: Final = (

@@ -187,7 +187,7 @@ def write_shard(
                 labels.metadata("masks", {"episode": str(number)})
                 spans[2] = labels.chunks(encode_masks(truth.masks, start_ns, step_ns))
                 interactions = int(truth.pushed.sum())
-                possible = candidates(truth.pushed, truth.objects.position, spec.push_threshold)
+                possible = candidates(truth.objects.position, truth.pushed, spec.push_threshold)
             rows.append(
                 EpisodeRow(
                     episode=number,
@@ -233,7 +233,7 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
             if number not in states or number not in masks:
                 raise DamagedFile(f"has no labels for episode {number}")
             truth = read_states(labels_path, states[number].span, spec, row.frames)
-            possible = candidates(truth.pushed, truth.objects.position, spec.push_threshold)
+            possible = candidates(truth.objects.position, truth.pushed, spec.push_threshold)
             row = replace(
                 row,
                 states=states[number].span,

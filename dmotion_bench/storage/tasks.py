@@ -40,13 +40,13 @@ class Candidate(NamedTuple):
 
 
 def candidates(
-    pushed: Bool[np.ndarray, "t-1"], positions: Float[np.ndarray, "t k 3"], threshold: float
+    positions: Float[np.ndarray, "t k 3"], pushed: Bool[np.ndarray, "t-1"], threshold: float
 ) -> tuple[Candidate, ...]:
     """The stretches of an episode that could be tasks, the best first.
 
     Args:
-        pushed: Whether an object moved in each step.
         positions: Of the objects [m]; NaN for one that is gone.
+        pushed: Whether an object moved in each step.
         threshold: An object that is displaced by more than this counts as displaced [m].
     """
     last, gone = len(positions) - 1, np.isnan(positions[..., 0])

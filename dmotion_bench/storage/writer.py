@@ -13,7 +13,6 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Self
 
 from dmotion_bench.errors import DatasetError, RecipeMismatch, StorageFull, UsageError
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode
@@ -173,7 +172,7 @@ class DatasetWriter:
             os.close(self._lock)
             self._lock = -1
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> DatasetWriter:
         return self
 
     def __exit__(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import colorsys
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -34,6 +35,22 @@ COLORS = MappingProxyType(
     }
 )
 """The objects' colours (RGB), 60 degrees of hue apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """A state between two steps, when everything is at rest.
+
+    Attributes:
+        place: Of the pusher.
+        moment: Steps since the episode's start.
+        positions, orientations: Of the objects, as ``ObjectStates`` has them.
+    """
+
+    place: Place
+    moment: int
+    positions: Float[np.ndarray, "k 3"]
+    orientations: Float[np.ndarray, "k 4"]
 
 
 class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
@@ -131,6 +148,21 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """What each pixel's centre shows: 0 background, 1 agent, 2 + k object k."""
         return self._masks.copy()
 
+    def snapshot(self) -> Snapshot:
+        """Where everything is; all of it is at rest."""
+        objects = self.objects()
+        return Snapshot(
+            place=self._place,
+            moment=self._moment,
+            positions=objects.position.copy(),
+            orientations=objects.orientation.copy(),
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Put everything where it was; it is drawn at the next step."""
+        self._place, self._moment = snapshot.place, snapshot.moment
+        self._put(snapshot, self.lattice.at(snapshot.place))
+
     @abstractmethod
     def agent(self) -> ObjectStates:
         """The pusher's state, k = 1."""
@@ -146,6 +178,10 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     @abstractmethod
     def _push(self, goal: tuple[float, float]) -> None:
         """Move the pusher to ``goal`` [m] and wait until everything is at rest."""
+
+    @abstractmethod
+    def _put(self, snapshot: Snapshot, pusher: tuple[float, float]) -> None:
+        """Build the physics anew with everything where the snapshot has it, the pusher at ``pusher`` [m]."""
 
     @abstractmethod
     def _terminated(self) -> bool:

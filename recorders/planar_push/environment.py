@@ -16,7 +16,7 @@ from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSp
 from recorders.planar_push.drawing import Stamp, View, stamp
 from recorders.planar_push.shapes import SHAPES, circle, rectangle
 from recorders.planar_push.table_physics import Piece, PlanarPhysics
-from recorders.pushing import ACTIONS, Drift, PushingEnvironment, colored_objects
+from recorders.pushing import ACTIONS, Drift, PushingEnvironment, Snapshot, colored_objects
 from recorders.table_lattice import Lattice, Place, TableTop
 from recorders.variation import Factor
 
@@ -151,6 +151,10 @@ class PlanarPush(PushingEnvironment):
 
     def _push(self, goal: tuple[float, float]) -> None:
         self._physics.move(goal)
+
+    def _put(self, snapshot: Snapshot, pusher: tuple[float, float]) -> None:
+        angles = 2 * np.arctan2(snapshot.orientations[:, 2], snapshot.orientations[:, 3])
+        self._physics.restore(snapshot.positions[:, :2], angles, pusher)
 
     def _terminated(self) -> bool:
         return bool(self._physics.fallen.any())

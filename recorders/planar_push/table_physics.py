@@ -11,7 +11,7 @@ Lengths are centimetres inside, metres outside: Chipmunk's tolerances are made f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pymunk
@@ -79,6 +79,25 @@ class PlanarPhysics:
         self.at_rest = True
         self._place_disc(disc)
 
+    def restore(
+        self,
+        positions: Float[np.ndarray, "k 2"],
+        angles: Float[np.ndarray, " k"],
+        disc: tuple[float, float],
+    ) -> None:
+        """Be at rest with the shapes at these poses, NaN for the fallen ones, in a new world without contacts."""
+        gone = np.isnan(angles)
+        pieces = [
+            piece if fallen else replace(piece, position=(x, y), angle=angle)
+            for piece, (x, y), angle, fallen in zip(
+                self._pieces, positions.tolist(), angles.tolist(), gone, strict=True
+            )
+        ]
+        self.build(pieces, disc)
+        for index in np.flatnonzero(gone):
+            self._take_out(int(index))
+        self.positions[gone], self.angles[gone] = np.nan, np.nan
+
     def move(self, goal: tuple[float, float]) -> None:
         """Move the disc's centre to ``goal`` [m] on a straight line, and wait until all is at rest."""
         if not self.at_rest or self._touches(goal):
@@ -139,8 +158,12 @@ class PlanarPhysics:
         for index, body in enumerate(self._bodies):
             x, y = body.position
             if not self.fallen[index] and (abs(x) > self._half[0] * CM or abs(y) > self._half[1] * CM):
-                self._space.remove(body, *body.shapes, *body.constraints)
-                self.fallen[index] = True
+                self._take_out(index)
+
+    def _take_out(self, index: int) -> None:
+        body = self._bodies[index]
+        self._space.remove(body, *body.shapes, *body.constraints)
+        self.fallen[index] = True
 
     def _read_poses(self) -> None:
         for index, body in enumerate(self._bodies):

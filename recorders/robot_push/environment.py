@@ -13,8 +13,8 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from dmotion_bench.specs import MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
-from recorders.pushing import ACTIONS, Drift, PushingEnvironment, colored_objects
+from dmotion_bench.specs import MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
+from recorders.pushing import ACTIONS, Drift, PushingEnvironment, Snapshot, colored_objects
 from recorders.robot_push import panda
 from recorders.robot_push.camera import Camera
 from recorders.robot_push.renderer import ArmLayer, Light, Picture, Renderer, Sprite
@@ -118,7 +118,7 @@ class RobotPush(PushingEnvironment):
             position=self._physics.positions.copy(),
             orientation=self._physics.quaternions.copy(),
             pixel=pixel,
-            visible=self._picture.visible[: len(self._solids)].copy(),
+            visible=self._picture.visible.copy(),
         )
 
     def close(self) -> None:
@@ -161,6 +161,9 @@ class RobotPush(PushingEnvironment):
     def _push(self, goal: tuple[float, float]) -> None:
         self._physics.move(goal)
 
+    def _put(self, snapshot: Snapshot, pusher: tuple[float, float]) -> None:
+        self._physics.restore(snapshot.positions, snapshot.orientations, pusher)
+
     def _terminated(self) -> bool:
         return bool(self._physics.fallen.any())
 
@@ -170,10 +173,11 @@ class RobotPush(PushingEnvironment):
             self._sprites[index] = self._sprite(int(index), poses[index])
         self._drawn = poses
         sprites = [(sprite, MASK_FIRST_OBJECT + index) for index, sprite in enumerate(self._sprites)]
-        for x, y in self._drift.places(self._moment) + TABLE.center:
-            disc = self._renderer.sprite(DISC, np.array([x, y, 0.001]), UPRIGHT, DISC_COLOR)
-            sprites.append((disc, MASK_BACKGROUND))
-        self._picture: Picture = self._renderer.picture(self._place, sprites)
+        discs = [
+            self._renderer.sprite(DISC, np.array([x, y, 0.0]), UPRIGHT, DISC_COLOR)
+            for x, y in self._drift.places(self._moment) + TABLE.center
+        ]
+        self._picture: Picture = self._renderer.picture(self._place, sprites, discs)
         return self._picture.frame, self._picture.masks
 
     def _sprite(self, index: int, pose: Float[np.ndarray, "7"]) -> Sprite | None:

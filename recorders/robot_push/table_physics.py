@@ -74,8 +74,9 @@ def _silenced_stderr() -> Iterator[None]:
 
 def load_bullet(name: str = "pybullet") -> ModuleType:
     """A module of PyBullet, or the error that says how to get it."""
-    if name in sys.modules:
-        return sys.modules[name]
+    loaded = sys.modules.get(name)
+    if loaded is not None:
+        return loaded
     try:
         with _silenced_stderr():
             return importlib.import_module(name)
@@ -99,6 +100,10 @@ class TablePhysics:
 
     def build(self, bodies: Sequence[Body], rod: tuple[float, float]) -> None:
         """Empty the world and build it anew, with the rod's axis at ``rod`` [m]."""
+        self._build_all(bodies, rod)
+        self._rest()
+
+    def _build_all(self, bodies: Sequence[Body], rod: tuple[float, float]) -> None:
         p, client = self._bullet, self._client
         p.resetSimulation(physicsClientId=client)
         p.setGravity(0, 0, -9.81, physicsClientId=client)
@@ -110,8 +115,29 @@ class TablePhysics:
         self.positions = np.array([[*body.position, body.solid.height / 2] for body in bodies]).reshape(-1, 3)
         self.quaternions = np.array([_upright(body.yaw) for body in bodies]).reshape(-1, 4)
         self.fallen: Bool[np.ndarray, " k"] = np.zeros(len(bodies), bool)
-        self._solids = [body.solid for body in bodies]
-        self._rest()
+        self._built, self._solids = list(bodies), [body.solid for body in bodies]
+
+    def restore(
+        self, positions: Float[np.ndarray, "k 3"], quaternions: Float[np.ndarray, "k 4"], rod: tuple[float, float]
+    ) -> None:
+        """Be at rest with the solids at these poses, NaN for the fallen ones.
+
+        Bullet keeps some memory of contacts, so what follows may differ from the original in its last bits.
+        """
+        p, client = self._bullet, self._client
+        gone = np.isnan(positions[:, 0])
+        if (self.fallen & ~gone).any():
+            self._build_all(self._built, rod)
+        for index, body in enumerate(self._bodies):
+            if gone[index] and not self.fallen[index]:
+                p.removeBody(body, physicsClientId=client)
+            elif not gone[index]:
+                p.resetBasePositionAndOrientation(body, positions[index], quaternions[index], physicsClientId=client)
+        self._place_rod(rod)
+        self.positions, self.quaternions, self.fallen = positions.copy(), quaternions.copy(), gone
+        self._low, self._high = self._extents()
+        self.at_rest = True
+        self._stop()
 
     def move(self, goal: tuple[float, float]) -> None:
         """Move the rod's axis to ``goal`` [m] on a straight line, and wait until all is at rest."""
@@ -247,10 +273,14 @@ class TablePhysics:
                 break
         self._low, self._high = self._extents()
         if self.at_rest:
-            for body, gone in zip(self._bodies, self.fallen, strict=True):
-                if not gone:
-                    p.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0], physicsClientId=client)
-                    p.changeDynamics(body, -1, activationState=p.ACTIVATION_STATE_SLEEP, physicsClientId=client)
+            self._stop()
+
+    def _stop(self) -> None:
+        p, client = self._bullet, self._client
+        for body, gone in zip(self._bodies, self.fallen, strict=True):
+            if not gone:
+                p.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0], physicsClientId=client)
+                p.changeDynamics(body, -1, activationState=p.ACTIVATION_STATE_SLEEP, physicsClientId=client)
 
     def _read_poses(self) -> None:
         p, client = self._bullet, self._client

@@ -160,6 +160,8 @@ class _StatesEncoder:
 
     def encode(self, states: ObjectStates) -> list[bytes]:
         """The repeated field ``states`` of each frame's message."""
+        if not self._places.size:
+            return [b""] * len(states.visible)  # imported recordings know no objects
         parts = (states.position, states.orientation, states.pixel, states.visible[..., None])
         numbers = np.concatenate([np.asarray(part, "<f8") for part in parts], axis=-1)
         encoded = np.tile(self._pattern, (len(numbers), 1))

@@ -219,3 +219,30 @@ class FrameDecoder(nn.Module):
         smallest = rearrange(self.vector(vector), "b (h w c) -> b c h w", h=self.height, w=self.width)
         packed: Tensor = self.layers(smallest)
         return packed
+
+
+class MotionFeatures(nn.Module):
+    """Packed frames to a vector that knows what moved and how, but not where: features summed over the picture.
+
+    Args:
+        frames: How many frames, one behind the other in the channels.
+    """
+
+    length = WIDTHS[2]
+
+    def __init__(self, frames: int) -> None:
+        super().__init__()
+        c, w, d = WIDTHS
+        self.convolutions = nn.Sequential(
+            block(CHANNELS * frames, c, 1),
+            block(c, w, stride=2),
+            block(w, w),
+            block(w, w, stride=2),
+            block(w, w),
+        )
+        self.hidden = block(w, d, 1)
+
+    def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b d"]:
+        summed = self.convolutions(packed).sum((2, 3), keepdim=True) * 0.1
+        features: Tensor = self.hidden(summed).flatten(1)
+        return features

@@ -1,0 +1,76 @@
+"""E-D CNN: the next frame out of the last two and the action, end to end (after Finn, Goodfellow, Levine 2016).
+
+The paper's strongest supervised baseline. To make the comparison one of *methods*, its network is DMotion's interaction
+learner with the agent's moved map replaced by the action itself: the one-hot action, tiled, enters at the same three
+depths (settled so in docs/baselines.md; the paper gives no layers). Loss: mean squared error of the next frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from baselines.layers import CodedUNet, check_size, pack, squared_error, unpack
+from baselines.recipe import compact_recipe
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TrainingConfig, TripletBatch
+from dmotion_bench.specs import Preset, Supervision
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderDecoderConfig:
+    """Nothing is left to choose.
+
+    Attributes:
+        second_frame: Whether the network sees x_{t-1}, as in the paper.
+    """
+
+    second_frame: bool = True
+
+
+class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
+    """Predicts pixels from pixels and the action."""
+
+    supervision: ClassVar[Supervision] = Supervision.ACTIONS
+    paper: ClassVar[str] = (
+        "Finn, Goodfellow, Levine: Unsupervised Learning for Physical Interaction through Video Prediction, "
+        "NeurIPS 2016"
+    )
+    Config: ClassVar[type] = EncoderDecoderConfig
+
+    def __init__(self, config: EncoderDecoderConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        check_size("the E-D CNN", inputs)
+        self.network = CodedUNet(inputs.actions, frames=2 if config.second_frame else 1)
+
+    @classmethod
+    def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
+        """As DMotion's."""
+        return compact_recipe(preset)
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        """Squared error in [-1, 1] units, averaged over pixels and channels."""
+        assert batch.action is not None, "the loop gives labelled triplets to models of Supervision.ACTIONS"
+        predicted = self._next(batch.previous, batch.current, batch.action)
+        each = squared_error(predicted, pack(batch.next))
+        prediction = each.mean()
+        return Losses(total=prediction, terms={"prediction": prediction.detach()}, per_triplet=each.detach())
+
+    def predict(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        action: Int[Tensor, " b"],
+    ) -> Float[Tensor, "b c h w"]:
+        """The network's output."""
+        return unpack(self._next(previous, current, action)).float()
+
+    def _next(self, previous: Tensor, current: Tensor, action: Int[Tensor, " b"]) -> Float[Tensor, "b p hp wp"]:
+        frames = [pack(previous), pack(current)] if self.config.second_frame else [pack(current)]
+        code = F.one_hot(action, self.inputs.actions).to(frames[0].dtype)
+        predicted: Tensor = self.network(torch.cat(frames, dim=1), code)
+        return predicted

@@ -1,0 +1,115 @@
+"""Actions from other recorders: which one counts at which frame, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from storage.foreign import ROS, foxglove_file, ros_file, ros_image, steady, video
+
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.imports.importing import import_recordings
+from dmotion_bench.storage.imports.options import ImportOptions
+
+OPTIONS = ImportOptions(size=32, actions="/action")
+
+
+def bag(folder: Path, kind: str, values: list[Any], delay_ns: int = 5_000_000) -> Path:
+    frames, times = video(len(values) + 1), steady(len(values) + 1)
+    messages = []
+    for number, (t_ns, frame) in enumerate(zip(times, frames, strict=True)):
+        messages.append(
+            ("/camera", "sensor_msgs/msg/Image", t_ns, ros_image(t_ns, 32, 32, "rgb8", 96, frame.tobytes()))
+        )
+        if number < len(values):
+            messages.append(("/action", kind, t_ns + delay_ns, values[number]))
+    return ros_file(folder, messages)
+
+
+def imported(file: Path, folder: Path, options: ImportOptions = OPTIONS) -> Dataset:
+    import_recordings([file], folder / "out", options)
+    return Dataset.open(folder / "out")
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "names"),
+    [
+        ("std_msgs/msg/Int32", [3, 3, -1, 10], ("-1", "3", "10")),
+        ("std_msgs/msg/UInt8", [3, 3, 1, 10], ("1", "3", "10")),
+        ("std_msgs/msg/String", ["up", "up", "down", "left"], ("down", "left", "up")),
+        ("std_msgs/msg/Bool", [True, False, False, True], ("false", "true")),
+    ],
+)
+@pytest.mark.parametrize("delay_ns", [-5_000_000, 0, 5_000_000])
+def test_ros_actions(tmp_path: Path, kind: str, values: list[Any], names: tuple[str, ...], delay_ns: int) -> None:
+    dataset = imported(bag(tmp_path / "bag", kind, [{"data": value} for value in values], delay_ns), tmp_path)
+
+    assert dataset.spec.actions == names
+    spoken = [str(value).lower() if isinstance(value, bool) else str(value) for value in values]
+    assert [names[action] for action in dataset.labels(0).actions] == spoken
+    assert not dataset.labels(0).masks.any()
+
+
+def test_json_actions_hold_until_the_next(tmp_path: Path) -> None:
+    times = steady(7)
+    actions = [(times[0], "left"), (times[3], "right")]
+    file = foxglove_file(tmp_path / "a.mcap", video(7), times, actions=actions)
+    dataset = imported(file, tmp_path)
+    assert [dataset.spec.actions[action] for action in dataset.states(0).actions] == ["left"] * 3 + ["right"] * 3
+
+
+def test_what_comes_before_the_first_action_is_left_out(tmp_path: Path) -> None:
+    frames, times = video(8), steady(8)
+    file = foxglove_file(tmp_path / "a.mcap", frames, times, actions=[(times[3] + 1, 1), (times[5] + 1, 0)])
+    report = import_recordings([file], tmp_path / "out", OPTIONS)
+    dataset = Dataset.open(tmp_path / "out")
+
+    np.testing.assert_array_equal(dataset.video(0), frames[3:])
+    assert dataset.states(0).actions.tolist() == [1, 1, 0, 0]
+    assert report.left_out == 3
+
+
+def test_video_alone_opens_no_actions(tmp_path: Path) -> None:
+    times = steady(5)
+    file = foxglove_file(tmp_path / "a.mcap", video(5), times, actions=[(times[0], 1)])
+    dataset = imported(file, tmp_path, ImportOptions(size=32))
+    assert dataset.spec.actions == ()
+    assert not (dataset.path / "labels").exists()
+
+
+def twist() -> dict[str, Any]:
+    vector = ROS.types["geometry_msgs/msg/Vector3"](x=1.0, y=0.0, z=0.0)
+    return {"linear": vector, "angular": vector}
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields", "reason"),
+    [
+        ("geometry_msgs/msg/Twist", twist(), "no discrete actions; known are std_msgs"),
+        ("std_msgs/msg/Float32", {"data": 0.5}, "no discrete actions; known are std_msgs"),
+    ],
+)
+def test_ros_measurements_are_refused(tmp_path: Path, kind: str, fields: dict[str, Any], reason: str) -> None:
+    file = bag(tmp_path / "bag", kind, [fields] * 4)
+    with pytest.raises(RecordingImportError, match=reason):
+        imported(file, tmp_path)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("value", [0.25, [1, 2, 3], None, "", "a\x1b[31mb"])
+def test_json_measurements_are_refused(tmp_path: Path, value: Any) -> None:
+    times = steady(5)
+    file = foxglove_file(tmp_path / "a.mcap", video(5), times, actions=[(times[0], value)])
+    with pytest.raises(RecordingImportError, match=r"no choice out of a few.*leaving '--actions' out") as caught:
+        imported(file, tmp_path)
+    assert "\x1b" not in str(caught.value)
+
+
+def test_too_many_different_actions_are_refused(tmp_path: Path) -> None:
+    times = steady(80)
+    file = foxglove_file(tmp_path / "a.mcap", video(80), times, actions=[(t_ns, t_ns) for t_ns in times])
+    with pytest.raises(RecordingImportError, match="80 different values, more than the 64"):
+        imported(file, tmp_path)

@@ -16,6 +16,7 @@ This file is the method. The networks are in ``dmotion_paper.py``, layer by laye
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -100,7 +101,9 @@ class DMotion(ForwardModel[DMotionConfig]):
         networks = dmotion_paper if config.arch == "paper" else dmotion_compact
         self.pack, self.unpack = networks.pack, networks.unpack
         self.image_encoder = networks.ImageEncoder(config.maps)
-        self.motion_encoder = networks.MotionEncoder(config.maps, self.transform.identity())
+        self.motion_encoder = networks.MotionEncoder(
+            config.maps, self.transform.identity(), reversible=self.transform.reversible
+        )
         self.decoder = networks.Decoder(config.maps)
         self.interaction_learner = networks.InteractionLearner(
             frames=2 if config.second_frame else 1, agent_entries=config.agent_entries
@@ -231,6 +234,15 @@ class DMotion(ForwardModel[DMotionConfig]):
         if not self.training or not self.jitter or not isinstance(self.transform, Translation):
             return motion
         return motion + torch.randn_like(motion) * (self.jitter * 2 / (size - 1))
+
+
+class DMotionNoSTN(DMotion):
+    """The paper's ablation: cross convolution in place of the spatial transformer; the table holds kernels."""
+
+    @classmethod
+    def configure(cls, arch: str) -> DMotionConfig:
+        """A kernel of 27 reaches a grid cell; ``--set kernel=5`` is that of Visual Dynamics."""
+        return dataclasses.replace(super().configure(arch), transform="cross_convolution")
 
 
 def _transform(config: DMotionConfig) -> Motion:

@@ -21,7 +21,7 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baselines.layers import CHANNELS, OUTPUT_GAIN, WIDTHS, UNet, block, conv, pack, patches, unpack, up
+from baselines.layers import CHANNELS, OUTPUT_GAIN, WIDTHS, MotionTrunk, UNet, block, conv, pack, patches, unpack, up
 
 __all__ = ["Decoder", "ImageEncoder", "InteractionLearner", "MotionEncoder", "pack", "unpack"]
 
@@ -49,29 +49,21 @@ class ImageEncoder(nn.Module):
         return maps
 
 
-class MotionEncoder(nn.Module):
-    """Two packed frames to the motion of each map, bounded around the identity.
+class MotionEncoder(MotionTrunk):
+    """Two packed frames to the motion of each map.
 
     Args:
         maps: n.
         identity: The motion that moves nothing.
+        reversible: Whether going back is the negative of going there, as for transformers; then it is bounded, too.
     """
 
     identity: Tensor
 
-    def __init__(self, maps: int, identity: Float[Tensor, " d"]) -> None:
-        super().__init__()
-        c, w, d = WIDTHS
-        self.maps = maps
-        self.convolutions = nn.Sequential(
-            block(2 * CHANNELS, c, 1),
-            block(c, w, stride=2),
-            block(w, w),
-            block(w, w, stride=2),
-            block(w, w),
-        )
-        self.hidden = block(w, d, 1)
-        self.motion = nn.Linear(d, maps * len(identity), bias=False)
+    def __init__(self, maps: int, identity: Float[Tensor, " d"], reversible: bool = True) -> None:
+        super().__init__(frames=2)
+        self.maps, self.reversible = maps, reversible
+        self.motion = nn.Linear(self.length, maps * len(identity), bias=False)
         nn.init.normal_(self.motion.weight, std=0.05)
         self.motion.weight.rate_factor = MOTION_RATE  # type: ignore[attr-defined]
         self.motion.weight.is_output = True  # type: ignore[attr-defined]
@@ -80,12 +72,16 @@ class MotionEncoder(nn.Module):
     def forward(
         self, current: Float[Tensor, "b p hp wp"], following: Float[Tensor, "b p hp wp"]
     ) -> Float[Tensor, "b k d"]:
-        there_and_back = torch.cat([torch.cat(pair, dim=1) for pair in ((current, following), (following, current))])
-        summed = self.convolutions(there_and_back).sum((2, 3), keepdim=True) * 0.1
-        there, back = self.hidden(summed).flatten(1).float().chunk(2)
-        motion = rearrange(self.motion(there - back), "b (k d) -> b k d", k=self.maps)
-        bounded: Tensor = self.identity + LARGEST_SHIFT * torch.tanh(motion.float())
-        return bounded
+        there = torch.cat([current, following], dim=1)
+        if not self.reversible:
+            return self.identity + self._each_map(self.summarise(there).float())
+        back = torch.cat([following, current], dim=1)
+        going, returning = self.summarise(torch.cat([there, back])).float().chunk(2)
+        return self.identity + LARGEST_SHIFT * torch.tanh(self._each_map(going - returning))
+
+    def _each_map(self, features: Float[Tensor, "b f"]) -> Float[Tensor, "b k d"]:
+        motion: Tensor = rearrange(self.motion(features), "b (k d) -> b k d", k=self.maps)
+        return motion.float()
 
 
 class Decoder(nn.Module):

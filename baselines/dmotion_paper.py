@@ -70,9 +70,10 @@ class MotionEncoder(nn.Module):
     Args:
         maps: n.
         identity: The motion that moves nothing; the encoder gives it before training.
+        reversible: Not used here.
     """
 
-    def __init__(self, maps: int, identity: Float[Tensor, " d"]) -> None:
+    def __init__(self, maps: int, identity: Float[Tensor, " d"], reversible: bool = True) -> None:
         super().__init__()
         self.convolutions = nn.Sequential(
             _conv(6, 16, stride=2),

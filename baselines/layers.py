@@ -221,7 +221,7 @@ class FrameDecoder(nn.Module):
         return packed
 
 
-class MotionFeatures(nn.Module):
+class MotionTrunk(nn.Module):
     """Packed frames to a vector that knows what moved and how, but not where: features summed over the picture.
 
     Args:
@@ -242,7 +242,8 @@ class MotionFeatures(nn.Module):
         )
         self.hidden = block(w, d, 1)
 
-    def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b d"]:
+    def summarise(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b d"]:
+        """What moved, and how."""
         summed = self.convolutions(packed).sum((2, 3), keepdim=True) * 0.1
         features: Tensor = self.hidden(summed).flatten(1)
         return features

@@ -25,6 +25,8 @@ class Motion(Protocol):
 
     size: int
     """Numbers in one map's motion."""
+    reversible: bool
+    """Whether the motion back is the negative of the motion there."""
 
     def identity(self) -> Float[Tensor, " d"]:
         """The motion that leaves a map as it is."""
@@ -78,6 +80,7 @@ class Translation:
     """Only the two translations of theta are free: the default in both environments, as in the original."""
 
     size = 2
+    reversible = True
 
     def identity(self) -> Float[Tensor, "2"]:
         """No shift."""
@@ -95,6 +98,7 @@ class AffineMotion:
     """All six parameters of theta, row by row (Jaderberg 2015); ``blur`` is not used."""
 
     size = 6
+    reversible = True
 
     def identity(self) -> Float[Tensor, "6"]:
         """The unit matrix."""
@@ -117,6 +121,8 @@ class CrossConvolution:
     Args:
         kernel: Side of the kernel; it moves a map by at most (kernel - 1) / 2 pixels.
     """
+
+    reversible = False
 
     def __init__(self, kernel: int) -> None:
         self.kernel, self.size = kernel, kernel * kernel

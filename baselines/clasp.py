@@ -1,0 +1,173 @@
+"""CLASP (Rybkin, Pertsch et al. 2019): latent actions that are minimal and composable.
+
+A recurrent predictor is given, at each step, x_t and a latent action z_t, a Gaussian inferred from x_t and x_{t+1}.
+Two things make z an action (its section 3). The divergence from the unit Gaussian, weighted by beta, keeps out of z
+what x_t tells already. And a composition network merges the latent actions of several steps into one, nu, from which the
+predictor must reach the last frame in a single step from the first.
+
+Settled so (docs/baselines.md): sequences are the benchmark's triplets, so two latent actions are composed, and of the
+step-by-step predictions the last one is trained. Inference, predictor and decoder are of the shared backbone: the
+predictor's state enters a U-Net, whose skip connections are the original's. The alignment is a table of the mean z of
+each action's demonstrations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from baselines.action_table import ActionTable
+from baselines.gaussian import Gaussian
+from baselines.layers import (
+    SLOPE,
+    CodedUNet,
+    FrameEncoder,
+    MotionTrunk,
+    check_size,
+    linear,
+    pack,
+    squared_error,
+    unpack,
+)
+from baselines.recipe import compact_recipe
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.model import (
+    Demonstrations,
+    ForwardModel,
+    Losses,
+    ModelInputs,
+    TrainingConfig,
+    TripletBatch,
+)
+from dmotion_bench.specs import Preset, Supervision
+
+Memory = tuple[Tensor, Tensor]
+"""The predictor's hidden state and cell."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClaspConfig:
+    """The choices that the paper leaves open.
+
+    Attributes:
+        length: Numbers in a latent action.
+        beta: Weight of the divergence [per nat] of each latent action, composed ones too, against the mean squared
+            error of images in [0, 1].
+        hidden: Width of the recurrent predictor and of the composition network.
+    """
+
+    length: int = 16
+    beta: float = 2e-4
+    hidden: int = 128
+
+    def __post_init__(self) -> None:
+        if self.length < 1 or self.hidden < 1 or self.beta < 0:
+            raise InvalidSetting("length and hidden must be 1 or more, beta 0 or more.")
+
+
+class Clasp(ForwardModel[ClaspConfig]):
+    """Sees video only; the actions are named afterwards by a handful of demonstrations."""
+
+    supervision: ClassVar[Supervision] = Supervision.NONE
+    paper: ClassVar[str] = (
+        "Rybkin, Pertsch, Derpanis, Daniilidis, Jaegle: Learning what you can do before doing anything, ICLR 2019"
+    )
+    Config: ClassVar[type] = ClaspConfig
+
+    def __init__(self, config: ClaspConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        check_size("CLASP", inputs)
+        gain = nn.init.calculate_gain("leaky_relu", SLOPE)
+        self.trunk = MotionTrunk(frames=2)
+        self.moments = linear(MotionTrunk.length, 2 * config.length, 0.5)
+        self.composition = nn.Sequential(
+            linear(2 * config.length, config.hidden, gain),
+            nn.LeakyReLU(SLOPE),
+            linear(config.hidden, 2 * config.length, 0.5),
+        )
+        self.scene = FrameEncoder(inputs, config.hidden)
+        self.predictor = nn.LSTMCell(config.hidden + config.length, config.hidden)
+        self.decoder = CodedUNet(config.hidden, frames=1)
+        self.table = ActionTable(inputs.actions, config.length)
+
+    @classmethod
+    def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
+        """As DMotion's."""
+        return compact_recipe(preset)
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        """x_{t+1} step by step and in one composed step, in [-1, 1] units (four times [0, 1]'s); divergences."""
+        previous, current, following = pack(batch.previous), pack(batch.current), pack(batch.next)
+        first, second = self._infer(previous, current), self._infer(current, following)
+        drawn = [latent.sample() if self.training else latent.mean for latent in (first, second)]
+        merged = self.compose(*drawn)
+        memory = self._remember(previous, drawn[0], None)
+        stepwise, _ = self._step(current, drawn[1], memory)
+        composed, _ = self._step(previous, merged.sample() if self.training else merged.mean, None)
+        each = squared_error(stepwise, following)
+        prediction, composition = each.mean(), squared_error(composed, following).mean()
+        divergence = first.divergence() + second.divergence() + merged.divergence()
+        return Losses(
+            total=prediction + composition + 4 * self.config.beta * divergence,
+            terms={
+                "prediction": prediction.detach(),
+                "composition": composition.detach(),
+                "divergence": divergence.detach(),
+            },
+            per_triplet=each.detach(),
+        )
+
+    def compose(self, earlier: Float[Tensor, "b d"], later: Float[Tensor, "b d"]) -> Gaussian:
+        """nu: one latent action that does what two do, one after the other."""
+        return Gaussian.of(self.composition(torch.cat([earlier, later], dim=1)))
+
+    def latent_action(
+        self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]
+    ) -> Float[Tensor, "b d"]:
+        """The mean of z between two frames."""
+        return self._infer(pack(current), pack(following)).mean
+
+    @torch.no_grad()
+    def align(self, demonstrations: Demonstrations) -> None:
+        """Fill the table with the mean z of each action."""
+        self.table.fill(self.latent_action(demonstrations.current, demonstrations.next), demonstrations.action)
+
+    def begin(
+        self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]
+    ) -> tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]]:
+        """x_t, and the predictor's memory of how it came about."""
+        latent = self.latent_action(previous, current)
+        return (current, *self._remember(pack(previous), latent, None))
+
+    def advance(
+        self,
+        state: tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]],
+        action: Int[Tensor, " b"],
+    ) -> tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]]:
+        """One step of the predictor under the action's row of the table."""
+        current, hidden, cell = state
+        predicted, (hidden, cell) = self._step(pack(current), self.table(action), (hidden, cell))
+        return unpack(predicted).float(), hidden, cell
+
+    def frame(
+        self, state: tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]]
+    ) -> Float[Tensor, "b c h w"]:
+        """The last frame predicted."""
+        return state[0]
+
+    def _infer(self, current: Tensor, following: Tensor) -> Gaussian:
+        return Gaussian.of(self.moments(self.trunk.summarise(torch.cat([current, following], dim=1))))
+
+    def _remember(self, frame: Tensor, latent: Float[Tensor, "b d"], memory: Memory | None) -> Memory:
+        """One step of the recurrent predictor."""
+        seen = torch.cat([self.scene(frame), latent.to(frame.dtype)], dim=1)
+        hidden, cell = self.predictor(seen, memory)
+        return hidden.float(), cell.float()
+
+    def _step(self, frame: Tensor, latent: Float[Tensor, "b d"], memory: Memory | None) -> tuple[Tensor, Memory]:
+        memory = self._remember(frame, latent, memory)
+        return self.decoder(frame, memory[0].to(frame.dtype)), memory

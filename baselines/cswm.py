@@ -1,0 +1,214 @@
+"""C-SWM (Kipf, van der Pol, Welling 2020): contrastive learning of structured world models.
+
+A convolutional extractor turns the frames into K maps, one MLP for all turns each map into a slot's state, and a fully
+connected graph network predicts the change of all slots under an action. There is no picture in its loss: the predicted
+state is to lie near the true next one, other states are to lie at least a hinge away (its section 2.3):
+
+    L = d(z_t + T(z_t, a_t), z_{t+1}) + max(0, gamma - d(z_t, z~))
+    d(z, z') = mean over slots of |z - z'|^2 / (2 sigma^2)
+
+where z~ is another state of the batch, as in the authors' program. Then all that is frozen and a decoder of the states
+is trained on video; the prediction decodes z_t + T(z_t, a_t).
+
+Settled so (docs/baselines.md): two frames go in, as the paper says; the action is copied to every slot. The extractor
+and the decoder are of the shared backbone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+import torch.nn.functional as F
+from einops import rearrange, repeat
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from baselines.layers import CHANNELS, WIDTHS, FrameDecoder, block, check_size, output, pack, squared_error, unpack
+from baselines.recipe import compact_recipe
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
+from dmotion_bench.specs import Preset, Supervision
+
+CONTRAST = Phase(name="contrast", fraction=0.6, needs_actions=True)
+DECODER = Phase(name="decoder", fraction=0.4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContrastiveConfig:
+    """The original's choices, but for the slots.
+
+    Attributes:
+        slots: K, at least as many as there are objects.
+        features: Length of a slot's state.
+        hidden: Width of the MLPs and of the graph network.
+        sigma: Width of the energy.
+        hinge: gamma, how far states are pushed apart.
+    """
+
+    slots: int = 6
+    features: int = 4
+    hidden: int = 512
+    sigma: float = 0.5
+    hinge: float = 1.0
+
+    def __post_init__(self) -> None:
+        if min(self.slots, self.features, self.hidden) < 1 or self.sigma <= 0 or self.hinge <= 0:
+            raise InvalidSetting("slots, features and hidden must be 1 or more, sigma and hinge above 0.")
+
+
+class SlotEncoder(nn.Module):
+    """Two packed frames to the states of K slots."""
+
+    def __init__(self, config: ContrastiveConfig, inputs: ModelInputs) -> None:
+        super().__init__()
+        c = WIDTHS[0]
+        place = (inputs.height // 4) * (inputs.width // 4)
+        self.extractor = nn.Sequential(
+            block(2 * CHANNELS, c, 1), block(c, c), block(c, c), output(c, config.slots), nn.Sigmoid()
+        )
+        self.state = nn.Sequential(
+            nn.Linear(place, config.hidden),
+            nn.ReLU(),
+            nn.Linear(config.hidden, config.hidden),
+            nn.LayerNorm(config.hidden),
+            nn.ReLU(),
+            nn.Linear(config.hidden, config.features),
+        )
+
+    def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b k d"]:
+        state: Tensor = self.state(rearrange(self.extractor(packed), "b k h w -> b k (h w)"))
+        return state.float()
+
+
+class GraphTransition(nn.Module):
+    """How an action changes all slots: every pair of slots has a message, every slot sums those it gets."""
+
+    def __init__(self, config: ContrastiveConfig, actions: int) -> None:
+        super().__init__()
+        self.actions = actions
+        self.edge = _mlp(2 * config.features, config.hidden, config.hidden)
+        self.node = _mlp(config.features + config.hidden + actions, config.hidden, config.features)
+
+    def forward(self, state: Float[Tensor, "b k d"], action: Int[Tensor, " b"]) -> Float[Tensor, "b k d"]:
+        slots = state.shape[1]
+        receiver, sender = (~torch.eye(slots, dtype=torch.bool, device=state.device)).nonzero().unbind(1)
+        messages = self.edge(torch.cat([state[:, receiver], state[:, sender]], dim=-1))
+        received = rearrange(messages, "b (k s) d -> b k s d", k=slots).sum(2)
+        chosen = repeat(F.one_hot(action, self.actions).to(state.dtype), "b a -> b k a", k=slots)
+        change: Tensor = self.node(torch.cat([state, chosen, received], dim=-1))
+        return change.float()
+
+
+def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Linear(inputs, hidden),
+        nn.ReLU(),
+        nn.Linear(hidden, hidden),
+        nn.LayerNorm(hidden),
+        nn.ReLU(),
+        nn.Linear(hidden, outputs),
+    )
+
+
+class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
+    """Predicts the states of slots; a decoder, trained afterwards, shows them."""
+
+    supervision: ClassVar[Supervision] = Supervision.ACTIONS
+    paper: ClassVar[str] = "Kipf, van der Pol, Welling: Contrastive Learning of Structured World Models, ICLR 2020"
+    Config: ClassVar[type] = ContrastiveConfig
+
+    def __init__(self, config: ContrastiveConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        check_size("C-SWM", inputs)
+        self.encoder = SlotEncoder(config, inputs)
+        self.transition = GraphTransition(config, inputs.actions)
+        self.decoder = FrameDecoder(inputs, config.slots * config.features, hidden=512)
+        self.phase = CONTRAST
+
+    @classmethod
+    def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
+        """Settled on validation (docs/baselines.md); the original's rate is 5e-4 with batches of 1024."""
+        return dataclasses.replace(compact_recipe(preset), optimizer="adamw", learning_rate=1e-3, hard_share=0.0)
+
+    def phases(self) -> tuple[Phase, ...]:
+        """States and their dynamics first, from what is labelled; then the decoder, from all video."""
+        return CONTRAST, DECODER
+
+    def enter(self, phase: Phase) -> None:
+        """What the other phase learns is frozen."""
+        self.phase = phase
+        self.encoder.requires_grad_(phase == CONTRAST)
+        self.transition.requires_grad_(phase == CONTRAST)
+        self.decoder.requires_grad_(phase == DECODER)
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        """The contrastive loss in the first phase, the decoder's squared error in the second."""
+        if self.phase == DECODER:
+            with torch.no_grad():
+                state = self.states(batch.previous, batch.current)
+            each = squared_error(self._decode(state), batch.current)
+            reconstruction = each.mean()
+            return Losses(
+                total=reconstruction, terms={"reconstruction": reconstruction.detach()}, per_triplet=each.detach()
+            )
+        assert batch.action is not None, "the loop gives labelled triplets in a phase that needs actions"
+        state, following = self.states(
+            torch.cat([batch.previous, batch.current]), torch.cat([batch.current, batch.next])
+        ).chunk(2)
+        attraction = self.energy(state + self.transition(state, batch.action), following).mean()
+        other = state[torch.randperm(len(state), device=state.device)]
+        repulsion = F.relu(self.config.hinge - self.energy(state, other)).mean()
+        return Losses(
+            total=attraction + repulsion,
+            terms={"attraction": attraction.detach(), "repulsion": repulsion.detach()},
+        )
+
+    def energy(self, state: Float[Tensor, "b k d"], other: Float[Tensor, "b k d"]) -> Float[Tensor, " b"]:
+        """d(z, z'): how far two states are from each other."""
+        return (state - other).square().sum(2).mean(1) * (0.5 / self.config.sigma**2)
+
+    def states(self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k d"]:
+        """z_t."""
+        state: Tensor = self.encoder(torch.cat([pack(previous), pack(current)], dim=1))
+        return state
+
+    def begin(
+        self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]
+    ) -> tuple[Float[Tensor, "b k d"]]:
+        """z_t."""
+        return (self.states(previous, current),)
+
+    def advance(self, state: tuple[Float[Tensor, "b k d"]], action: Int[Tensor, " b"]) -> tuple[Float[Tensor, "b k d"]]:
+        """z_t + T(z_t, a_t)."""
+        (slots,) = state
+        return (slots + self.transition(slots, action),)
+
+    def frame(self, state: tuple[Float[Tensor, "b k d"]]) -> Float[Tensor, "b c h w"]:
+        """The states, decoded."""
+        return self._decode(state[0])
+
+    def _decode(self, state: Float[Tensor, "b k d"]) -> Float[Tensor, "b c h w"]:
+        return unpack(self.decoder(rearrange(state, "b k d -> b (k d)"))).float()
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """C-SWM's own figures: where the true next state stands among all, by its distance from the predicted one.
+
+    Attributes:
+        hits_at_1: Share of predictions that lie nearest to their own next state.
+        mean_reciprocal_rank: Mean of 1 / rank.
+    """
+
+    hits_at_1: float
+    mean_reciprocal_rank: float
+
+
+def ranking(predicted: Float[Tensor, "n *d"], true: Float[Tensor, "n *d"]) -> Ranking:
+    """Rank each true state among all true states; one as near as another counts in the prediction's favour."""
+    distance = torch.cdist(predicted.flatten(1).double(), true.flatten(1).double())
+    rank = 1 + (distance < distance.diagonal()[:, None]).sum(1)
+    return Ranking((rank == 1).double().mean().item(), rank.double().reciprocal().mean().item())

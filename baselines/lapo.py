@@ -1,0 +1,173 @@
+"""LAPO (Schmidt, Jiang 2024): latent actions by an inverse and a forward model, through a vector-quantised bottleneck.
+
+The inverse model infers z_t from (x_{t-1}, x_t, x_{t+1}); z_t is quantised; the forward model predicts x_{t+1} from
+(x_{t-1}, x_t, z_t). The loss is the squared error of x_{t+1} plus the commitment of z_t to its codes. What the
+past cannot tell the forward model, z_t must; the codebooks limit how much that may be.
+
+Its sizes are the authors': two codebooks of 64 codes of length 16, four latents each. Settled so (docs/baselines.md):
+the inverse and the forward model are of the shared backbone, and the alignment, for which LAPO trains a decoder of z
+into actions for a policy, goes the other way: a table of the mean z_t of each action's demonstrations, quantised when
+used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+import torch.nn.functional as F
+from einops import rearrange
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from baselines.action_table import ActionTable
+from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, pack, squared_error, unpack
+from baselines.recipe import compact_recipe
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.model import (
+    Demonstrations,
+    ForwardModel,
+    Losses,
+    ModelInputs,
+    TrainingConfig,
+    TripletBatch,
+)
+from dmotion_bench.specs import Preset, Supervision
+
+
+@dataclass(frozen=True, kw_only=True)
+class LapoConfig:
+    """The authors' choices, but for the decay.
+
+    Attributes:
+        codebooks: Number of codebooks.
+        latents: Discrete latents that each codebook gives a code.
+        codes: Codes in a codebook.
+        length: Of a code.
+        commitment: Weight of the distance between z_t and its codes.
+        decay: Of the running means that the codes are; the authors' 0.999 is for 50,000 steps.
+    """
+
+    codebooks: int = 2
+    latents: int = 4
+    codes: int = 64
+    length: int = 16
+    commitment: float = 0.05
+    decay: float = 0.99
+
+    def __post_init__(self) -> None:
+        if min(self.codebooks, self.latents, self.codes, self.length) < 1:
+            raise InvalidSetting("codebooks, latents, codes and length must be 1 or more.")
+        if not 0 <= self.decay < 1 or self.commitment < 0:
+            raise InvalidSetting("decay must be in [0, 1), commitment 0 or more.")
+
+    @property
+    def action_length(self) -> int:
+        """Numbers in a latent action."""
+        return self.codebooks * self.latents * self.length
+
+
+class VectorQuantizer(nn.Module):
+    """Replaces parts of a vector by their nearest codes, which follow those parts (van den Oord 2017, appendix A.1)."""
+
+    codes: Tensor
+    counts: Tensor
+    sums: Tensor
+
+    def __init__(self, config: LapoConfig) -> None:
+        super().__init__()
+        self.config = config
+        reach = 5 / config.codes
+        codes = torch.empty(config.codebooks, config.codes, config.length).uniform_(-reach, reach)
+        self.register_buffer("codes", codes)
+        self.register_buffer("counts", torch.ones(config.codebooks, config.codes))
+        self.register_buffer("sums", codes.clone())
+
+    def forward(self, latent: Float[Tensor, "b d"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, ""]]:
+        """The quantised vector, through which gradients pass straight to ``latent``, and the commitment loss."""
+        parts = rearrange(latent.float(), "b (n h d) -> n (b h) d", n=self.config.codebooks, d=self.config.length)
+        chosen = self.nearest(parts.detach())
+        quantised = torch.gather(self.codes, 1, chosen[..., None].expand(parts.shape))
+        if self.training:
+            self._follow(parts.detach(), chosen)
+        commitment = self.config.commitment * F.mse_loss(parts, quantised)
+        straight = parts + (quantised - parts).detach()
+        return rearrange(straight, "n (b h) d -> b (n h d)", b=len(latent)), commitment
+
+    def nearest(self, parts: Float[Tensor, "n m d"]) -> Int[Tensor, "n m"]:
+        """The number of the code nearest to each part, in the part's own codebook."""
+        return torch.cdist(parts, self.codes).argmin(-1)
+
+    @torch.no_grad()
+    def _follow(self, parts: Float[Tensor, "n m d"], chosen: Int[Tensor, "n m"]) -> None:
+        """Each code becomes the running mean of the parts that chose it."""
+        one_hot = F.one_hot(chosen, self.config.codes).to(parts.dtype)
+        self.counts.lerp_(one_hot.sum(1), 1 - self.config.decay)
+        self.sums.lerp_(one_hot.mT @ parts, 1 - self.config.decay)
+        self.codes.copy_(self.sums / self.counts.clamp(min=1e-5)[..., None])
+
+
+class Lapo(ForwardModel[LapoConfig]):
+    """Sees video only; the actions are named afterwards by a handful of demonstrations."""
+
+    supervision: ClassVar[Supervision] = Supervision.NONE
+    paper: ClassVar[str] = "Schmidt, Jiang: Learning to Act without Actions, ICLR 2024"
+    Config: ClassVar[type] = LapoConfig
+
+    def __init__(self, config: LapoConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        check_size("LAPO", inputs)
+        self.trunk = MotionTrunk(frames=3)
+        self.latent = linear(MotionTrunk.length, config.action_length)
+        self.quantizer = VectorQuantizer(config)
+        self.forward_model = CodedUNet(config.action_length)
+        self.table = ActionTable(inputs.actions, config.action_length)
+
+    @classmethod
+    def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
+        """As DMotion's."""
+        return compact_recipe(preset)
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        """Squared error of x_{t+1} in [-1, 1] units, and the commitment."""
+        previous, current, following = pack(batch.previous), pack(batch.current), pack(batch.next)
+        code, commitment = self.quantizer(self._infer(previous, current, following))
+        predicted = self.forward_model(torch.cat([previous, current], dim=1), code.to(current.dtype))
+        each = squared_error(predicted, following)
+        prediction = each.mean()
+        return Losses(
+            total=prediction + commitment,
+            terms={"prediction": prediction.detach(), "commitment": commitment.detach()},
+            per_triplet=each.detach(),
+        )
+
+    def latent_action(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        following: Float[Tensor, "b c h w"],
+    ) -> Float[Tensor, "b d"]:
+        """z_t before it is quantised."""
+        return self._infer(pack(previous), pack(current), pack(following)).float()
+
+    @torch.no_grad()
+    def align(self, demonstrations: Demonstrations) -> None:
+        """Fill the table with the mean z_t of each action."""
+        shown = demonstrations
+        self.table.fill(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
+
+    def predict(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        action: Int[Tensor, " b"],
+    ) -> Float[Tensor, "b c h w"]:
+        """The forward model under the codes nearest to the action's row of the table."""
+        frames = torch.cat([pack(previous), pack(current)], dim=1)
+        code, _ = self.quantizer(self.table(action))
+        return unpack(self.forward_model(frames, code.to(frames.dtype))).float()
+
+    def _infer(self, previous: Tensor, current: Tensor, following: Tensor) -> Float[Tensor, "b d"]:
+        latent: Tensor = self.latent(self.trunk.summarise(torch.cat([previous, current, following], dim=1)))
+        return latent

@@ -100,6 +100,7 @@ class PlanarPush(PushingEnvironment):
         self._shapes = [SHAPES[one.shape] for one in self.facts.objects]
         self._physics = PlanarPhysics(size=TABLE.size, disc=DISC.radius)
         self._look: tuple[float, float] | None = None
+        self._object_states: ObjectStates | None = None
 
     def agent(self) -> ObjectStates:
         """The disc."""
@@ -108,6 +109,8 @@ class PlanarPush(PushingEnvironment):
 
     def objects(self) -> ObjectStates:
         """The shapes; z is 0, and nothing hides anything."""
+        if self._object_states is None:
+            self._object_states = self._states(self._physics.positions, self._physics.angles)
         return self._object_states
 
     def _states(self, places: Float[np.ndarray, "k 2"], angles: Float[np.ndarray, " k"]) -> ObjectStates:
@@ -144,6 +147,7 @@ class PlanarPush(PushingEnvironment):
             self._view = View(size=self.facts.height, turn=look[0])
             self._table = self._empty_table()
             self._discs: dict[Place, Stamp | None] = {}
+        self._object_states = None
         self._drawn = np.full((len(self._shapes), 3), np.nan)
         self._stamps: list[Stamp | None] = [None] * len(self._shapes)
         self._still: tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]] | None = None
@@ -151,10 +155,12 @@ class PlanarPush(PushingEnvironment):
 
     def _push(self, goal: tuple[float, float]) -> None:
         self._physics.move(goal)
+        self._object_states = None
 
     def _put(self, snapshot: Snapshot, pusher: tuple[float, float]) -> None:
         angles = 2 * np.arctan2(snapshot.orientations[:, 2], snapshot.orientations[:, 3])
         self._physics.restore(snapshot.positions[:, :2], angles, pusher)
+        self._object_states = None
 
     def _terminated(self) -> bool:
         return bool(self._physics.fallen.any())
@@ -166,7 +172,6 @@ class PlanarPush(PushingEnvironment):
             gone = self._physics.fallen[index]
             self._stamps[index] = None if gone else self._stamp_of(int(index), poses[index])
         self._drawn = poses
-        self._object_states = self._states(poses[:, :2], poses[:, 2])
         if self._still is None or len(moved) or self._factor("distractors"):
             self._still = self._draw_objects()
         frame, masks = self._still[0].copy(), self._still[1].copy()

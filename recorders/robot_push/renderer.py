@@ -178,18 +178,27 @@ class Renderer:
             center=center,
         )
 
-    def picture(self, place: Place, sprites: Sequence[tuple[Sprite | None, int]]) -> Picture:
-        """The arm with its tip at a place of the lattice, and solids with the mask values they get."""
+    def picture(
+        self, place: Place, sprites: Sequence[tuple[Sprite | None, int]], decals: Sequence[Sprite | None] = ()
+    ) -> Picture:
+        """The arm with its tip at a place of the lattice, solids with the mask values they get, and flat decals.
+
+        Decals lie on the table: they hide nothing but it.
+        """
         layer = self._layer(place)
         self._start(layer)
         present = [(sprite, label) for sprite, label in sprites if sprite is not None]
+        flat = [decal for decal in decals if decal is not None]
+        for decal in flat:
+            on_table = decal.covered & (decal.inverse_depth > self._depth[decal.window])
+            np.copyto(self._colors[decal.window], decal.colors, where=on_table[..., None])
         for sprite, label in present:
             nearer = sprite.covered & (sprite.inverse_depth > self._depth[sprite.window])
             np.copyto(self._depth[sprite.window], sprite.inverse_depth, where=nearer)
             np.copyto(self._colors[sprite.window], sprite.colors, where=nearer[..., None])
             np.copyto(self._labels[sprite.window], np.uint8(label), where=nearer)
         frame = layer.picture.copy()
-        for sprite, _ in present:
+        for sprite in [*flat, *(sprite for sprite, _ in present)]:
             rows, columns = (slice(side.start // SAMPLES, side.stop // SAMPLES) for side in sprite.window)
             frame[rows, columns] = mean_of_samples(self._colors[sprite.window])
         visible = np.zeros(len(sprites))

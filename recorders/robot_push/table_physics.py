@@ -33,6 +33,7 @@ MOVING = 42  # substeps in which the rod moves
 CHECK = 6  # substeps between two looks at whether all is at rest
 PATIENCE = 240  # substeps that a step waits for rest, at most
 AT_REST, AT_REST_TURNING = 5e-3, 0.1  # [m/s], [rad/s]
+MARGIN = 1e-3  # [m]: Bullet's, around every convex hull
 CLEARANCE = 4e-3  # [m]: the rod's way touches what is nearer than this
 ROD_BOTTOM = 0.015  # [m] above the table: low enough that it slides objects and does not topple them
 ROD_FRICTION = 0.5
@@ -101,7 +102,7 @@ class TablePhysics:
     def build(self, bodies: Sequence[Body], rod: tuple[float, float]) -> None:
         """Empty the world and build it anew, with the rod's axis at ``rod`` [m]."""
         self._build_all(bodies, rod)
-        self._rest()
+        self._stop()
 
     def _build_all(self, bodies: Sequence[Body], rod: tuple[float, float]) -> None:
         p, client = self._bullet, self._client
@@ -112,7 +113,7 @@ class TablePhysics:
         self._bodies = [self._build_body(body) for body in bodies]
         self._rod = self._build_rod()
         self._place_rod(rod)
-        self.positions = np.array([[*body.position, body.solid.height / 2] for body in bodies]).reshape(-1, 3)
+        self.positions = np.array([[*body.position, body.solid.height / 2 + MARGIN] for body in bodies]).reshape(-1, 3)
         self.quaternions = np.array([_upright(body.yaw) for body in bodies]).reshape(-1, 4)
         self.fallen: Bool[np.ndarray, " k"] = np.zeros(len(bodies), bool)
         self._built, self._solids = list(bodies), [body.solid for body in bodies]
@@ -135,8 +136,6 @@ class TablePhysics:
                 p.resetBasePositionAndOrientation(body, positions[index], quaternions[index], physicsClientId=client)
         self._place_rod(rod)
         self.positions, self.quaternions, self.fallen = positions.copy(), quaternions.copy(), gone
-        self._low, self._high = self._extents()
-        self.at_rest = True
         self._stop()
 
     def move(self, goal: tuple[float, float]) -> None:
@@ -173,7 +172,7 @@ class TablePhysics:
     def _build_body(self, body: Body) -> int:
         p, client = self._bullet, self._client
         shape = p.createCollisionShape(p.GEOM_MESH, vertices=body.solid.corners.tolist(), physicsClientId=client)
-        place = [*body.position, body.solid.height / 2]
+        place = [*body.position, body.solid.height / 2 + MARGIN]
         made: int = p.createMultiBody(
             body.mass,
             shape,
@@ -261,26 +260,26 @@ class TablePhysics:
 
     def _rest(self) -> None:
         """Wait until all that has not fallen is at rest, then stop it altogether."""
-        p, client = self._bullet, self._client
         self.at_rest, calm = False, False
         for _ in range(PATIENCE // CHECK):
             for _ in range(CHECK):
-                p.stepSimulation(physicsClientId=client)
+                self._bullet.stepSimulation(physicsClientId=self._client)
             self._read_poses()
             was_calm, calm = calm, bool((self.speeds() < [AT_REST, AT_REST_TURNING]).all())
             if calm and was_calm:  # twice, since something that rocks stands still for a moment
-                self.at_rest = True
-                break
+                self._stop()
+                return
         self._low, self._high = self._extents()
-        if self.at_rest:
-            self._stop()
 
     def _stop(self) -> None:
+        """Take what little speed is left, and let all sleep until something touches it."""
         p, client = self._bullet, self._client
         for body, gone in zip(self._bodies, self.fallen, strict=True):
             if not gone:
                 p.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0], physicsClientId=client)
                 p.changeDynamics(body, -1, activationState=p.ACTIVATION_STATE_SLEEP, physicsClientId=client)
+        self.at_rest = True
+        self._low, self._high = self._extents()
 
     def _read_poses(self) -> None:
         p, client = self._bullet, self._client

@@ -1,4 +1,4 @@
-"""``dmbench data``: look at a data set, check it, mend it."""
+"""``dmbench data``: look at a data set, check it, mend it; bring recordings of other systems in, and data sets out."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
-group = typer.Typer(help="Look at a data set, check it, mend it.", no_args_is_help=True)
+from dmotion_bench.cli import data_export, data_import
+
+group = typer.Typer(
+    help="Look at a data set, check it, mend it; import recordings, export data sets.", no_args_is_help=True
+)
 
 DatasetFolder = Annotated[
     Path | None,
@@ -21,6 +25,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.
 
 def register(app: typer.Typer) -> None:
     """Add the group of commands."""
+    data_import.register(group)
+    data_export.register(group)
     app.add_typer(group, name="data")
 
 

@@ -31,7 +31,7 @@ WORDS = {
     "motion_within_over_between": "motion within/between",
 }
 
-OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_rate", "rollout_mse[15]")
+OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_rate")
 
 
 def show_report(report: Report) -> None:
@@ -67,7 +67,8 @@ def show_overview(reports: Sequence[Report]) -> None:
         )
         table.add_column("run", overflow="fold")
         table.add_column("labels", justify="right")
-        shown = [name for name in OVERVIEW if any(name in report.figures for report in here)]
+        furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
+        shown = [name for name in (*OVERVIEW, furthest) if any(name in report.figures for report in here)]
         for name in shown:
             table.add_column(_words(name), justify="right")
         for report in here:

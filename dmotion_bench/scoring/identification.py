@@ -34,6 +34,7 @@ from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
 from dmotion_bench.scoring.transitions import HeldOut
 
 LEVELS = 256  # of Otsu's histogram
+LEAST_VARIANCE = 1e-6  # within an action, of the whole variance: keeps the probe's covariance invertible
 
 
 @runtime_checkable
@@ -140,12 +141,13 @@ def probe_accuracy(
 def _nearest_mean(
     motion: Float[np.ndarray, "n d"], action: Int[np.ndarray, " n"], asked: Float[np.ndarray, "m d"]
 ) -> Int[np.ndarray, " m"]:
+    scale = motion.std(0, dtype=np.float64)
+    motion, asked = (values / np.where(scale > 0, scale, 1) for values in (motion, asked))
     known = np.unique(action)
-    means = np.stack([motion[action == one].mean(0) for one in known]).astype(np.float64)
+    means = np.stack([motion[action == one].mean(0) for one in known])
     residual = motion - means[np.searchsorted(known, action)]
     covariance = residual.T @ residual / len(residual)
-    floor = 1e-6 * max(float(means.var(0).sum()), float(np.trace(covariance)), 1e-12)
-    inverse = np.linalg.inv(covariance + floor * np.eye(len(covariance)))
+    inverse = np.linalg.inv(covariance + LEAST_VARIANCE * np.eye(len(covariance)))
     score = asked @ inverse @ means.T - 0.5 * np.einsum("kd,de,ke->k", means, inverse, means)
     chosen: Int[np.ndarray, " m"] = known[score.argmax(1)]
     return chosen

@@ -33,7 +33,7 @@ from dmotion_bench.scoring.references import REFERENCES, published_for
 from dmotion_bench.scoring.report import PROTOCOL, REPORT_FOLDER, Report, read_report, read_report_samples, write_report
 from dmotion_bench.scoring.samples import SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
-from dmotion_bench.scoring.transitions import HeldOut, LabelledDataset
+from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.versions import versions
@@ -100,7 +100,7 @@ class ReferenceScores:
 
 def score_model(
     model: ForwardModel[Any],
-    dataset: LabelledDataset,
+    dataset: Dataset,
     *,
     metrics: tuple[Metric, ...] = METRICS,
     settings: ScoreSettings | None = None,
@@ -108,7 +108,7 @@ def score_model(
     references: ReferenceScores | None = None,
     earlier: pa.Table | None = None,
 ) -> Scores:
-    """Score a model on held-out episodes.
+    """Score a model on held-out episodes; one that draws no frames (``needs_pixels``) has none to compare.
 
     Args:
         model: Aligned, in evaluation mode.
@@ -123,6 +123,8 @@ def score_model(
     references = references or ReferenceScores()
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     model = model.to(how.device).eval()
+    if not model.needs_pixels:
+        metrics = ()
     identity = (dataset.fingerprint, settings.split, settings.protocol)
     tables = [] if earlier is None else [earlier]
     with predicting(how.device):
@@ -223,6 +225,8 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             f"no {settings.split} episode has the {settings.horizon + 2} frames that a rollout needs; "
             "ask for a smaller '--horizon'"
         )
+    if not run.model.needs_pixels:
+        remarks["prediction"] = f"{run.spec.model} draws no frames; what it is good for shows in control"
     if settings.protocol == "paper":
         remarks["split"] = "the paper's split shuffles triplets: most test frames were seen in training (it leaks)"
     return Report(

@@ -7,52 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
-from dmotion_bench.learning.triplets import Frames, SplitProtocol, TripletSet
-from dmotion_bench.specs import MASK_AGENT, DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
+from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
+from dmotion_bench.specs import MASK_AGENT, SplitName
+from dmotion_bench.storage.dataset import Dataset
 
 STARTS_PER_EPISODE = 4
-
-
-class Outcomes(Protocol):
-    """What was done in an episode, and whether it moved an object."""
-
-    @property
-    def actions(self) -> Int[np.ndarray, " t"]: ...
-
-    @property
-    def pushed(self) -> Bool[np.ndarray, " t"]: ...
-
-
-class LabelledDataset(Protocol):
-    """What scoring needs of a ``storage.dataset.Dataset``."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def spec(self) -> EnvSpec: ...
-
-    @property
-    def recipe(self) -> DatasetRecipe: ...
-
-    @property
-    def fingerprint(self) -> str: ...
-
-    def cache(self) -> Frames: ...
-
-    def split(self, name: SplitName) -> Int[np.ndarray, " n"]: ...
-
-    def states(self, episode: int) -> Outcomes: ...
-
-    def labels(self, episode: int) -> EpisodeLabels: ...
-
-    def __len__(self) -> int: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +81,7 @@ class HeldOut:
         DatasetError: The split is empty.
     """
 
-    def __init__(self, dataset: LabelledDataset, split: SplitName, protocol: SplitProtocol = "episode") -> None:
+    def __init__(self, dataset: Dataset, split: SplitName, protocol: SplitProtocol = "episode") -> None:
         if not dataset.spec.actions:
             raise LabelsNotAvailable(
                 f"the actions of {dataset.name!r} are not known, so predictions that follow them cannot be scored; "

@@ -1,0 +1,124 @@
+"""``dmbench score``: what it prints, what it refuses, what it goes on after."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import typer
+from click.testing import Result
+from typer.testing import CliRunner
+
+from dmotion_bench.cli import score as command
+from dmotion_bench.errors import RunError, RunMissing, UnknownName, UsageError
+from dmotion_bench.scoring.report import Report
+from dmotion_bench.scoring.score import ScoreSettings
+
+FIGURE = {"mean": 15.04, "std": 90.0, "low": 12.5, "high": 18.0, "n": 700}
+PUBLISHED = {"mean": 14.3, "std": 99.8, "low": None, "high": None, "n": None}
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
+    """Calls the command in a workspace with the runs a, b and broken; scoring itself is tested elsewhere."""
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    for name in ("a", "b", "broken"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "run.json").write_text("{}")
+    app = typer.Typer()
+    app.callback()(lambda: None)
+    command.register(app)
+
+    def score_run(path: Path, *, metrics: tuple[str, ...], settings: ScoreSettings, **_: object) -> Report:
+        if path.name == "broken":
+            raise RunMissing("the run 'broken' is not finished")
+        mse = FIGURE | {"mean": {"a": 15.04, "b": 11.0}[path.name]}
+        return Report(
+            run=path.name,
+            model="dmotion",
+            arch="compact",
+            preset="small",
+            seed=0,
+            labels={"asked": "one-shot", "given": {"demonstrations": 4}, "total": 4},
+            dataset={"name": "grid_world-small", "environment": "grid_world", "fingerprint": "f"},
+            weights="w",
+            settings={"metrics": metrics, "horizon": settings.horizon, "split": settings.split},
+            training={},
+            versions={},
+            code="c",
+            figures={"mse": mse, "psnr": FIGURE, "rollout_mse[5]": FIGURE},
+            reference={"copy_last": {"mse": FIGURE | {"mean": 1848.0}}, "paper": {"mse": PUBLISHED}},
+            remarks={"paper": "Yuan et al. 2021"},
+        )
+
+    monkeypatch.setattr("dmotion_bench.scoring.score.score_run", score_run)
+    return lambda *words: CliRunner().invoke(app, ["score", *words])
+
+
+def test_json_has_the_names_that_scripts_rely_on(run: Callable[..., Result]) -> None:
+    result = run("a", "--json")
+
+    (report,) = json.loads(result.stdout)["reports"]
+    assert set(report) == {"run", "model", "arch", "dataset", "labels", "seed", "figures", "reference"}
+    assert (report["run"], report["dataset"], report["labels"]) == ("a", "grid_world-small", "one-shot")
+    assert set(report["figures"]["mse"]) == {"mean", "std", "low", "high", "n"}
+    assert report["reference"]["paper"]["mse"]["mean"] == 14.3
+
+
+def test_the_table_shows_ours_beside_the_papers(run: Callable[..., Result]) -> None:
+    lines = run("a", "--metrics", "prediction").stdout.splitlines()
+
+    (row,) = (line for line in lines if line.split()[:2] == ["MSE", "15.0"])
+    assert row.split() == ["MSE", "15.0", "±", "90.0", "12.5", "to", "18.0", "700", "14.3", "±", "99.8", "1848"]
+    assert any("PSNR [dB]" in line for line in lines)
+
+
+def test_many_runs_stand_in_one_table_the_best_first(run: Callable[..., Result]) -> None:
+    result = run("a", "b")
+
+    firsts = [line.split()[0] for line in result.stdout.splitlines() if line.strip()]
+    assert result.exit_code == 0
+    assert firsts.index("b") < firsts.index("a") < firsts.index("copy_last")
+
+
+def test_all_goes_on_after_a_run_that_fails(run: Callable[..., Result]) -> None:
+    result = run("--all", "--json")
+
+    assert [report["run"] for report in json.loads(result.stdout)["reports"]] == ["a", "b"]
+    assert isinstance(result.exception, RunError)
+    assert "1 of 3 runs could not be scored" in str(result.exception)
+    assert "broken: the run 'broken' is not finished" in str(result.exception)
+
+
+def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
+    assert isinstance(run("broken").exception, RunMissing)
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "sentence"),
+    [
+        (["a", "--metrics", "predicton"], UnknownName, "did you mean 'prediction'"),
+        (["a", "--metrics", ""], UsageError, "names no group"),
+        (["a", "--metrics", "control"], UsageError, "there is no planner"),
+        (["a", "--split", "train"], UnknownName, "known: test, validation"),
+        (["a", "--precision", "fp16"], UnknownName, "bf16"),
+        (["a", "--device", "tpu"], UnknownName, "did you mean 'cpu'"),
+        (["a", "--all"], UsageError, "not both"),
+        (["c"], UnknownName, "no run named 'c'"),
+        ([], UsageError, "several runs are here"),
+    ],
+)
+def test_wrong_usage(run: Callable[..., Result], words: list[str], error: type[Exception], sentence: str) -> None:
+    result = run(*words)
+
+    assert isinstance(result.exception, error)
+    assert sentence in str(result.exception)
+
+
+def test_no_runs_at_all(run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path / "empty"))
+
+    for words in ([], ["--all"]):
+        assert "dmbench train dmotion" in str(run(*words).exception)

@@ -1,0 +1,145 @@
+"""A recorded Grid World of 30 short episodes, and models of it whose every figure is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
+from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.recording.rollout import record_episodes
+from dmotion_bench.specs import DatasetRecipe, Supervision
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.writer import DatasetWriter
+from recorders.grid_world import FACTS, GridWorld
+
+FRAMES = 14
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoConfig:
+    """There is nothing to choose."""
+
+
+class Known(ForwardModel[NoConfig]):
+    """Knows nothing to learn; predicts the current frame."""
+
+    supervision: ClassVar[Supervision] = Supervision.NONE
+    paper: ClassVar[str] = "nobody, nowhere"
+    Config: ClassVar[type] = NoConfig
+    offset: Tensor
+
+    def __init__(self, config: NoConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        self.register_buffer("offset", torch.zeros(1))
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        return Losses(total=torch.zeros(()))
+
+    def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
+        return current + self.offset
+
+
+class Oracle(Known):
+    """Looks the next frame up, and may spoil it."""
+
+    def __init__(self, dataset: Dataset, spoil: Callable[[np.ndarray], np.ndarray] = lambda frame: frame) -> None:
+        super().__init__(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+        self.spoil = spoil
+        self.answers: dict[tuple[bytes, int], np.ndarray] = {}
+        for episode in range(len(dataset)):
+            frames, actions = dataset.video(episode), dataset.states(episode).actions
+            for frame, action, following in zip(frames, actions.tolist(), frames[1:], strict=False):
+                self.answers[frame.tobytes(), action] = following
+
+    def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
+        seen = to_pixels(current).numpy()
+        frames = [
+            self.spoil(self.answers[frame.tobytes(), one]) for frame, one in zip(seen, action.tolist(), strict=True)
+        ]
+        return to_model(torch.from_numpy(np.stack(frames)))
+
+
+def write_dataset(path: Path, *, episodes: int = 30, frames: int = FRAMES) -> Dataset:
+    recipe = DatasetRecipe(environment="grid_world", policy="random", seed=3, episodes=episodes, frames=frames)
+    with DatasetWriter.create_or_resume(path, recipe, FACTS) as writer:
+        for shard in writer.missing:
+            writer.write_shard(shard, record_episodes(GridWorld, recipe, writer.episodes_of(shard)))
+        writer.finish()
+    return Dataset.open(path)
+
+
+@pytest.fixture(scope="session")
+def grid(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_dataset(tmp_path_factory.mktemp("data") / "grid_world-tiny")
+
+
+@pytest.fixture
+def copy_last() -> Known:
+    return Known(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+
+
+@pytest.fixture
+def oracle(grid: Dataset) -> Oracle:
+    return Oracle(grid)
+
+
+@pytest.fixture
+def without_red(grid: Dataset) -> Oracle:
+    """Sees the future, but the red circle is gone from it."""
+
+    def spoil(frame: np.ndarray) -> np.ndarray:
+        red = (frame == (255, 0, 0)).all(axis=-1, keepdims=True)
+        return np.where(red, 0, frame).astype(np.uint8)
+
+    return Oracle(grid, spoil)
+
+
+@pytest.fixture
+def make_run(grid: Dataset, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Run]:
+    """Makes finished runs of a model that predicts the current frame, brightened by ``offset``."""
+    monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
+
+    def make(path: Path, *, offset: float = 0.0, finished: bool = True, **changes: Any) -> Run:
+        asked: dict[str, Any] = {
+            "model": "dmotion",
+            "arch": "compact",
+            "config": {},
+            "training": {},
+            "preset": "tiny",
+            "labels": "one-shot",
+            "seed": 0,
+            "dataset": grid.name,
+            "fingerprint": grid.fingerprint,
+            "height": 128,
+            "width": 128,
+            "actions": 4,
+        }
+        spec = RunSpec(**(asked | changes))
+        run = Run.create_or_open(path, spec, dataset_path=grid.path, versions={})
+        if finished:
+            weights = {"offset": torch.tensor([offset])}
+            checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
+            run.finish(
+                {
+                    "weights": checkpoint.weights_hash(weights),
+                    "steps": 5,
+                    "seconds": 1.5,
+                    "triplets_per_s": 100.0,
+                    "parameters": 0,
+                    "labels": {"demonstrations": 4},
+                    "labels_total": 4,
+                }
+            )
+        return run
+
+    return make

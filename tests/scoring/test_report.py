@@ -1,0 +1,226 @@
+"""Reports: every figure follows from the samples, nothing is scored twice, nothing stale is kept."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from dmotion_bench.errors import LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
+from dmotion_bench.learning.run import Run
+from dmotion_bench.scoring.prediction import Execution
+from dmotion_bench.scoring.references import PublishedFigure, PublishedResult, published_for
+from dmotion_bench.scoring.report import read_report
+from dmotion_bench.scoring.samples import FIGURE_COLUMNS
+from dmotion_bench.scoring.score import ReferenceScores, ScoreSettings, score_model, score_run
+from dmotion_bench.storage.dataset import Dataset
+
+from .conftest import Oracle, write_dataset
+from .test_identification import SeesGreen
+
+QUICK = ScoreSettings(horizon=3, resamples=100)
+PAPER = PublishedResult(
+    model="dmotion",
+    environment="grid_world",
+    labels="one-shot",
+    figures={"mse": PublishedFigure(mean=14.3, std=99.8)},
+    source="Yuan et al. 2021",
+)
+
+MakeRun = Callable[..., Run]
+
+
+@pytest.fixture(autouse=True)
+def _paper(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmotion_bench.scoring.references.published_results", lambda: [PAPER])
+
+
+def test_every_figure_follows_from_the_samples(make_run: MakeRun, tmp_path: Path) -> None:
+    score_run(make_run(tmp_path / "run", offset=0.1).path, settings=QUICK)
+    report = json.loads((tmp_path / "run/report/report.json").read_text())
+    samples = pq.read_table(tmp_path / "run/report/samples.parquet")
+
+    for predictor, figures in {"model": report["figures"], **report["reference"]}.items():
+        if predictor == "paper":
+            continue
+        assert len(figures) > 10
+        for name, figure in figures.items():
+            rows = samples.filter(pc.equal(samples["predictor"], predictor))
+            base, _, ahead = name.removeprefix("rollout_").rstrip("]").partition("[")
+            rows = rows.filter(pc.equal(rows["metric"], "rollout" if ahead else "prediction"))
+            if ahead:
+                rows = rows.filter(pc.equal(rows["ahead"], int(ahead)))
+            if base.endswith("_push"):
+                rows = rows.filter(rows["pushed"])
+            values = rows[base.removesuffix("_push")].drop_null().to_numpy().astype(float)
+            assert figure["n"] == len(values), name
+            assert figure["mean"] == pytest.approx(values.mean(), rel=1e-9), name
+            assert figure["std"] == pytest.approx(values.std(), rel=1e-9), name
+            if figure["low"] is None:
+                assert len(rows.filter(rows[base.removesuffix("_push")].is_valid())["episode"].unique()) == 1, name
+            else:
+                assert figure["low"] <= figure["mean"] <= figure["high"], name
+
+
+def test_the_motion_s_variances_follow_from_the_samples(grid: Dataset) -> None:
+    scores = score_model(SeesGreen(), grid, metrics=("prediction",), settings=QUICK)
+    rows = [row for row in scores.samples.to_pylist() if row["predictor"] == "model"]
+    motion, action = np.array([row["motion"] for row in rows]), np.array([row["action"] for row in rows])
+
+    means = np.array([motion[action == one].mean(0) for one in action])
+
+    within, between = ((motion - means) ** 2).mean(0).sum(), means.var(0).sum()
+    assert scores.figures["motion_within_over_between"].mean == pytest.approx(within / between)
+
+
+def test_the_report_says_how_it_was_made(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    score_run(run.path, settings=QUICK)
+    report = json.loads((run.path / "report/report.json").read_text())
+
+    assert report["protocol"] == "dmbench-1"
+    assert report["weights"] == run.result["weights"]
+    assert report["dataset"] == {
+        "name": "grid_world-tiny",
+        "environment": "grid_world",
+        "fingerprint": grid.fingerprint,
+    }
+    assert report["labels"] == {"asked": "one-shot", "given": {"demonstrations": 4}, "total": 4}
+    assert report["training"]["seconds"] == 1.5
+    assert report["settings"]["metrics"] == ["prediction", "rollout"]
+    assert {"python", "torch", "numpy"} <= set(report["versions"])
+    assert report["reference"]["paper"]["mse"] == {"mean": 14.3, "std": 99.8, "low": None, "high": None, "n": None}
+    assert "Yuan" in report["remarks"]["paper"]
+
+
+def test_the_same_run_gives_the_same_bytes(make_run: MakeRun, tmp_path: Path) -> None:
+    files = []
+    for place in ("a", "b"):
+        run = make_run(tmp_path / place / "run")
+        score_run(run.path, settings=QUICK)
+        files.append([(run.path / "report" / name).read_bytes() for name in ("report.json", "samples.parquet")])
+
+    assert files[0] == files[1]
+
+
+class Work:
+    """Counts what is done."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        assert 0 < done <= total
+        if done == total:
+            self.done.append(what)
+
+
+def test_what_is_up_to_date_is_kept_and_what_is_not_is_scored_again(make_run: MakeRun, tmp_path: Path) -> None:
+    path = make_run(tmp_path / "run").path
+
+    def score(settings: ScoreSettings = QUICK, *metrics: str) -> list[str]:
+        work = Work()
+        score_run(
+            path,
+            metrics=metrics or ("prediction", "rollout"),
+            settings=settings,
+            how=Execution(progress=work),
+            renew=False,
+        )
+        return work.done
+
+    assert score(QUICK, "prediction") == ["references", "single steps"]
+    only_single = read_report(path / "report")
+    assert score() == ["rollouts of copy_last", "rollouts of model"]
+    both = read_report(path / "report")
+    assert score() == []
+    assert both.settings["metrics"] == ["prediction", "rollout"]
+    assert both.figures["mse"] == only_single.figures["mse"]
+    assert {name for name in both.figures if "rollout" not in name} == set(only_single.figures)
+    assert len(score(ScoreSettings(horizon=2, resamples=100))) == 4  # another horizon, everything anew
+    with (path / "report/samples.parquet").open("ab") as handle:
+        handle.write(b"changed")
+    assert len(score(ScoreSettings(horizon=2, resamples=100))) == 4
+
+
+def test_new_weights_make_a_report_stale(make_run: MakeRun, tmp_path: Path) -> None:
+    score_run(make_run(tmp_path / "run").path, settings=QUICK, renew=False)
+    (tmp_path / "run/run.json").unlink()
+
+    changed = score_run(make_run(tmp_path / "run", offset=0.5).path, settings=QUICK, renew=False)
+
+    assert changed.figures["mse"]["mean"] > changed.reference["copy_last"]["mse"]["mean"]
+
+
+def test_references_are_scored_once_for_many_runs(make_run: MakeRun, tmp_path: Path) -> None:
+    references, work = ReferenceScores(), Work()
+    how = Execution(progress=work)
+    reports = [
+        score_run(make_run(tmp_path / str(seed), seed=seed).path, settings=QUICK, how=how, references=references)
+        for seed in range(2)
+    ]
+
+    assert work.done.count("references") == work.done.count("rollouts of copy_last") == 1
+    assert reports[0].reference == reports[1].reference
+
+
+def test_the_validation_episodes_are_others(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
+    path = make_run(tmp_path / "run").path
+
+    score_run(path, metrics=("prediction",), settings=ScoreSettings(split="validation", resamples=100))
+
+    episodes = pq.read_table(path / "report/samples.parquet")["episode"].unique().to_pylist()
+    assert episodes == grid.split("validation").tolist()
+
+
+def test_what_is_wrong_is_said(make_run: MakeRun, tmp_path: Path) -> None:
+    with pytest.raises(RunMissing, match="not finished"):
+        score_run(make_run(tmp_path / "unfinished", finished=False).path)
+    with pytest.raises(RunMismatch, match="has changed since the run 'other' was trained"):
+        score_run(make_run(tmp_path / "other", fingerprint="of another").path)
+    run = make_run(tmp_path / "run")
+    score_run(run.path, settings=QUICK)
+    (run.path / "report/report.json").write_text('{"protocol": ')
+    with pytest.raises(RunCorrupt, match="delete it and score the run again"):
+        score_run(run.path, settings=QUICK)
+
+
+def test_without_labels_nothing_can_be_scored(oracle: Oracle, tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", episodes=10, frames=6)
+    for file in (dataset.path / "labels").iterdir():
+        file.unlink()
+
+    with pytest.raises(LabelsNotAvailable):
+        score_model(oracle, dataset, settings=QUICK)
+
+
+def test_episodes_that_are_too_short_have_no_rollouts(make_run: MakeRun, tmp_path: Path) -> None:
+    report = score_run(make_run(tmp_path / "run").path, metrics=("rollout",), settings=ScoreSettings(horizon=13))
+
+    assert report.figures == {}
+    assert "15 frames" in report.remarks["rollout"]
+
+
+def test_a_published_row_stands_beside_the_run_it_belongs_to() -> None:
+    def row(model: str, labels: str, environment: str = "grid_world") -> PublishedResult:
+        return PublishedResult(model=model, environment=environment, labels=labels, figures={}, source="")
+
+    rows = [row("a", "100%"), row("a", "10%"), row("b", "one-shot"), row("a", "10%", "robot_push")]
+
+    assert published_for("a", "grid_world", "10%", rows) is rows[1]
+    assert published_for("b", "grid_world", "5-shot", rows) is rows[2]
+    assert published_for("a", "grid_world", "50%", rows) is None
+    assert published_for("c", "grid_world", "10%", rows) is None
+
+
+def test_the_columns_of_the_figures_are_in_the_samples(grid: Dataset, oracle: Oracle) -> None:
+    samples = score_model(oracle, grid, settings=QUICK).samples
+
+    assert set(FIGURE_COLUMNS) <= set(samples.column_names)
+    # 3 test episodes of 12 triplets; 4 rollouts of 3 steps each; 2 references, 1 of them rolled out
+    assert len(samples) == 3 * 12 * 3 + 3 * 4 * 3 * 2

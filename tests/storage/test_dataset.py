@@ -1,0 +1,215 @@
+"""Opening, splitting, caching: what a user of a data set relies on."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import sys
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from noise_world import assert_same_episode, noise_episode, noise_lengths, noise_spec, write_noise
+
+from dmotion_bench.errors import (
+    DatasetCorrupt,
+    DatasetIncomplete,
+    DatasetMissing,
+    DatasetVersionUnknown,
+    LabelsNotAvailable,
+    UnknownName,
+    UsageError,
+)
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.frame_cache import build_cache, open_cache
+from dmotion_bench.storage.split import split_episodes
+from dmotion_bench.storage.writer import DatasetWriter
+
+_OPENED: list[str] = []
+_WATCHING = [False]
+
+
+def _watch(event: str, arguments: tuple[object, ...]) -> None:
+    if event == "open" and _WATCHING[0]:
+        _OPENED.append(str(arguments[0]))
+
+
+sys.addaudithook(_watch)
+
+
+@pytest.fixture
+def opened() -> Iterator[list[str]]:
+    """Every file that is opened by Python meanwhile."""
+    _OPENED.clear()
+    _WATCHING[0] = True
+    yield _OPENED
+    _WATCHING[0] = False
+
+
+def test_no_folder_and_no_manifest_are_missing(tmp_path: Path) -> None:
+    for path in (tmp_path / "nowhere", tmp_path):
+        with pytest.raises(DatasetMissing, match="dmbench record"):
+            Dataset.open(path)
+
+
+def test_an_interrupted_recording_names_the_command_that_goes_on(tmp_path: Path) -> None:
+    recipe = DatasetRecipe(environment="grid_world", episodes=7, frames=8, tasks=3, seed=5)
+    with DatasetWriter.create_or_resume(tmp_path / "d", recipe, noise_spec()):
+        pass
+    command = f"dmbench record grid_world --episodes 7 --frames 8 --tasks 3 --seed 5 --out {tmp_path / 'd'}"
+    with pytest.raises(DatasetIncomplete, match=command):
+        Dataset.open(tmp_path / "d")
+
+
+def test_another_version_of_the_format_is_named(tmp_path: Path) -> None:
+    manifest = write_noise(tmp_path / "d").path / "dataset.json"
+    manifest.write_text(manifest.read_text().replace("dmbench/1", "dmbench/2"))
+    with pytest.raises(DatasetVersionUnknown, match="'dmbench/2'.*'dmbench/1'"):
+        Dataset.open(tmp_path / "d")
+
+
+@pytest.mark.parametrize("table", ["episodes.parquet", "tasks.parquet"])
+def test_a_changed_table_is_noticed(tmp_path: Path, table: str) -> None:
+    file = write_noise(tmp_path / "d").path / table
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+    with pytest.raises(DatasetCorrupt, match=f"{table}.*dmbench data repair"):
+        Dataset.open(tmp_path / "d").tasks()
+
+
+def test_a_missing_shard_is_noticed(tmp_path: Path) -> None:
+    (write_noise(tmp_path / "d").path / "video" / "shard-00001.mcap").unlink()
+    with pytest.raises(DatasetCorrupt, match=r"shard-00001.mcap' is damaged: it is missing"):
+        Dataset.open(tmp_path / "d")
+
+
+def test_an_episode_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    dataset = write_noise(tmp_path / "d")
+    for number in (-1, 7):
+        with pytest.raises(UsageError, match="it has 0 to 6"):
+            dataset.video(number)
+    with pytest.raises(UnknownName, match="did you mean 'train'"):
+        dataset.split("trian")  # type: ignore[arg-type]
+
+
+def test_without_labels_everything_but_the_labels_works_the_same(tmp_path: Path) -> None:
+    write_noise(tmp_path / "whole")
+    shutil.copytree(tmp_path / "whole", tmp_path / "apart")
+    shutil.rmtree(tmp_path / "apart" / "labels")
+    whole, apart = Dataset.open(tmp_path / "whole"), Dataset.open(tmp_path / "apart")
+    assert whole.fingerprint == apart.fingerprint
+    np.testing.assert_array_equal(whole.cache().frames, apart.cache().frames)
+    np.testing.assert_array_equal(whole.split("test"), apart.split("test"))
+    np.testing.assert_array_equal(whole.video(4), apart.video(4))
+    assert whole.tasks() == apart.tasks()
+    for read in (apart.labels, apart.states, apart.episode):
+        with pytest.raises(LabelsNotAvailable, match="dmbench data repair"):
+            read(4)
+
+
+def test_video_cache_split_and_tasks_open_no_label_file(tmp_path: Path, opened: list[str]) -> None:
+    path = write_noise(tmp_path / "d").path
+    opened.clear()
+    dataset = Dataset.open(path)
+    for number in range(len(dataset)):
+        dataset.video(number)
+    dataset.cache(), dataset.split("train"), dataset.tasks()  # noqa: B018
+    assert any("video" in name for name in opened)
+    assert not [name for name in opened if "labels" in name]
+    dataset.states(0)
+    assert [name for name in opened if "labels" in name]
+
+
+def test_reading_an_episode_opens_one_file_once(tmp_path: Path, opened: list[str]) -> None:
+    dataset = write_noise(tmp_path / "d")
+    opened.clear()
+    dataset.video(5)
+    assert [Path(name).name for name in opened] == ["shard-00001.mcap"]
+
+
+def test_a_data_set_travels_to_other_processes(tmp_path: Path) -> None:
+    dataset = write_noise(tmp_path / "d")
+    copy: Dataset = pickle.loads(pickle.dumps(dataset))  # noqa: S301 (what a DataLoader does)
+    assert_same_episode(copy.episode(2), noise_episode(2, noise_lengths(7)[2], dataset.spec))
+
+
+@settings(deadline=None, derandomize=True, max_examples=50)
+@given(seed=st.integers(0, 2**63), episodes=st.integers(1, 400))
+def test_every_episode_is_on_one_side(seed: int, episodes: int) -> None:
+    split = split_episodes(seed, episodes)
+    assert sorted(np.concatenate(list(split.values())).tolist()) == list(range(episodes))
+    assert len(split["train"]) > 0
+    if episodes >= 20:
+        assert len(split["test"]) == round(0.1 * episodes)
+        assert len(split["validation"]) == round(0.1 * (episodes - len(split["test"])))
+    for name, members in split_episodes(seed, episodes).items():
+        np.testing.assert_array_equal(members, split[name])
+
+
+def test_most_episodes_stay_on_their_side_when_a_data_set_grows() -> None:
+    small, large = split_episodes(3, 300), split_episodes(3, 600)
+    stayed = np.intersect1d(small["test"], large["test"])
+    assert len(stayed) > 0.6 * len(small["test"])  # by chance it would be a tenth
+    assert len(np.intersect1d(split_episodes(4, 300)["test"], small["test"])) < 0.4 * 30
+
+
+def test_the_cache_holds_every_frame(tmp_path: Path) -> None:
+    dataset = write_noise(tmp_path / "d")
+    cache = dataset.cache()
+    assert cache.offsets.tolist() == [0, *np.cumsum(dataset.lengths).tolist()]
+    for number in range(len(dataset)):
+        np.testing.assert_array_equal(cache.episode(number), dataset.video(number))
+    assert not cache.frames.flags.writeable
+    assert not cache.frames.flags.owndata
+
+
+def test_any_arrow_reader_opens_the_cache(tmp_path: Path) -> None:
+    dataset = write_noise(tmp_path / "d")
+    dataset.cache()
+    (file,) = (dataset.path / "cache").iterdir()
+    table = pa.ipc.open_file(file.read_bytes()).read_all()
+    assert table.column_names == ["frame"]
+    frames = [np.frombuffer(value, np.uint8) for value in table.column("frame").to_pylist()]
+    np.testing.assert_array_equal(np.stack(frames), dataset.cache().frames.reshape(len(frames), -1))
+
+
+def test_a_stale_or_foreign_cache_is_made_anew(tmp_path: Path) -> None:
+    old = write_noise(tmp_path / "old", episodes=3)
+    new = write_noise(tmp_path / "new", episodes=5)
+    old.cache()
+    shutil.copytree(old.path / "cache", new.path / "cache")
+    assert len(new.cache().frames) == new.lengths.sum()
+    assert len(list((new.path / "cache").iterdir())) == 1  # the stale one is gone
+    (file,) = (new.path / "cache").iterdir()
+    file.write_bytes((old.path / "cache").iterdir().__next__().read_bytes())  # under the right name
+    np.testing.assert_array_equal(new.cache().episode(4), new.video(4))
+    file.write_bytes(b"ARROW1 and then nothing")
+    np.testing.assert_array_equal(new.cache().episode(4), new.video(4))
+
+
+def test_a_failed_cache_leaves_nothing(tmp_path: Path) -> None:
+    frames = np.zeros((2, 4, 4, 3), np.uint8)
+    with pytest.raises(ValueError, match="bytes of frames were given"):
+        build_cache(tmp_path, "a" * 64, [frames], 3, 4, 4)
+    assert not list(tmp_path.iterdir())
+    assert open_cache(tmp_path, "a" * 64, np.array([3]), 4, 4) is None
+
+
+def test_making_the_cache_holds_one_episode_in_memory(tmp_path: Path) -> None:
+    """64 episodes of 3 MiB, 192 MiB in all, pass through 16 MiB of memory."""
+    frames = np.arange(64 * 128 * 128 * 3, dtype=np.uint8).reshape(64, 128, 128, 3)
+    tracemalloc.start()
+    build_cache(tmp_path, "a" * 64, (frames for _ in range(64)), 64 * 64, 128, 128)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 16 * 2**20
+    cache = open_cache(tmp_path, "a" * 64, np.full(64, 64), 128, 128)
+    assert cache is not None
+    np.testing.assert_array_equal(cache.episode(63), frames)

@@ -1,0 +1,137 @@
+"""What a check finds and what a repair keeps, where no environment can help."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from noise_world import assert_same_episode, files_of, noise_episode, noise_lengths, write_noise
+
+from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch
+from dmotion_bench.recording.restore import repair_dataset
+from dmotion_bench.storage.check import check_dataset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.repair import salvage
+from dmotion_bench.storage.writer import DatasetWriter
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def flip(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    file.write_bytes(content)
+
+
+def forge(file: Path) -> None:
+    shutil.copy(file.parent / "shard-00000.mcap", file)
+
+
+DAMAGES: list[Callable[[Path], None]] = [truncate, flip, forge, Path.unlink]
+
+
+def test_a_sound_data_set_is_sound(tmp_path: Path) -> None:
+    report = check_dataset(write_noise(tmp_path / "d").path)
+    assert (report.damages, report.labels) == ((), "present")
+
+
+@pytest.mark.parametrize("kind", ["video", "labels"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_every_damage_is_found_where_it_is(tmp_path: Path, kind: str, damage: Callable[[Path], None]) -> None:
+    path = write_noise(tmp_path / "d").path
+    damage(path / kind / "shard-00001.mcap")
+    report = check_dataset(path)
+    assert [one.file for one in report.damages] == [f"{kind}/shard-00001.mcap"]
+    assert report.shards == (1,)
+
+
+def test_labels_that_were_taken_away_are_no_damage(tmp_path: Path) -> None:
+    path = write_noise(tmp_path / "d").path
+    shutil.rmtree(path / "labels")
+    report = check_dataset(path)
+    assert (report.damages, report.labels) == ((), "missing")
+
+
+def test_tables_are_made_again_byte_for_byte(tmp_path: Path) -> None:
+    path = write_noise(tmp_path / "d").path
+    before = files_of(path)
+    flip(path / "episodes.parquet")
+    (path / "tasks.parquet").unlink()
+    assert [one.file for one in check_dataset(path).damages] == ["episodes.parquet"]
+    assert repair_dataset(path).how == "restored"
+    assert files_of(path) == before
+
+
+@pytest.mark.parametrize("kind", ["video", "labels"])
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("table", [True, False], ids=["table", "no table"])
+def test_every_episode_that_can_be_read_is_kept(
+    tmp_path: Path, kind: str, damage: Callable[[Path], None], table: bool
+) -> None:
+    path = write_noise(tmp_path / "d").path
+    damage(path / kind / "shard-00001.mcap")
+    if not table:
+        (path / "episodes.parquet").unlink()
+    before = files_of(path)
+    done = repair_dataset(path)
+    assert done.how == "salvaged"
+    assert done.salvaged is not None
+    kept = done.salvaged.kept
+    assert {0, 1, 2, 6} <= set(kept) < set(range(7))
+    assert sorted([*kept, *done.salvaged.lost]) == list(range(7))
+    assert files_of(done.salvaged.original) == before  # nothing of the original is lost
+    mended = Dataset.open(path)
+    assert len(mended) == len(kept)
+    lengths = noise_lengths(7)
+    for place, number in enumerate(kept):
+        assert_same_episode(mended.episode(place), noise_episode(number, lengths[number], mended.spec))
+    assert check_dataset(path).damages == ()
+
+
+def test_of_a_truncated_shard_the_first_episodes_are_kept(tmp_path: Path) -> None:
+    dataset = write_noise(tmp_path / "d")
+    end = dataset.rows[4].video
+    file = dataset.path / "video" / "shard-00001.mcap"
+    file.write_bytes(file.read_bytes()[: end.offset + end.size + 10])
+    assert salvage(dataset.path).lost == (5,)
+
+
+def test_without_labels_the_video_is_salvaged(tmp_path: Path) -> None:
+    path = write_noise(tmp_path / "d").path
+    shutil.rmtree(path / "labels")
+    truncate(path / "video" / "shard-00000.mcap")
+    repair_dataset(path)
+    assert check_dataset(path).labels == "none"
+    assert len(Dataset.open(path)) >= 4
+
+
+def test_a_salvaged_data_set_is_not_extended(tmp_path: Path) -> None:
+    path = write_noise(tmp_path / "d").path
+    (path / "video" / "shard-00001.mcap").unlink()
+    repair_dataset(path)
+    recipe = Dataset.open(path).recipe
+    with pytest.raises(RecipeMismatch, match="lacks episodes"):
+        DatasetWriter.create_or_resume(path, recipe, Dataset.open(path).spec)
+
+
+def test_the_original_of_an_earlier_repair_is_not_overwritten(tmp_path: Path) -> None:
+    path = write_noise(tmp_path / "d").path
+    (tmp_path / "d.damaged").mkdir()
+    (path / "video" / "shard-00001.mcap").unlink()
+    before = files_of(path)
+    with pytest.raises(DatasetCorrupt, match=r"d\.damaged"):
+        repair_dataset(path)
+    assert files_of(path) == before
+
+
+def test_where_nothing_can_be_read_nothing_is_touched(tmp_path: Path) -> None:
+    path = write_noise(tmp_path / "d", episodes=2).path
+    (path / "video" / "shard-00000.mcap").write_bytes(b"")
+    before = files_of(path)
+    with pytest.raises(DatasetCorrupt, match="not one episode"):
+        repair_dataset(path)
+    assert files_of(path) == before

@@ -1,0 +1,161 @@
+"""A recording goes on after anything, and a folder never holds two recipes."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+
+import pytest
+from noise_world import files_of, noise_episode, noise_lengths, noise_spec, write_noise
+
+from dmotion_bench.errors import DatasetError, RecipeMismatch, StorageFull, UsageError
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.atomic import atomic_file
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.writer import DatasetWriter
+
+SPEC = noise_spec()
+RECIPE = DatasetRecipe(environment="noise", episodes=7, frames=6, shard_episodes=3)
+
+
+def write_shard(writer: DatasetWriter, index: int) -> None:
+    lengths = noise_lengths(writer.recipe.episodes)
+    writer.write_shard(index, (noise_episode(one, lengths[one], SPEC) for one in writer.episodes_of(index)))
+
+
+def test_shards_in_any_order_and_after_interruptions_give_the_same_bytes(tmp_path: Path) -> None:
+    write_noise(tmp_path / "at once")
+    for index in (2, 0, 1):
+        with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC) as writer:
+            assert index in writer.missing
+            write_shard(writer, index)
+            if not writer.missing:
+                writer.finish()
+    assert files_of(tmp_path / "d") == files_of(tmp_path / "at once")
+
+
+def test_extending_keeps_full_shards_and_gives_what_recording_at_once_gives(tmp_path: Path) -> None:
+    write_noise(tmp_path / "d", episodes=7)
+    before = files_of(tmp_path / "d")
+    extended = dataclasses.replace(RECIPE, episodes=11)
+    with DatasetWriter.create_or_resume(tmp_path / "d", extended, SPEC) as writer:
+        assert writer.missing == (2, 3)  # shard 2 had one episode of three
+        for index in writer.missing:
+            write_shard(writer, index)
+        writer.finish()
+    after = files_of(tmp_path / "d")
+    for index in (0, 1):
+        for kind in ("video", "labels"):
+            assert after[f"{kind}/shard-0000{index}.mcap"] == before[f"{kind}/shard-0000{index}.mcap"]
+    write_noise(tmp_path / "at once", episodes=11)
+    assert after == files_of(tmp_path / "at once")
+
+
+def test_while_it_is_extended_a_data_set_is_incomplete(tmp_path: Path) -> None:
+    write_noise(tmp_path / "d", episodes=7)
+    with DatasetWriter.create_or_resume(tmp_path / "d", dataclasses.replace(RECIPE, episodes=11), SPEC):
+        with pytest.raises(DatasetError, match="--episodes 11"):
+            Dataset.open(tmp_path / "d")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"seed": 1}, "seed is 0 there and 1 here"),
+        ({"frames": 9}, "frames is 6 there and 9 here"),
+        ({"environment": "other"}, "environment is 'noise' there and 'other' here"),
+        ({"parameters": {"objects": 2}}, "parameters is {} there and {'objects': 2} here"),
+        ({"episodes": 6}, "7 episodes, more than the 6 asked for"),
+    ],
+)
+def test_another_recipe_is_refused_and_says_what_differs(tmp_path: Path, change: dict[str, object], says: str) -> None:
+    write_noise(tmp_path / "d")
+    before = files_of(tmp_path / "d")
+    with pytest.raises(RecipeMismatch) as caught:
+        DatasetWriter.create_or_resume(tmp_path / "d", dataclasses.replace(RECIPE, **change), SPEC)  # type: ignore[arg-type]
+    assert says in str(caught.value)
+    assert "--out" in str(caught.value)
+    assert files_of(tmp_path / "d") == before
+
+
+def test_an_environment_that_has_changed_is_another_recipe(tmp_path: Path) -> None:
+    write_noise(tmp_path / "d")
+    with pytest.raises(RecipeMismatch, match="has changed"):
+        DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, dataclasses.replace(SPEC, step_ns=1))
+
+
+def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("ten years of work")
+    with pytest.raises(UsageError, match="is not empty"):
+        DatasetWriter.create_or_resume(tmp_path, RECIPE, SPEC)
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_two_writers_do_not_share_a_folder(tmp_path: Path) -> None:
+    with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC):
+        with pytest.raises(DatasetError, match="another dmbench"):
+            DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC)
+    DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC).close()
+
+
+def test_what_a_killed_process_leaves_is_taken_away_or_written_anew(tmp_path: Path) -> None:
+    whole = files_of(write_noise(tmp_path / "whole").path)
+    folder = write_noise(tmp_path / "d").path
+    (folder / "video" / "shard-00002.mcap.123.part").write_bytes(b"half")
+    (folder / "video" / "shard-00001.mcap").unlink()  # its labels were renamed first, then came the end
+    (folder / "labels" / "shard-00002.mcap").write_bytes(b"\x89MCAP0\r\n")  # a broken disk
+    with DatasetWriter.create_or_resume(folder, RECIPE, SPEC) as writer:
+        assert writer.missing == (1, 2)
+        for index in writer.missing:
+            write_shard(writer, index)
+        writer.finish()
+    assert files_of(folder) == whole
+
+
+def test_finish_wants_every_shard(tmp_path: Path) -> None:
+    with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC) as writer:
+        write_shard(writer, 0)
+        with pytest.raises(DatasetError, match="2 shards"):
+            writer.finish()
+
+
+def test_a_file_gets_its_name_after_its_bytes_are_safe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bytes to the disk, then the name, then the name to the disk."""
+    happened: list[str] = []
+    rename = Path.replace
+
+    def fsync(handle: int) -> None:
+        happened.append("folder" if Path(f"/proc/self/fd/{handle}").resolve().is_dir() else "file")
+
+    def replace(self: Path, target: Path) -> Path:
+        happened.append("rename")
+        return rename(self, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(Path, "replace", replace)
+    with atomic_file(tmp_path / "x") as file:
+        file.write(b"bytes")
+        assert not (tmp_path / "x").exists()
+    assert happened == ["file", "rename", "folder"]
+
+
+def test_an_error_while_writing_leaves_the_old_file(tmp_path: Path) -> None:
+    (tmp_path / "x").write_bytes(b"old")
+    with pytest.raises(ZeroDivisionError), atomic_file(tmp_path / "x") as file:
+        file.write(b"new")
+        1 / 0  # noqa: B018
+    assert [(one.name, one.read_bytes()) for one in tmp_path.iterdir()] == [("x", b"old")]
+
+
+def test_a_full_disk_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Linux says it; tests/recording fills a real file system."""
+
+    def fsync(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC) as writer:
+        monkeypatch.setattr(os, "fsync", fsync)
+        with pytest.raises(StorageFull, match="run the same command again"):
+            write_shard(writer, 0)
+    assert not list((tmp_path / "d" / "video").iterdir())

@@ -124,7 +124,7 @@ def test_references_are_where_they_were_measured() -> None:
         65, abs=25
     )  # few triplets are pushes: 9 is its own standard error here
     assert mean("agent", "position_error_paper") == pytest.approx(1.6, abs=0.35)
-    assert mean("black", "mse") == pytest.approx(3666, rel=0.03)
+    assert mean("black", "mse") == pytest.approx(3666, rel=0.06)
 
 
 def _transitions(frames: np.ndarray, masks: np.ndarray) -> TransitionBatch:

@@ -2,8 +2,8 @@
 
 A recurrent predictor is given, at each step, x_t and a latent action z_t, a Gaussian inferred from x_t and x_{t+1}.
 Two things make z an action (its section 3). The divergence from the unit Gaussian, weighted by beta, keeps out of z
-what x_t tells already. And a composition network merges the latent actions of several steps into one, nu, from which the
-predictor must reach the last frame in a single step from the first.
+what x_t tells already. And a composition network merges the latent actions of several steps into one, nu, from which
+the predictor must reach the last frame in a single step from the first.
 
 Settled so (docs/baselines.md): sequences are the benchmark's triplets, so two latent actions are composed, and of the
 step-by-step predictions the last one is trained. Inference, predictor and decoder are of the shared backbone: the

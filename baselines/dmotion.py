@@ -51,13 +51,13 @@ class DMotionConfig:
         kernel: Side of cross convolution's kernels [px of the map].
         agent_entries: At how many places of the interaction learner the agent's map enters: 3 as in the paper, or 1.
         second_frame: Whether the interaction learner sees x_{t-1}.
-        blur: Width of the interpolation kernel at the start of the training [px of the map]; shrinks to 1 over
-            ``anneal``. 1 is the paper's. Wide kernels let the gradient of the motion see as far as the agent goes.
+        blur: Width of the interpolation kernel at the start of the training [px of the map]; shrinks to 1 over the
+            share ``anneal`` of it. 1 is the paper's. With wide kernels the gradient of the motion reaches far.
         jitter: Standard deviation of the noise on phi^0 as the interaction learner sees it, at the start of the
-            training [px of the map]; falls to ``jitter_end`` over ``anneal``. 0 is the paper's. With noise on it,
+            training [px of the map]; falls to ``jitter_end`` at its end. 0 is the paper's. With noise on it,
             only a true motion carries the action; a hidden code in the last digits of phi^0 does not.
         jitter_end: Where the noise ends.
-        anneal: Share of the training after which both have reached their ends.
+        anneal: Share of the training after which the kernel has its own width.
     """
 
     arch: Literal["compact", "paper"] = "compact"
@@ -66,10 +66,10 @@ class DMotionConfig:
     kernel: int = 27
     agent_entries: Literal[1, 3] = 3
     second_frame: bool = True
-    blur: float = 7.0
-    jitter: float = 2.0
-    jitter_end: float = 0.5
-    anneal: float = 0.5
+    blur: float = 8.0
+    jitter: float = 1.2
+    jitter_end: float = 0.2
+    anneal: float = 0.2
 
     def __post_init__(self) -> None:
         if self.maps < 1 or self.kernel % 2 == 0:
@@ -130,7 +130,7 @@ class DMotion(ForwardModel[DMotionConfig]):
                 clip_norm=0.0,
             )
         return TrainingConfig(
-            epochs={Preset.TINY: 1, Preset.SMALL: 20, Preset.PAPER: 50}[preset],
+            epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 10}[preset],
             learning_rate=3e-3,
             optimizer="muon",
             schedule="linear",
@@ -142,7 +142,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         """Narrow the interpolation kernel and quieten the noise."""
         left = max(0.0, 1 - share / self.config.anneal)
         self.blur = 1 + (self.config.blur - 1) * left
-        self.jitter = self.config.jitter_end + (self.config.jitter - self.config.jitter_end) * left
+        self.jitter = self.config.jitter_end + (self.config.jitter - self.config.jitter_end) * (1 - share)
 
     def losses(self, batch: TripletBatch) -> Losses:
         """Equation 2, in squared [-1, 1] units, averaged over pixels and channels."""

@@ -87,10 +87,11 @@ class VectorQuantizer(nn.Module):
     def forward(self, latent: Float[Tensor, "b d"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, ""]]:
         """The quantised vector, through which gradients pass straight to ``latent``, and the commitment loss."""
         parts = rearrange(latent.float(), "b (n h d) -> n (b h) d", n=self.config.codebooks, d=self.config.length)
-        chosen = self.nearest(parts.detach())
-        quantised = torch.gather(self.codes, 1, chosen[..., None].expand(parts.shape))
-        if self.training:
-            self._follow(parts.detach(), chosen)
+        with torch.autocast(latent.device.type, enabled=False):  # distances and running means need all digits
+            chosen = self.nearest(parts.detach())
+            quantised = torch.gather(self.codes, 1, chosen[..., None].expand(parts.shape))
+            if self.training:
+                self._follow(parts.detach(), chosen)
         commitment = self.config.commitment * F.mse_loss(parts, quantised)
         straight = parts + (quantised - parts).detach()
         return rearrange(straight, "n (b h) d -> b (n h d)", b=len(latent)), commitment

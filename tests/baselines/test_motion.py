@@ -78,7 +78,9 @@ def test_moving_right_is_a_negative_translation() -> None:
 
 
 def test_a_grid_cell_is_the_shift_that_the_facts_say() -> None:
-    torch.testing.assert_close(theta_of_shift(torch.tensor([-12.8, 0]), 64), torch.tensor([0.406, 0]), atol=1e-3, rtol=0)
+    torch.testing.assert_close(
+        theta_of_shift(torch.tensor([-12.8, 0]), 64), torch.tensor([0.406, 0]), atol=1e-3, rtol=0
+    )
 
 
 def test_identities_leave_maps_alone() -> None:
@@ -96,3 +98,12 @@ def test_cross_convolution_moves_each_map_by_its_own_kernel() -> None:
     moved = CrossConvolution(5)(maps, kernels)
     torch.testing.assert_close(moved[:, 0, :, 1:], maps[:, 0, :, :-1])
     torch.testing.assert_close(moved[:, 1, :-2], maps[:, 1, 2:])
+
+
+def test_large_kernels_in_fourier_space_are_the_same_sum() -> None:
+    generator = torch.Generator().manual_seed(2)
+    maps, kernels = _maps(21), torch.randn(3, 2, 13 * 13, generator=generator)
+    padded = torch.nn.functional.pad(maps, (6, 6, 6, 6))
+    windows = padded.unfold(-2, 13, 1).unfold(-2, 13, 1)  # b k h w i j
+    expected = (windows * kernels.reshape(3, 2, 1, 1, 13, 13)).sum((-2, -1))
+    torch.testing.assert_close(CrossConvolution(13)(maps, kernels), expected, atol=1e-4, rtol=1e-4)

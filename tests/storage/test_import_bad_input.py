@@ -30,7 +30,7 @@ from storage.foreign import (
     video,
 )
 
-from dmotion_bench.errors import InvalidSetting, RecordingImportError, RecordingTruncated, UsageError
+from dmotion_bench.errors import InvalidSetting, RecipeMismatch, RecordingImportError, RecordingTruncated, UsageError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
@@ -311,9 +311,18 @@ def test_a_topic_s_name_is_no_path(tmp_path: Path) -> None:
 def test_what_stands_there_is_not_touched(good: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("keep")
-    with pytest.raises(UsageError, match="is there already; name another folder with '--out DIR'"):
+    with pytest.raises(UsageError, match="is there already and is no data set; name another folder"):
         import_recordings([good], tmp_path / "out", SMALL)
     assert (tmp_path / "out" / "mine").read_text() == "keep"
+
+
+def test_the_same_command_again_changes_nothing_and_another_is_refused(good: Path, tmp_path: Path) -> None:
+    first = import_recordings([good], tmp_path / "out", SMALL)
+    made = (tmp_path / "out" / "dataset.json").stat().st_mtime_ns
+    assert import_recordings([good], tmp_path / "out", SMALL) == first
+    assert (tmp_path / "out" / "dataset.json").stat().st_mtime_ns == made
+    with pytest.raises(RecipeMismatch, match="holds a data set of other recordings or options"):
+        import_recordings([good], tmp_path / "out", ImportOptions(size=16))
 
 
 def test_what_a_killed_import_left_is_in_nobody_s_way(

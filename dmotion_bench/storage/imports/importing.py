@@ -18,8 +18,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Int64
 
-from dmotion_bench.errors import RecordingImportError, UsageError
+from dmotion_bench.errors import RecipeMismatch, RecordingImportError, UsageError
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, Scalar
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.commands import Commands, in_force, sorted_names
 from dmotion_bench.storage.imports.fitting import fitted
 from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording, is_lerobot
@@ -27,6 +28,7 @@ from dmotion_bench.storage.imports.mcap_recording import McapRecording
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Recording, Survey
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
+from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
@@ -83,16 +85,16 @@ def import_recordings(
 
     Args:
         paths: MCAP files, folders of such, LeRobot data sets.
-        out: The data set's folder, which must not exist yet.
+        out: The data set's folder; one that this very import has made is left as it is.
         options: How.
         progress: Is told how far it is.
 
     Raises:
         RecordingImportError: A recording cannot be imported.
-        UsageError: The folder holds something already.
+        RecipeMismatch: The folder holds another data set.
+        UsageError: The folder holds something else.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{str(out)!r} is there already; name another folder with '--out DIR', or delete it first.")
+    standing = _standing(out)
     recordings = [_open(path, options) for path in recordings_in(paths)]
     surveys: list[Survey] = []
     for number, recording in enumerate(recordings):
@@ -116,7 +118,13 @@ def import_recordings(
         width=options.size,
         step_ns=round(1e9 / options.hz),
     )
-    _write(out, recipe, spec, recordings, planned, options, progress)
+    if standing is None:
+        _write(out, recipe, spec, recordings, planned, options, progress)
+    elif (standing.recipe, standing.spec) != (recipe, spec):
+        raise RecipeMismatch(
+            f"{str(out)!r} holds a data set of other recordings or options; name another folder with '--out DIR', "
+            "or delete it first."
+        )
     return ImportReport(
         path=out,
         episodes=len(planned),
@@ -129,6 +137,15 @@ def import_recordings(
         left_out=left_out,
         actions=names,
     )
+
+
+def _standing(out: Path) -> Manifest | None:
+    """The whole data set that is there already."""
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return None
+    if not (out / DATASET_MANIFEST).is_file():
+        raise UsageError(f"{str(out)!r} is there already and is no data set; name another folder with '--out DIR'.")
+    return Dataset.open(out).manifest
 
 
 def _open(path: Path, options: ImportOptions) -> Recording:

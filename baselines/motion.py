@@ -18,6 +18,9 @@ from torch import Tensor
 WHOLE_PIXEL = 1e-4
 """Added to whole-pixel shifts, where the hat function has a kink and its symmetric derivative is zero [px]."""
 
+FOURIER_KERNEL = 11
+"""Cross convolution with kernels from this side on is done in Fourier space."""
+
 
 @runtime_checkable
 class Motion(Protocol):
@@ -151,7 +154,8 @@ def _fourier_correlation(maps: Float[Tensor, "b k h w"], kernels: Float[Tensor, 
     size = (height + 2 * reach, width + 2 * reach)  # so that nothing wraps around
     spectrum = torch.fft.rfft2(maps.float(), s=size) * torch.fft.rfft2(kernels.float(), s=size).conj()
     moved = torch.fft.irfft2(spectrum, s=size).roll((reach, reach), (-2, -1))
-    return moved[..., :height, :width].to(maps.dtype)
+    inside: Tensor = moved[..., :height, :width]
+    return inside.to(maps.dtype)
 
 
 def theta_of_shift(shift: Float[Tensor, "*b 2"], size: int) -> Float[Tensor, "*b 2"]:

@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import foxglove
 import numpy as np
 import pytest
-from storage.foreign import ROS, foxglove_file, ros_file, ros_image, steady, video
+from foxglove.channels import RawImageChannel
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.wrappers_pb2 import Int32Value
+from storage.foreign import ROS, foxglove_file, raw_image, ros_file, ros_image, steady, video
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
@@ -112,4 +116,33 @@ def test_too_many_different_actions_are_refused(tmp_path: Path) -> None:
     times = steady(80)
     file = foxglove_file(tmp_path / "a.mcap", video(80), times, actions=[(t_ns, t_ns) for t_ns in times])
     with pytest.raises(RecordingImportError, match="80 different values, more than the 64"):
+        imported(file, tmp_path)
+
+
+def protobuf_file(path: Path, schema: bytes, messages: list[bytes]) -> Path:
+    context, times = foxglove.Context(), steady(len(messages) + 1)
+    with foxglove.open_mcap(path, context=context):
+        camera = RawImageChannel("/camera", context=context)
+        for t_ns in times:
+            camera.log(raw_image(t_ns, 4, 4, "rgb8", 12, bytes(48)), log_time=t_ns)
+        described = foxglove.Schema(name="google.protobuf.Int32Value", encoding="protobuf", data=schema)
+        commands = foxglove.Channel("/action", schema=described, message_encoding="protobuf", context=context)
+        for t_ns, message in zip(times, messages, strict=False):
+            commands.log(message, log_time=t_ns)
+    return path
+
+
+def test_protobuf_actions(tmp_path: Path) -> None:
+    described = FileDescriptorSet()
+    Int32Value.DESCRIPTOR.file.CopyToProto(described.file.add())
+    messages = [Int32Value(value=value).SerializeToString() for value in (7, 7, 9)]
+    dataset = imported(protobuf_file(tmp_path / "a.mcap", described.SerializeToString(), messages), tmp_path)
+    assert dataset.spec.actions == ("7", "9")
+    assert dataset.states(0).actions.tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize("schema", [b"", b"\xff\xff", b"\x0a\x03\x0a\x01a"])
+def test_a_protobuf_schema_that_is_none_is_refused(tmp_path: Path, schema: bytes) -> None:
+    file = protobuf_file(tmp_path / "a.mcap", schema, [b"\x08\x01"] * 3)
+    with pytest.raises(RecordingImportError, match="'/action' carries protobuf messages whose schema cannot be used"):
         imported(file, tmp_path)

@@ -124,6 +124,7 @@ def _value(message: Any) -> Any:
 
 
 def _protobuf_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
+    from google.protobuf.message import DecodeError
     from mcap.exceptions import McapError
     from mcap.records import Schema
     from mcap_protobuf.decoder import DecoderFactory
@@ -131,7 +132,7 @@ def _protobuf_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
     schema = Schema(id=1, name=topic.schema_name, encoding=topic.schema_encoding, data=topic.schema)
     try:
         decode = DecoderFactory().decoder_for("protobuf", schema)
-    except (McapError, TypeError, ValueError, KeyError, RecursionError) as error:
+    except (McapError, DecodeError, TypeError, ValueError, KeyError, RecursionError) as error:
         raise RecordingImportError(
             f"{topic.topic!r} carries protobuf messages whose schema cannot be used: {str(error)[:120]}."
         ) from error

@@ -1,0 +1,85 @@
+"""``dmbench data import`` and ``export``, as they are typed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from storage.foreign import foxglove_file, steady, video
+from typer.testing import CliRunner, Result
+
+from dmotion_bench.cli import data
+from dmotion_bench.errors import DmbenchError, UnknownName
+from dmotion_bench.storage.dataset import Dataset
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    return tmp_path
+
+
+def typed(*words: str | Path) -> Result:
+    app = typer.Typer()
+    data.register(app)
+    return CliRunner().invoke(app, ["data", *map(str, words)], catch_exceptions=True)
+
+
+def test_in_and_out_again(workspace: Path) -> None:
+    times = steady(30, hz=20)
+    actions = [(t_ns, "stop") for t_ns in times]
+    file = foxglove_file(workspace / "Run 1.mcap", video(30, 24, 32), times, actions=actions)
+    done = typed("import", file, "--size", "16", "--actions", "/action", "--frames-per-episode", "5")
+
+    folder = workspace / "data" / "imported-Run-1"
+    assert done.exit_code == 0
+    assert "3 episodes, 15 frames of 16x16 pixels at 10 Hz, from 30 pictures of 32x24 at 20.0 Hz" in done.stdout
+    assert "actions, held out as labels: stop" in done.stdout
+    assert f"dmbench train dmotion --data {folder}" in done.stdout
+    assert len(Dataset.open(folder)) == 3
+
+    exported = typed("export", folder, "--json")
+    assert json.loads(exported.stdout) | {"video_bytes": 0} == {
+        "path": str(workspace / "exports" / "imported-Run-1-lerobot"),
+        "episodes": 3,
+        "frames": 15,
+        "labels": True,
+        "codec": "h264",
+        "video_bytes": 0,
+        "mse": 0.0,
+        "largest_error": 0,
+        "lossless": True,
+    }
+    again = typed("import", workspace / "exports" / "imported-Run-1-lerobot", "--size", "16", "--json")
+    assert json.loads(again.stdout)["episodes"] == 3
+
+
+def test_video_without_labels_is_exported_alone(workspace: Path) -> None:
+    typed("import", foxglove_file(workspace / "a.mcap", video(6, 16, 16), steady(6)), "--size", "16")
+    done = typed("export", "--codec", "av1")
+    assert "1 episodes, 6 frames\n" in done.stdout
+    assert "loses an MSE of" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--fit", "cropp"], "no fit named 'cropp'; did you mean 'crop'?"),
+        (["--clock", "wall"], "no clock named 'wall'; known: header, log"),
+        (["--camera", "/front"], "has no topic '/front' for '--camera'"),
+    ],
+)
+def test_what_is_wrong_is_said(workspace: Path, words: list[str], sentence: str) -> None:
+    file = foxglove_file(workspace / "a.mcap", video(6), steady(6))
+    failed = typed("import", file, *words)
+    assert isinstance(failed.exception, DmbenchError)
+    assert sentence in str(failed.exception)
+    assert not (workspace / "data").exists()
+
+
+def test_an_unknown_format_is_said(workspace: Path) -> None:
+    failed = typed("export", "--format", "rlds")
+    assert isinstance(failed.exception, UnknownName)
+    assert "no format named 'rlds'; known: lerobot" in str(failed.exception)

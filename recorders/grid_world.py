@@ -58,7 +58,7 @@ EDGES: Final = tuple(round(cell * SIZE / CELLS) for cell in range(CELLS + 1))
 
 @cache
 def _stamp(shape: str, column: int, row: int) -> Bool[np.ndarray, "h w"]:
-    """Which pixels of a cell a shape covers; a pixel belongs to it if its centre does."""
+    """Which pixels of a cell a shape covers: those whose centre lies in it."""
     height, width = EDGES[row + 1] - EDGES[row], EDGES[column + 1] - EDGES[column]
     y, x = ((np.arange(height) + 0.5) / height)[:, None], ((np.arange(width) + 0.5) / width)[None]
     if shape == "circle":

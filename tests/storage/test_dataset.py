@@ -70,7 +70,7 @@ def test_an_interrupted_recording_names_the_command_that_goes_on(tmp_path: Path)
 def test_another_version_of_the_format_is_named(tmp_path: Path) -> None:
     manifest = write_noise(tmp_path / "d").path / "dataset.json"
     manifest.write_text(manifest.read_text().replace("dmbench/1", "dmbench/2"))
-    with pytest.raises(DatasetVersionUnknown, match="'dmbench/2'.*'dmbench/1'"):
+    with pytest.raises(DatasetVersionUnknown, match=r"'dmbench/2'.*'dmbench/1'"):
         Dataset.open(tmp_path / "d")
 
 
@@ -120,7 +120,8 @@ def test_video_cache_split_and_tasks_open_no_label_file(tmp_path: Path, opened: 
     dataset = Dataset.open(path)
     for number in range(len(dataset)):
         dataset.video(number)
-    dataset.cache(), dataset.split("train"), dataset.tasks()  # noqa: B018
+    assert len(dataset.cache().frames) > len(dataset.split("train"))
+    assert dataset.tasks() == []
     assert any("video" in name for name in opened)
     assert not [name for name in opened if "labels" in name]
     dataset.states(0)
@@ -136,7 +137,7 @@ def test_reading_an_episode_opens_one_file_once(tmp_path: Path, opened: list[str
 
 def test_a_data_set_travels_to_other_processes(tmp_path: Path) -> None:
     dataset = write_noise(tmp_path / "d")
-    copy: Dataset = pickle.loads(pickle.dumps(dataset))  # noqa: S301 (what a DataLoader does)
+    copy: Dataset = pickle.loads(pickle.dumps(dataset))
     assert_same_episode(copy.episode(2), noise_episode(2, noise_lengths(7)[2], dataset.spec))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -44,7 +46,7 @@ def test_a_candidate_moves_something_and_loses_nothing(
     positions, pushed = walk(seed, frames, push_share, loss_share)
     found = candidates(positions, pushed, 1e-3)
     starts = sorted(one.start for one in found)
-    assert all(later - sooner >= START_SPACING for sooner, later in zip(starts, starts[1:], strict=False))
+    assert all(later - sooner >= START_SPACING for sooner, later in itertools.pairwise(starts))
     assert [one.interactions for one in found] == sorted((one.interactions for one in found), reverse=True)
     for start, goal, interactions in found:
         assert goal == min(start + GOAL_DISTANCE, frames - 1)

@@ -54,9 +54,9 @@ def test_extending_keeps_full_shards_and_gives_what_recording_at_once_gives(tmp_
 
 def test_while_it_is_extended_a_data_set_is_incomplete(tmp_path: Path) -> None:
     write_noise(tmp_path / "d", episodes=7)
-    with DatasetWriter.create_or_resume(tmp_path / "d", dataclasses.replace(RECIPE, episodes=11), SPEC):
-        with pytest.raises(DatasetError, match="--episodes 11"):
-            Dataset.open(tmp_path / "d")
+    DatasetWriter.create_or_resume(tmp_path / "d", dataclasses.replace(RECIPE, episodes=11), SPEC).close()
+    with pytest.raises(DatasetError, match="--episodes 11"):
+        Dataset.open(tmp_path / "d")
 
 
 @pytest.mark.parametrize(
@@ -93,9 +93,10 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_two_writers_do_not_share_a_folder(tmp_path: Path) -> None:
-    with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC):
-        with pytest.raises(DatasetError, match="another dmbench"):
-            DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC)
+    first = DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC)
+    with pytest.raises(DatasetError, match="another dmbench"):
+        DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC)
+    first.close()
     DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC).close()
 
 
@@ -142,9 +143,14 @@ def test_a_file_gets_its_name_after_its_bytes_are_safe(tmp_path: Path, monkeypat
 
 def test_an_error_while_writing_leaves_the_old_file(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"old")
-    with pytest.raises(ZeroDivisionError), atomic_file(tmp_path / "x") as file:
-        file.write(b"new")
-        1 / 0  # noqa: B018
+
+    def write_half() -> None:
+        with atomic_file(tmp_path / "x") as file:
+            file.write(b"new")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
     assert [(one.name, one.read_bytes()) for one in tmp_path.iterdir()] == [("x", b"old")]
 
 

@@ -1,0 +1,189 @@
+"""Grid World is the paper's: its rules, its pictures, and the figures of reference predictors on it."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dmotion_bench.environment import Environment, EpisodeGenerator
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.recording.rollout import record_episode
+from dmotion_bench.specs import Episode, EpisodeLabels, ObjectStates, episode_seed
+from recorders.grid_world import CELLS, EDGES, FACTS, GridWorld, advance, draw
+from recorders.policies import RandomPolicy
+
+UP, DOWN, LEFT, RIGHT = range(4)
+
+
+def moved(cells: list[tuple[int, int]], action: int) -> list[tuple[int, int] | None]:
+    """Where agent and objects are after an action; None for one that is gone."""
+    padded = np.array(cells + [(-9, -9)] * (5 - len(cells)))
+    there = np.arange(5) < len(cells)
+    after, left = advance(padded[None], there[None], np.array([action]))
+    return [(int(x), int(y)) if here else None for (x, y), here in zip(after[0], left[0], strict=True)][: len(cells)]
+
+
+def test_gymnasium_finds_nothing_wrong() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make("dmbench/GridWorld-v0", render_mode="rgb_array")
+        check_env(env.unwrapped)
+        env.close()
+    assert isinstance(env.unwrapped, Environment)
+    assert isinstance(GridWorld, EpisodeGenerator)
+
+
+def test_a_move_into_nothing_moves_the_agent_alone() -> None:
+    assert moved([(2, 2), (2, 4)], RIGHT) == [(3, 2), (2, 4)]
+    assert moved([(2, 2), (2, 4)], UP) == [(2, 1), (2, 4)]
+    assert moved([(2, 2), (2, 4)], DOWN) == [(2, 3), (2, 4)]  # the object is not adjacent
+    assert moved([(2, 2), (0, 2)], LEFT) == [(1, 2), (0, 2)]
+
+
+def test_the_whole_chain_before_the_agent_is_pushed() -> None:
+    assert moved([(0, 1), (1, 1), (2, 1), (4, 1)], RIGHT) == [(1, 1), (2, 1), (3, 1), (4, 1)]
+    assert moved([(0, 1), (2, 1), (1, 1)], RIGHT) == [(1, 1), (3, 1), (2, 1)]  # in whatever order they are listed
+
+
+def test_an_object_pushed_over_the_edge_is_gone() -> None:
+    assert moved([(2, 3), (2, 4)], DOWN) == [(2, 4), None]
+    assert moved([(1, 0), (2, 0), (3, 0), (4, 0)], RIGHT) == [(2, 0), (3, 0), (4, 0), None]
+
+
+def test_what_is_gone_is_in_nobodys_way() -> None:
+    cells = np.array([[(1, 0), (2, 0), (3, 0), (9, 9), (9, 9)]])
+    there = np.array([[True, False, True, False, False]])
+    after, left = advance(cells, there, np.array([RIGHT]))
+    assert after[0, 2].tolist() == [3, 0]
+    assert left.tolist() == there.tolist()
+
+
+def test_an_illegal_move_changes_nothing_and_says_so() -> None:
+    env = GridWorld()
+    before, _ = env.reset(seed=1)
+    while env.legal_actions()[UP]:
+        before, *_ = env.step(UP)
+    after, _, _, _, info = env.step(UP)
+    assert info == {"illegal": True}
+    np.testing.assert_array_equal(after, before)
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(seeds=st.lists(st.integers(0, 2**62), min_size=1, max_size=4), frames=st.integers(2, 40))
+def test_all_at_once_equals_step_by_step(seeds: list[int], frames: int) -> None:
+    together = list(GridWorld.generate(seeds, frames=frames, policy="random", parameters={}))
+    for seed, episode in zip(seeds, together, strict=True):
+        assert_equal(episode, record_episode(GridWorld(), RandomPolicy(), seed, frames))
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(seed=st.integers(0, 2**62))
+def test_an_action_is_taken_at_its_frame(seed: int) -> None:
+    """x_{t+1} = step(x_t, a_t): replaying the labels gives the video."""
+    (episode,) = GridWorld.generate([seed], frames=20, policy="random", parameters={})
+    env = GridWorld()
+    frame, _ = env.reset(seed=seed)
+    np.testing.assert_array_equal(frame, episode.frames[0])
+    for action, after in zip(episode.labels.actions, episode.frames[1:], strict=True):
+        assert env.legal_actions()[action]
+        frame, _, terminated, truncated, info = env.step(int(action))
+        assert (terminated, truncated, info) == (False, False, {"illegal": False})
+        np.testing.assert_array_equal(frame, after)
+
+
+@settings(deadline=None, derandomize=True, max_examples=10)
+@given(seed=st.integers(0, 2**62))
+def test_labels_say_what_the_picture_shows(seed: int) -> None:
+    (episode,) = GridWorld.generate([seed], frames=32, policy="random", parameters={})
+    labels = episode.labels
+    assert labels.agent.position.shape == (32, 1, 3)
+    for thing, (look, states, place) in enumerate(
+        [(FACTS.agent, labels.agent, 0), *((one, labels.objects, k) for k, one in enumerate(FACTS.objects))]
+    ):
+        shown = (episode.frames == look.color).all(-1)
+        np.testing.assert_array_equal(labels.masks == thing + 1, shown)
+        for moment in range(32):
+            visible = states.visible[moment, place]
+            assert visible == shown[moment].any()
+            if visible:
+                ys, xs = np.nonzero(shown[moment])
+                np.testing.assert_allclose(states.pixel[moment, place], (xs.mean(), ys.mean()))
+                x, y, z = states.position[moment, place]
+                assert EDGES[int(x)] <= xs.min() <= xs.max() < EDGES[int(x) + 1]
+                assert EDGES[int(y)] <= ys.min() <= ys.max() < EDGES[int(y) + 1]
+                assert z == 0
+            else:
+                assert np.isnan(states.position[moment, place]).all()
+    changed = np.array([not same_objects(labels.objects, moment) for moment in range(31)])
+    np.testing.assert_array_equal(labels.pushed, changed)
+
+
+def test_every_shape_fills_its_cell() -> None:
+    for column in range(CELLS):
+        for row in range(CELLS):
+            cells = np.array([[(column, row)] * 5])
+            for thing in range(5):
+                there = np.arange(5)[None] == thing
+                ys, xs = np.nonzero(draw(cells, there)[1][0])
+                assert (xs.min(), xs.max() + 1) == (EDGES[column], EDGES[column + 1])
+                tip = thing > 2 and (EDGES[column + 1] - EDGES[column]) % 2 == 0  # falls between two pixels
+                assert (ys.min(), ys.max() + 1) == (EDGES[row] + tip, EDGES[row + 1])
+
+
+def test_nothing_varies_and_only_random_records() -> None:
+    with pytest.raises(InvalidSetting, match="nothing varies"):
+        GridWorld().reset(seed=0, options={"vary": ["light"]})
+    with pytest.raises(InvalidSetting, match="'random'"):
+        list(GridWorld.generate([0], frames=3, policy="push", parameters={}))
+
+
+def test_reference_predictors_have_the_papers_errors() -> None:
+    """facts.md, 1: MSE 1848 +- 438 for copying the last frame, 3666 for all black (there over 2,100 triplets)."""
+    seeds = [episode_seed(0, number) for number in range(200)]
+    copied, black = [], []
+    for episode in GridWorld.generate(seeds, frames=32, policy="random", parameters={}):
+        frames = episode.frames
+        assert set(np.unique(frames)) == {0, 255}  # so a squared error is 0 or 255 squared
+        copied.append(255.0**2 * (frames[2:] != frames[1:-1]).mean((1, 2, 3)))
+        black.append(255.0**2 * (frames[2:] != 0).mean((1, 2, 3)))
+    assert np.mean(copied) == pytest.approx(1848, rel=0.02)
+    assert np.std(copied) == pytest.approx(438, abs=60)
+    assert np.mean(black) == pytest.approx(3666, rel=0.03)
+
+
+def test_pushes_and_losses_are_as_often_as_in_the_paper() -> None:
+    """facts.md, 1: a push in 10% of the triplets, a loss in 3.4%, objects fall from 4.0 to 2.85."""
+    seeds = [episode_seed(1, number) for number in range(700)]
+    pushes, losses, left = [], [], []
+    for episode in GridWorld.generate(seeds, frames=32, policy="random", parameters={}):
+        there = episode.labels.objects.visible
+        assert there[0].sum() == 4
+        pushes.append(episode.labels.pushed[1:])
+        losses.append(there[1:-1].sum(-1) > there[2:].sum(-1))
+        left.append(there[-1].sum())
+    assert np.mean(pushes) == pytest.approx(0.10, abs=0.01)
+    assert np.mean(losses) == pytest.approx(0.034, abs=0.005)
+    assert np.mean(left) == pytest.approx(2.85, abs=0.1)
+
+
+def same_objects(objects: ObjectStates, moment: int) -> bool:
+    return np.array_equal(objects.position[moment], objects.position[moment + 1], equal_nan=True)
+
+
+def assert_equal(left: Episode, right: Episode) -> None:
+    np.testing.assert_array_equal(left.frames, right.frames)
+    assert (left.seed, left.ended) == (right.seed, right.ended)
+    assert isinstance(left.labels, EpisodeLabels)
+    for name in ("actions", "pushed", "masks"):
+        np.testing.assert_array_equal(getattr(left.labels, name), getattr(right.labels, name))
+    for name in ("position", "orientation", "pixel", "visible"):
+        for who in ("agent", "objects"):
+            np.testing.assert_array_equal(
+                getattr(getattr(left.labels, who), name), getattr(getattr(right.labels, who), name)
+            )

@@ -1,0 +1,169 @@
+"""A recording gives the same bytes however it is divided, killed and gone on with."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import random
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+from noise_world import files_of
+
+from dmotion_bench.errors import DmbenchError, InvalidSetting, UnknownName
+from dmotion_bench.recording.executor import LocalExecutor, SerialExecutor, make_executor
+from dmotion_bench.recording.preset import recipe_for
+from dmotion_bench.recording.session import Progress, environment_facts, record_dataset
+from dmotion_bench.specs import DatasetRecipe, Preset
+from dmotion_bench.storage.dataset import Dataset
+
+RECIPE = DatasetRecipe(environment="grid_world", episodes=90, frames=6, tasks=5, shard_episodes=3)
+RECORD = """
+import sys
+from pathlib import Path
+from dmotion_bench.recording.executor import local_executor
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.specs import DatasetRecipe
+
+if __name__ == "__main__":
+    recipe = DatasetRecipe(environment="grid_world", episodes=90, frames=6, tasks=5, shard_episodes=3)
+    show = lambda progress: print(progress.episodes, flush=True)
+    record_dataset(Path(sys.argv[1]), recipe, local_executor(int(sys.argv[2])), show)
+"""
+
+
+@pytest.fixture(scope="module")
+def at_once(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    path = tmp_path_factory.mktemp("recording") / "d"
+    record_dataset(path, RECIPE)
+    return files_of(path)
+
+
+def start(script: Path, dataset: Path, workers: int) -> subprocess.Popen[str]:
+    script.write_text(RECORD)
+    return subprocess.Popen([sys.executable, script, dataset, str(workers)], stdout=subprocess.PIPE, text=True)
+
+
+def children(process: int) -> list[int]:
+    listed = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    return [int(one) for one in listed]
+
+
+def runs(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_killed_at_any_moment_it_goes_on_and_gives_the_same_bytes(
+    tmp_path: Path, at_once: dict[str, bytes], workers: int
+) -> None:
+    generator = random.Random(workers)
+    for _ in range(4 - workers):
+        recording = start(tmp_path / "record.py", tmp_path / "d", workers)
+        assert recording.stdout is not None
+        recording.stdout.readline()  # it has begun
+        for _ in range(generator.randrange(6)):
+            recording.stdout.readline()  # a shard is done
+        time.sleep(generator.random() * 0.02)
+        workers_of_it = children(recording.pid)
+        recording.kill()
+        recording.wait()
+        deadline = time.monotonic() + 10
+        while any(runs(one) for one in workers_of_it) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert not any(runs(one) for one in workers_of_it)  # nobody goes on writing
+        recording.stdout.close()
+    record_dataset(tmp_path / "d", RECIPE)
+    assert files_of(tmp_path / "d") == at_once
+
+
+def test_two_workers_write_the_same_bytes(tmp_path: Path, at_once: dict[str, bytes]) -> None:
+    seen: list[Progress] = []
+    recorded = record_dataset(tmp_path / "d", RECIPE, LocalExecutor(2), seen.append)
+    assert files_of(tmp_path / "d") == at_once
+    assert (recorded.episodes, recorded.frames) == (90, 540)
+    assert recorded.bytes == sum(len(content) for name, content in at_once.items() if name.endswith(".mcap"))
+    assert [one.episodes for one in seen] == list(range(0, 91, 3))
+    assert seen[-1].frames == 540
+
+
+def test_extending_gives_what_recording_at_once_gives(tmp_path: Path, at_once: dict[str, bytes]) -> None:
+    record_dataset(tmp_path / "d", dataclasses.replace(RECIPE, episodes=40))
+    first = files_of(tmp_path / "d")
+    record_dataset(tmp_path / "d", RECIPE)
+    assert files_of(tmp_path / "d") == at_once
+    for index in range(13):  # 40 episodes are 13 full shards and one of a single episode
+        name = f"video/shard-{index:05d}.mcap"
+        assert first[name] == at_once[name]
+
+
+def test_a_complete_recording_is_not_touched(tmp_path: Path) -> None:
+    small = dataclasses.replace(RECIPE, episodes=6)
+    record_dataset(tmp_path / "d", small)
+    stamps = {file: file.stat().st_mtime_ns for file in (tmp_path / "d" / "video").iterdir()}
+    again = record_dataset(tmp_path / "d", small)
+    assert again.made.frames == 0
+    assert {file: file.stat().st_mtime_ns for file in (tmp_path / "d" / "video").iterdir()} == stamps
+
+
+def test_an_exception_in_the_middle_keeps_what_was_done(tmp_path: Path, at_once: dict[str, bytes]) -> None:
+    class Broken(SerialExecutor):
+        def map_unordered(self, function, jobs: Iterable):  # type: ignore[no-untyped-def, type-arg]
+            for count, result in enumerate(super().map_unordered(function, jobs)):
+                if count == 4:
+                    raise ZeroDivisionError
+                yield result
+
+    with pytest.raises(ZeroDivisionError):
+        record_dataset(tmp_path / "d", RECIPE, Broken())
+    seen: list[Progress] = []
+    record_dataset(tmp_path / "d", RECIPE, on_progress=seen.append)
+    assert seen[0].episodes == 15  # the fifth shard was whole when the loop broke
+    assert files_of(tmp_path / "d") == at_once
+
+
+def test_a_worker_that_is_killed_is_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(DmbenchError, match="run the same command again"):
+        list(LocalExecutor(2).map_unordered(os._exit, [1, 2, 3]))
+
+
+def test_tasks_are_stored_and_can_be_reached(tmp_path: Path) -> None:
+    record_dataset(tmp_path / "d", DatasetRecipe(environment="grid_world", episodes=40, frames=32, tasks=12))
+    dataset = Dataset.open(tmp_path / "d")
+    tasks = dataset.tasks()
+    assert len(tasks) == 12
+    for task in tasks:
+        states = dataset.states(task.episode)
+        there = states.objects.visible[task.start] > 0
+        assert (states.objects.visible[task.goal][there] > 0).all()
+        assert states.pushed[task.start : task.goal].sum() >= 2
+        assert (states.objects.position[task.start][there] != states.objects.position[task.goal][there]).any()
+
+
+def test_the_presets_are_the_environments(tmp_path: Path) -> None:
+    paper = recipe_for("grid_world", Preset.PAPER)
+    assert (paper.episodes, paper.frames, paper.tasks) == (700, 32, 100)
+    assert paper.episodes * (paper.frames - 2) == 21_000  # the paper's triplets
+    assert recipe_for("grid_world", Preset.TINY, episodes=7, seed=3).episodes == 7
+    assert environment_facts(paper).objects[0].name == "red_circle"
+
+
+def test_wrong_names_and_parameters_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnknownName, match="did you mean 'grid_world'"):
+        recipe_for("grid_wrold")
+    with pytest.raises(UnknownName, match="policy of grid_world named 'rondom'; did you mean 'random'"):
+        record_dataset(tmp_path / "d", dataclasses.replace(RECIPE, policy="rondom"))
+    with pytest.raises(InvalidSetting, match=r"cannot be made.*cells"):
+        record_dataset(tmp_path / "d", dataclasses.replace(RECIPE, parameters={"cells": 7}))
+    with pytest.raises(InvalidSetting, match="nothing varies"):
+        record_dataset(tmp_path / "d", dataclasses.replace(RECIPE, vary=("light",)))
+    with pytest.raises(UnknownName, match="executor"):
+        make_executor("slrum", 2)
+    assert not (tmp_path / "d").exists()

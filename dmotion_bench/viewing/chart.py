@@ -1,0 +1,112 @@
+"""A chart with a logarithmic axis, drawn with lines in a picture view.
+
+Rerun's plots follow the timeline that is being played; this one is seen whatever that is, and Rerun 0.41 has no
+logarithmic axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from jaxtyping import Float, Int
+
+from dmotion_bench.viewing.tracks import Color
+
+WIDTH, HEIGHT = 1000.0, 600.0
+MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 90.0, 230.0, 30.0, 60.0
+LINE_HEIGHT = 26.0
+AXIS: Color = (150, 150, 150)
+GRID: Color = (60, 60, 64)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One figure over the steps of a training."""
+
+    step: Int[np.ndarray, " n"]
+    value: Float[np.ndarray, " n"]
+
+
+def log_chart(
+    recording: rr.RecordingStream,
+    path: str,
+    curves: Mapping[str, Curve],
+    colors: Mapping[str, Color],
+    widths: Mapping[str, float],
+) -> None:
+    """Draw curves by their names; values that are not above zero have no place on the axis and are left out."""
+    shown = {
+        name: Curve(curve.step[curve.value > 0], curve.value[curve.value > 0])
+        for name, curve in curves.items()
+        if (curve.value > 0).any()
+    }
+    if not shown:
+        return
+    last = max(int(curve.step.max()) for curve in shown.values())
+    low = math.log10(min(float(curve.value.min()) for curve in shown.values()))
+    high = math.log10(max(float(curve.value.max()) for curve in shown.values()))
+    low, high = (low - 0.05, high + 0.05) if high - low < 0.1 else (low, high)
+
+    def across(step: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return MARGIN_LEFT + (WIDTH - MARGIN_LEFT - MARGIN_RIGHT) * step / max(last, 1)
+
+    def down(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        share: Float[np.ndarray, " n"] = (np.log10(value) - low) / (high - low)
+        return HEIGHT - MARGIN_BOTTOM - (HEIGHT - MARGIN_TOP - MARGIN_BOTTOM) * share
+
+    steps, values = _round_steps(last), _round_values(low, high)
+    right, bottom = WIDTH - MARGIN_RIGHT, HEIGHT - MARGIN_BOTTOM
+    grid = [[(x, MARGIN_TOP), (x, bottom)] for x in across(steps)]
+    grid += [[(MARGIN_LEFT, y), (right, y)] for y in down(values)]
+    recording.log(f"{path}/grid", rr.LineStrips2D(grid, colors=[GRID], radii=[0.5]), static=True)
+    marks = [(x, bottom + 6) for x in across(steps)] + [(MARGIN_LEFT - 42, y - 12) for y in down(values)]
+    words = [f"{int(step)}" for step in steps] + [f"{value:g}" for value in values]
+    _write(
+        recording, f"{path}/axes", [*marks, ((MARGIN_LEFT + right) / 2, bottom + 30)], [*words, "training step"], AXIS
+    )
+    ends = {name: float(down(curve.value[-1:])[0]) for name, curve in shown.items()}
+    for name, height in _apart(ends).items():
+        curve = shown[name]
+        line = np.stack([across(curve.step), down(curve.value)], axis=1)
+        entity = f"{path}/{name.replace(' ', '_')}"
+        recording.log(
+            entity, rr.LineStrips2D([line], colors=[colors[name]], radii=[widths[name]], draw_order=10.0), static=True
+        )
+        text = f"{name}: {curve.value[-1]:.3g}"
+        _write(recording, f"{entity}/name", [(right + MARGIN_RIGHT / 2, height - 12)], [text], colors[name])
+
+
+def _write(
+    recording: rr.RecordingStream, path: str, places: list[tuple[float, float]], words: list[str], color: Color
+) -> None:
+    """Words, each centred a little below its place."""
+    recording.log(path, rr.Points2D(places, labels=words, colors=[color], radii=[0.01], show_labels=True), static=True)
+
+
+def _round_steps(last: int) -> Float[np.ndarray, " n"]:
+    """About five round numbers from zero to the last step."""
+    rough = max(last, 1) / 5
+    unit = 10 ** math.floor(math.log10(rough))
+    width = next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough)
+    return np.arange(0, last + 1, max(1, round(width))).astype(float)
+
+
+def _round_values(low: float, high: float) -> Float[np.ndarray, " n"]:
+    """Powers of ten, and where they are few, their doubles and quintuples."""
+    decades = range(math.floor(low), math.ceil(high) + 1)
+    factors = (1, 2, 5) if high - low < 3 else (1,)
+    values = [factor * 10.0**decade for decade in decades for factor in factors]
+    inside = [value for value in values if low <= math.log10(value) <= high]
+    return np.array(inside or [10**low, 10**high])
+
+
+def _apart(heights: Mapping[str, float]) -> dict[str, float]:
+    """The same heights, moved down where two lines of text would overlap."""
+    placed: dict[str, float] = {}
+    for name, height in sorted(heights.items(), key=lambda item: item[1]):
+        placed[name] = max(height, max(placed.values(), default=-math.inf) + LINE_HEIGHT)
+    return placed

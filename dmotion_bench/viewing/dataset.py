@@ -1,0 +1,117 @@
+"""The scene of a data set: the video of some episodes and, where they are there, their labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from jaxtyping import Int, UInt8
+
+from dmotion_bench.errors import LabelsNotAvailable
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
+from dmotion_bench.viewing.labels import log_labels, log_legend, plain
+from dmotion_bench.viewing.scene import Scene, Tab, picture_view
+from dmotion_bench.viewing.tracks import log_images
+
+
+class ViewableDataset(Protocol):
+    """What viewing needs of a ``storage.dataset.Dataset``."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def recipe(self) -> DatasetRecipe: ...
+
+    @property
+    def spec(self) -> EnvSpec: ...
+
+    def __len__(self) -> int: ...
+
+    def video(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]: ...
+
+    def labels(self, episode: int) -> EpisodeLabels: ...
+
+    def split(self, name: SplitName) -> Int[np.ndarray, " n"]: ...
+
+
+def dataset_scene(dataset: ViewableDataset, episodes: Sequence[int]) -> Scene:
+    """One tab an episode.
+
+    Args:
+        dataset: Its labels may be missing; then only the video is shown.
+        episodes: Numbers of episodes.
+    """
+    return Scene(
+        name=dataset.name,
+        tabs=tuple(_tab(dataset, episode) for episode in episodes),
+        step_ns=dataset.spec.step_ns,
+        background=lambda recording: log_legend(recording, dataset.spec),
+    )
+
+
+def _tab(dataset: ViewableDataset, episode: int) -> Tab:
+    root = f"/episode_{episode}"
+    frames = dataset.video(episode)
+    try:
+        labels = dataset.labels(episode)
+    except LabelsNotAvailable:
+        labels = None
+
+    def log(recording: rr.RecordingStream) -> None:
+        log_images(recording, f"{root}/camera", frames)
+        if labels is not None:
+            log_labels(recording, root, dataset.spec, labels)
+        text = _explanation(dataset, episode, len(frames), labels)
+        recording.log(f"{root}/about", rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+    return Tab(name=f"Episode {episode}", layout=_layout(dataset.spec, episode, labels is not None), log=log)
+
+
+def _layout(spec: EnvSpec, episode: int, labelled: bool) -> rrb.Container:
+    root = f"/episode_{episode}"
+    about = rrb.TextDocumentView(origin=f"{root}/about", name="What you see")
+    camera = picture_view(f"{root}/camera", "Camera", spec.width, spec.height)
+    name = f"Episode {episode}"
+    if not labelled:
+        return rrb.Horizontal(camera, about, column_shares=[3, 1], name=name)
+    masks = picture_view(f"{root}/masks", "Which pixel shows what", spec.width, spec.height)
+    world = rrb.Spatial3DView(origin=f"{root}/world", name="Where things are [m]")
+    events = rrb.StateTimelineView(origin=root, contents=["$origin/action", "$origin/pushed/**"], name="What happens")
+    return rrb.Horizontal(
+        rrb.Vertical(rrb.Horizontal(camera, masks), events, row_shares=[2, 1]),
+        rrb.Vertical(world, about),
+        column_shares=[2.4, 1],
+        name=name,
+    )
+
+
+def _explanation(dataset: ViewableDataset, episode: int, frames: int, labels: EpisodeLabels | None) -> str:
+    recipe, spec = dataset.recipe, dataset.spec
+    seconds = frames * spec.step_ns / 1e9
+    part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
+    lines = [
+        f"### {dataset.name}, episode {episode}",
+        "",
+        f"{frames} frames of {spec.width} x {spec.height} pixels, {seconds:.1f} s at {1e9 / spec.step_ns:g} frames/s. "
+        f"One of {len(dataset)} episodes of *{plain(recipe.environment)}*, policy *{plain(recipe.policy)}*, "
+        f"seed {recipe.seed}; in the **{part}** split.",
+        "",
+        "**Camera** is all that a model learns from.",
+    ]
+    if labels is None:
+        return "\n".join([*lines, "", "This data set has no labels."])
+    lines += [
+        "Everything else is *labels*, held out of the training: the rings and trails (where things are and were), "
+        "the masks, the places in metres, the actions.",
+        "",
+        "**What happens**: the action taken *at* a frame leads to the *next* one. A coloured stretch below it "
+        "is a step in which that object is pushed; grey: it is gone for good.",
+        "",
+        f"{int(labels.pushed.sum())} of {len(labels.pushed)} steps push an object.",
+    ]
+    lines += ["", "*Space* plays and pauses; drag a view to pan it, scroll to zoom, double-click to reset."]
+    return "\n".join(lines)

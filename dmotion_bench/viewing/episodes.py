@@ -1,0 +1,27 @@
+"""Which episodes are shown where none was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dmotion_bench.errors import UsageError
+from dmotion_bench.specs import SplitName
+from dmotion_bench.viewing.dataset import ViewableDataset
+
+FEW = 4
+
+
+def choose_episodes(dataset: ViewableDataset, asked: Sequence[int], split: SplitName | None) -> list[int]:
+    """The episodes asked for, each once, or the first few of the split, or of all.
+
+    Raises:
+        UsageError: There is no such episode, or it is of another split.
+    """
+    of_split = range(len(dataset)) if split is None else dataset.split(split).tolist()
+    for episode in asked:
+        if episode >= len(dataset):
+            raise UsageError(f"{dataset.name} has no episode {episode}; it has 0 to {len(dataset) - 1}.")
+        if episode not in of_split:
+            listed = ", ".join(map(str, of_split[:20])) + (" ..." if len(of_split) > 20 else "")
+            raise UsageError(f"episode {episode} of {dataset.name} is not in the {split} split; that has {listed}.")
+    return list(dict.fromkeys(asked)) or list(of_split[:FEW])

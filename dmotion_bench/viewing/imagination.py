@@ -1,0 +1,142 @@
+"""What a model makes of an episode: single steps, an imagined episode, its maps and motions, as arrays.
+
+The first two frames of an episode are given. From then on two predictions of every frame stand beside it:
+
+- **one step**: from the two true frames before it and the action taken there;
+- **imagined**: from the model's own last two frames; only the actions are still the recorded ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Shaped, UInt8
+from torch import Tensor
+
+from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.positions import PositionFinder
+from dmotion_bench.scoring.identification import MotionModel, ShiftModel
+from dmotion_bench.scoring.pixels import mean_squared_error
+from dmotion_bench.scoring.position_errors import position_errors
+from dmotion_bench.scoring.prediction import predicting
+from dmotion_bench.specs import EnvSpec, EpisodeLabels
+from dmotion_bench.viewing.maps import MapModel
+
+GIVEN = 2
+"""True frames that a model is given."""
+
+BATCH = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """Predicted frames GIVEN ... t-1 of an episode of t frames, and how good they are.
+
+    Attributes:
+        frames: Predicted.
+        mse: Of each, over pixels and channels, 0-255.
+        places: Where the things are that are found in them [px]; NaN where one is not found.
+        position_error: Mean distance of the things that are found in both frames [px]; NaN where none is.
+    """
+
+    frames: UInt8[np.ndarray, "s h w 3"]
+    mse: Float[np.ndarray, " s"]
+    places: Float[np.ndarray, "s k 2"] | None
+    position_error: Float[np.ndarray, " s"] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imagination:
+    """An episode and what a model makes of it.
+
+    Attributes:
+        frames: The true ones.
+        places: Of the things that are found in them [px]; None where nothing has a colour of its own.
+        one_step, imagined, copied: Predictions; the last repeats the frame before, the least that one can do.
+        maps, moved: The feature maps of frames 0 ... t-2, and the same moved to the frame after.
+        shift: How far the agent moves from each of these frames to the next, as the model sees it [px].
+    """
+
+    frames: UInt8[np.ndarray, "t h w 3"]
+    places: Float[np.ndarray, "t k 2"] | None
+    one_step: Prediction
+    imagined: Prediction
+    copied: Prediction
+    maps: Float[np.ndarray, "t-1 m y x"] | None
+    moved: Float[np.ndarray, "t-1 m y x"] | None
+    shift: Float[np.ndarray, "t-1 2"] | None
+
+
+def imagine(
+    model: ForwardModel[Any], frames: UInt8[np.ndarray, "t h w 3"], labels: EpisodeLabels, spec: EnvSpec
+) -> Imagination:
+    """Run a model over an episode of at least three frames."""
+    images = to_model(torch.from_numpy(frames))
+    actions = torch.from_numpy(np.asarray(labels.actions, np.int64))
+    with predicting(torch.device("cpu")):
+        steps = [
+            to_pixels(model.predict(before, now, action))
+            for before, now, action in zip(_parts(images[:-2]), _parts(images[1:-1]), _parts(actions[1:]), strict=True)
+        ]
+        imagined = to_pixels(model.rollout(images[:1], images[1:2], actions[None, 1:])[0])
+        maps, moved = _maps(model, images)
+        shift = _shift(model, images)
+    judge = _Judge(spec, torch.from_numpy(frames))
+    return Imagination(
+        frames=frames,
+        places=judge.places,
+        one_step=judge.of(torch.cat(steps)),
+        imagined=judge.of(imagined),
+        copied=judge.of(torch.from_numpy(frames[1:-1])),
+        maps=maps,
+        moved=moved,
+        shift=shift,
+    )
+
+
+def _parts(whole: Shaped[Tensor, "t *rest"]) -> tuple[Shaped[Tensor, "b *rest"], ...]:
+    parts: tuple[Tensor, ...] = torch.split(whole, BATCH)
+    return parts
+
+
+class _Judge:
+    """Compares predictions with the frames of an episode, as the scores do."""
+
+    def __init__(self, spec: EnvSpec, frames: UInt8[Tensor, "t h w 3"]) -> None:
+        things = spec.objects or spec.agent_has_color
+        self._finder = PositionFinder(spec) if things else None
+        self._truth = frames[GIVEN:]
+        self._found = self._finder.find(self._truth) if self._finder else None
+        self.places = self._finder.find(frames).centre.numpy() if self._finder else None
+
+    def of(self, predicted: UInt8[Tensor, "s h w 3"]) -> Prediction:
+        places = self._finder.find(predicted) if self._finder else None
+        errors = position_errors(places, self._found) if places is not None and self._found is not None else None
+        return Prediction(
+            frames=predicted.numpy(),
+            mse=mean_squared_error(predicted, self._truth).numpy(),
+            places=None if places is None else places.centre.numpy(),
+            position_error=None if errors is None else errors.position_error.numpy(),
+        )
+
+
+def _maps(
+    model: ForwardModel[Any], images: Float[Tensor, "t c h w"]
+) -> tuple[Float[np.ndarray, "s m y x"], Float[np.ndarray, "s m y x"]] | tuple[None, None]:
+    if not isinstance(model, MapModel):
+        return None, None
+    before = [model.feature_maps(now) for now in _parts(images[:-1])]
+    after = [
+        model.moved_maps(now, following) for now, following in zip(_parts(images[:-1]), _parts(images[1:]), strict=True)
+    ]
+    return torch.cat(before).float().numpy(), torch.cat(after).float().numpy()
+
+
+def _shift(model: ForwardModel[Any], images: Float[Tensor, "t c h w"]) -> Float[np.ndarray, "s 2"] | None:
+    if not isinstance(model, MotionModel) or not isinstance(model, ShiftModel):
+        return None
+    return model.pixel_shift(model.motion(images[:-1], images[1:])).float().numpy()

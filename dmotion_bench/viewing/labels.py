@@ -1,0 +1,97 @@
+"""What the labels of an episode look like: tracks in the picture and in the world, masks, and lanes of events."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+from jaxtyping import Bool, Float, UInt8
+
+from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, EpisodeLabels
+from dmotion_bench.viewing.tracks import Color, log_classes, log_points, log_rings, log_states, log_trails
+
+ACTION_COLORS: tuple[Color, ...] = (
+    (86, 180, 233),
+    (230, 159, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (240, 228, 66),
+    (213, 94, 0),
+)
+"""Okabe and Ito's palette, told apart by colour-blind people too; taken in turn."""
+
+GONE: Color = (90, 90, 90)
+BACKGROUND: Color = (30, 30, 34)
+
+
+def plain(name: str) -> str:
+    """A name in plain words: ``red_circle`` as ``red circle``."""
+    return name.replace("_", " ")
+
+
+def classes_of(spec: EnvSpec) -> list[int]:
+    """The mask values of the objects, then of the agent."""
+    return [MASK_FIRST_OBJECT + number for number in range(len(spec.objects))] + [MASK_AGENT]
+
+
+def log_legend(recording: rr.RecordingStream, spec: EnvSpec) -> None:
+    """Name and colour every mask value, for masks, dots and trails alike."""
+    known = [(MASK_BACKGROUND, "background", BACKGROUND), (MASK_AGENT, plain(spec.agent.name), spec.agent.color)]
+    known += [(MASK_FIRST_OBJECT + number, plain(it.name), it.color) for number, it in enumerate(spec.objects)]
+    recording.log("/", rr.AnnotationContext(known), static=True)
+
+
+def log_labels(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: EpisodeLabels) -> None:
+    """All labels of an episode under the entity ``root``."""
+    classes = classes_of(spec)
+    pixel = np.concatenate([labels.objects.pixel, labels.agent.pixel], axis=1)
+    position = np.concatenate([labels.objects.position, labels.agent.position], axis=1)
+    log_rings(recording, f"{root}/camera/places", pixel)
+    log_trails(recording, f"{root}/camera/trails", pixel, classes, 0.5)
+    log_classes(recording, f"{root}/masks", labels.masks)
+    log_points(recording, f"{root}/masks/names", _below(labels.masks, classes), classes, 0.3)
+    size = _extent(position)
+    log_points(recording, f"{root}/world/things", position, classes, size / 40)
+    log_trails(recording, f"{root}/world/trails", position, classes, size / 150)
+    log_events(recording, root, spec, labels)
+
+
+def log_events(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: EpisodeLabels) -> None:
+    """A lane of the actions, and one for each object: when it is pushed, when it is gone."""
+    names = [plain(action) for action in spec.actions]
+    taken: list[str | None] = [names[action] for action in labels.actions.tolist()]
+    colors = {name: ACTION_COLORS[number % len(ACTION_COLORS)] for number, name in enumerate(names)}
+    log_states(recording, f"{root}/action", [*taken, None], colors)
+    moved, gone = pushes(spec, labels)
+    for number, it in enumerate(spec.objects):
+        lane: list[str | None] = []
+        for frame in range(len(gone)):
+            pushed = frame < len(moved) and moved[frame, number]
+            lane.append("pushed" if pushed else "gone" if gone[frame, number] else None)
+        log_states(recording, f"{root}/pushed/{it.name}", lane, {"pushed": it.color, "gone": GONE})
+
+
+def pushes(spec: EnvSpec, labels: EpisodeLabels) -> tuple[Bool[np.ndarray, "t-1 k"], Bool[np.ndarray, "t k"]]:
+    """Which objects are moved between frame i and i+1, and which are no longer there at frame i."""
+    position = labels.objects.position
+    gone = ~np.isfinite(position).all(-1)
+    distance = np.linalg.norm(np.diff(position, axis=0), axis=-1)
+    vanishes = gone[1:] & ~gone[:-1]
+    with np.errstate(invalid="ignore"):
+        return (distance > spec.push_threshold) | vanishes, gone
+
+
+def _below(masks: UInt8[np.ndarray, "t h w"], classes: list[int]) -> Float[np.ndarray, "t k 2"]:
+    """The middle of each thing's lower edge [px], where its name is written; NaN while it is not seen."""
+    places = np.full((len(masks), len(classes), 2), np.nan)
+    for number, value in enumerate(classes):
+        for frame, mask in enumerate(masks == value):
+            if mask.any():
+                columns = np.flatnonzero(mask.any(0))
+                places[frame, number] = (columns[0] + columns[-1]) / 2, np.flatnonzero(mask.any(1))[-1]
+    return places
+
+
+def _extent(position: np.ndarray) -> float:
+    """How large the world is [m], at least a little."""
+    finite = position[np.isfinite(position).all(-1)]
+    return max(float(np.ptp(finite, axis=0).max()), 1e-3) if len(finite) else 1.0

@@ -1,0 +1,249 @@
+"""The scene of a run: what its model makes of held-out episodes, and how its training went."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from jaxtyping import Float, UInt8
+
+from dmotion_bench.learning.run import Run
+from dmotion_bench.specs import EpisodeLabels
+from dmotion_bench.viewing.curves import read_curves, training_tab
+from dmotion_bench.viewing.dataset import ViewableDataset
+from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, imagine
+from dmotion_bench.viewing.labels import log_events, log_legend, plain
+from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
+from dmotion_bench.viewing.scene import Scene, Tab, picture_view
+from dmotion_bench.viewing.tracks import (
+    Color,
+    log_arrows,
+    log_curve,
+    log_dots,
+    log_images,
+    log_rings,
+    log_words,
+)
+
+AMPLIFIED = 4
+"""How much the difference between a prediction and the truth is magnified."""
+
+ONE_STEP: Color = (86, 180, 233)
+IMAGINED: Color = (230, 159, 0)
+COPIED: Color = (140, 140, 140)
+SEEN_MOTION: Color = (255, 220, 0)
+TRUE_MOTION: Color = (255, 255, 255)
+
+
+def run_scene(run: Run, dataset: ViewableDataset, episodes: Sequence[int], why: dict[int, str] | None = None) -> Scene:
+    """One tab an episode, and one for the training.
+
+    Args:
+        run: A finished one.
+        dataset: Its own, with labels: the actions to follow are among them.
+        episodes: Numbers of episodes.
+        why: What is said of an episode on its tab, such as ``"worst"``.
+
+    Raises:
+        RunMissing: The training is not done.
+        LabelsNotAvailable: The data set's labels are not there.
+    """
+    notes = why or {}
+    tabs = [_tab(run, dataset, episode, notes.get(episode, "")) for episode in episodes]
+    return Scene(
+        name=run.name,
+        tabs=(*tabs, training_tab(read_curves(run.metrics), _of_training(run))),
+        step_ns=dataset.spec.step_ns,
+        background=lambda recording: log_legend(recording, dataset.spec),
+    )
+
+
+def _tab(run: Run, dataset: ViewableDataset, episode: int, note: str) -> Tab:
+    root, name = f"/episode_{episode}", f"Episode {episode}" + (f" ({note})" if note else "")
+    labels = dataset.labels(episode)
+    seen = imagine(run.model, dataset.video(episode), labels, dataset.spec)
+
+    def log(recording: rr.RecordingStream) -> None:
+        _log_truth(recording, root, seen, labels)
+        _log_prediction(recording, f"{root}/one_step", seen, seen.one_step)
+        _log_prediction(recording, f"{root}/imagined", seen, seen.imagined)
+        _log_errors(recording, root, seen)
+        _log_maps(recording, root, seen)
+        log_events(recording, root, dataset.spec, labels)
+        text = _of_episode(run, dataset, episode, seen)
+        recording.log(f"{root}/about", rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+    return Tab(name=name, layout=_layout(name, root, dataset, seen), log=log)
+
+
+def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -> rrb.Container:
+    width, height = dataset.spec.width, dataset.spec.height
+
+    def picture(path: str, title: str) -> rrb.Spatial2DView:
+        return picture_view(f"{root}/{path}", title, width, height)
+
+    events = rrb.StateTimelineView(origin=root, contents=["$origin/action", "$origin/pushed/**"], name="What happens")
+    beside_imagined: rrb.Container | rrb.View = events
+    if seen.maps is not None:
+        sheet_height, sheet_width = tiles(seen.maps[:1], 1.0).shape[1:]
+        beside_imagined = rrb.Vertical(
+            picture_view(f"{root}/maps", "Feature maps of this frame", sheet_width, sheet_height),
+            picture_view(f"{root}/moved_maps", "The same, each moved by its motion", sheet_width, sheet_height),
+        )
+    plots: list[rrb.View] = [_plot(f"{root}/mse", "MSE of each frame [0-255 squared]")]
+    if seen.places is not None:
+        plots.append(_plot(f"{root}/position_error", "Position error of each frame [px]"))
+    if seen.maps is not None:
+        plots.append(events)
+    return rrb.Horizontal(
+        rrb.Grid(
+            picture("camera", "What really happens"),
+            picture("one_step/frame", "Predicted one step ahead"),
+            picture("one_step/difference", f"Its error, {AMPLIFIED} times"),
+            beside_imagined,
+            picture("imagined/frame", "Imagined from frame 2 on"),
+            picture("imagined/difference", f"Its error, {AMPLIFIED} times"),
+            grid_columns=3,
+        ),
+        rrb.Vertical(
+            rrb.TextDocumentView(origin=f"{root}/about", name="What you see"),
+            *plots,
+            row_shares=[1.6, *(1.0 for _ in plots)],
+        ),
+        column_shares=[2.4, 1],
+        name=name,
+    )
+
+
+def _plot(origin: str, name: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.Corner2D.LeftTop)
+
+
+def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labels: EpisodeLabels) -> None:
+    log_images(recording, f"{root}/camera", seen.frames)
+    if seen.places is not None:
+        log_rings(recording, f"{root}/camera/places", seen.places)
+    if seen.shift is not None:
+        agent = labels.agent.pixel[:, 0]
+        log_arrows(recording, f"{root}/camera/true_motion", agent[:-1], np.diff(agent, axis=0), TRUE_MOTION, 1.6)
+        log_arrows(recording, f"{root}/camera/motion_seen", agent[:-1], seen.shift, SEEN_MOTION, 0.8)
+
+
+def _log_prediction(recording: rr.RecordingStream, path: str, seen: Imagination, prediction: Prediction) -> None:
+    """The frames that are given stand before the predicted ones; their difference is black."""
+    given = seen.frames[:GIVEN]
+    log_images(recording, f"{path}/frame", np.concatenate([given, prediction.frames]))
+    errors = difference(prediction.frames, seen.frames[GIVEN:])
+    log_images(recording, f"{path}/difference", np.concatenate([np.zeros_like(given), errors]))
+    if seen.places is not None and prediction.places is not None:
+        log_rings(recording, f"{path}/frame/true_places", seen.places)
+        log_dots(recording, f"{path}/frame/places", prediction.places, first=GIVEN)
+
+
+def difference(
+    predicted: UInt8[np.ndarray, "t h w 3"], truth: UInt8[np.ndarray, "t h w 3"]
+) -> UInt8[np.ndarray, "t h w 3"]:
+    """How far each channel is from the truth, magnified; black is right."""
+    apart = np.abs(predicted.astype(np.int16) - truth) * AMPLIFIED
+    limited: UInt8[np.ndarray, "t h w 3"] = np.minimum(apart, 255).astype(np.uint8)
+    return limited
+
+
+def _log_errors(recording: rr.RecordingStream, root: str, seen: Imagination) -> None:
+    at = range(GIVEN, len(seen.frames))
+    kinds = (("one_step", "one step", ONE_STEP), ("imagined", "imagined", IMAGINED), ("copied", "frame before", COPIED))
+    for key, name, color in kinds:
+        prediction: Prediction = getattr(seen, key)
+        log_curve(recording, f"{root}/mse/{key}", prediction.mse, name=name, color=color, at=at)
+        if prediction.position_error is not None:
+            log_curve(
+                recording, f"{root}/position_error/{key}", prediction.position_error, name=name, color=color, at=at
+            )
+
+
+def _log_maps(recording: rr.RecordingStream, root: str, seen: Imagination) -> None:
+    if seen.maps is None or seen.moved is None:
+        return
+    white = brightest(seen.maps, seen.moved)
+    for path, maps in ((f"{root}/maps", seen.maps), (f"{root}/moved_maps", seen.moved)):
+        log_images(recording, path, tiles(maps, white))
+        corners = tile_corners(maps.shape[1], *maps.shape[2:])
+        names = ["0, the agent's", *map(str, range(1, len(corners)))]
+        middles = [(left + maps.shape[3] / 2, top) for top, left in corners]
+        log_words(recording, f"{path}/names", middles, names)
+
+
+def _of_episode(run: Run, dataset: ViewableDataset, episode: int, seen: Imagination) -> str:
+    spec = run.spec
+    part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
+    seen_before = "" if part == "test" else ": *not held out*"
+    lines = [
+        f"### {run.name}",
+        "",
+        f"**{spec.model}** ({spec.arch}) on *{spec.dataset}*, labels: **{_labels_used(run)}**, seed {spec.seed}. "
+        f"Episode {episode}, {part} split{seen_before}.",
+        "",
+        "| mean of this episode | MSE | position error |",
+        "|---|---|---|",
+        *(
+            f"| {name} | {_mean(prediction.mse)} | {_mean(prediction.position_error)} |"
+            for name, prediction in (
+                ("one step", seen.one_step),
+                ("imagined", seen.imagined),
+                ("frame before", seen.copied),
+            )
+        ),
+        "",
+        "**Predicted one step ahead**: from the two true frames before it and the action.",
+        "",
+        "**Imagined**: from the model's own frames; only the first two are given. The actions are the recorded ones.",
+        "",
+        "**Rings**: where things really are. **Dots**: where the prediction has them.",
+    ]
+    if seen.shift is not None:
+        lines += ["", "**Arrows**: the agent's true motion (white) and the one that the model sees (yellow)."]
+    if seen.maps is not None:
+        lines += [
+            "",
+            "**Feature maps**: |m| of each, all in one unit. Map 0 should show the agent alone; moved, it is "
+            "where the agent is next.",
+        ]
+    lines += ["", f"*frame before* repeats the last frame: the least that one can do. {plain(dataset.spec.id)}."]
+    return "\n".join(lines)
+
+
+def _of_training(run: Run) -> str:
+    result = run.result or {}
+    lines = ["### Training", "", "| | |", "|---|---|"]
+    facts = {
+        "model": f"{run.spec.model} ({run.spec.arch}), {result.get('parameters', 0) / 1e6:.2f} M parameters",
+        "data set": run.spec.dataset,
+        "labels used": _labels_used(run),
+        "steps": result.get("steps"),
+        "seconds": result.get("seconds"),
+        "triplets/s": result.get("triplets_per_s"),
+        "best validation loss": f"{result.get('validation_loss', float('nan')):.4g} at step {result.get('best_step')}",
+        "device": result.get("device"),
+    }
+    lines += [f"| {name} | {value} |" for name, value in facts.items()]
+    lines += [
+        "",
+        "The chart shows every loss, dimmed: in training, bright: in validation.",
+        "",
+        "The plots below can be read off and zoomed. They run over another timeline: click **frame** at the bottom "
+        "left and choose **step**; choose *frame* again for the episodes.",
+    ]
+    return "\n".join(lines)
+
+
+def _labels_used(run: Run) -> str:
+    total = (run.result or {}).get("labels_total")
+    return run.spec.labels if total is None else f"{run.spec.labels} ({total} labels)"
+
+
+def _mean(values: Float[np.ndarray, " s"] | None) -> str:
+    if values is None or not np.isfinite(values).any():
+        return "-"
+    return f"{np.nanmean(values):.3g}"

@@ -1,0 +1,103 @@
+"""A scene: what is logged and how it is laid out, written as one .rrd that any Rerun viewer opens.
+
+Everything goes through a file, also what a window or a web page shows at once: Rerun's own servers listen on every
+network interface when they are started from Python, its command-line program can be told not to (``viewer.py``).
+
+All episodes of a scene are in one recording, each in an entity tree of its own, ``/episode_12/...``, and each on a
+tab of its own. Several recordings in one file are not shown side by side by Rerun 0.41: it opens one of them and
+hides the others in a catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, sync_folder
+
+FRAME = "frame"
+"""The timeline that episodes run on: the number of a frame within its episode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tab:
+    """One page of a scene.
+
+    Attributes:
+        name: On the tab.
+        layout: Its views.
+        log: Puts what they show into a recording.
+    """
+
+    name: str
+    layout: rrb.Container | rrb.View
+    log: Callable[[rr.RecordingStream], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """All that is shown of one thing.
+
+    Attributes:
+        name: Of the data set or the run.
+        tabs: Its pages, the first in front.
+        step_ns: Time between two frames [ns]; it is played at that pace.
+        background: Logged once, for all pages.
+    """
+
+    name: str
+    tabs: tuple[Tab, ...]
+    step_ns: int
+    background: Callable[[rr.RecordingStream], None] | None = None
+
+    def blueprint(self) -> rrb.Blueprint:
+        """The layout: the tabs, and a narrow bar to play them with."""
+        return rrb.Blueprint(
+            rrb.Tabs(*(tab.layout for tab in self.tabs), active_tab=0, name=self.name),
+            rrb.BlueprintPanel(state="collapsed"),
+            rrb.SelectionPanel(state="collapsed"),
+            rrb.TimePanel(
+                state="collapsed", timeline=FRAME, fps=1e9 / self.step_ns, play_state="playing", loop_mode="all"
+            ),
+            auto_layout=False,
+            auto_views=False,
+        )
+
+
+def write_scene(scene: Scene, path: Path) -> None:
+    """Write a scene to an .rrd; the file is whole as soon as it has its name.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{path.name}{TEMPORARY_SUFFIX}")
+    try:
+        temporary.touch()  # says at once, and as an OSError, when the folder cannot be written
+        recording = rr.RecordingStream(f"dmbench {scene.name}")
+        recording.set_log_time_enabled(False)
+        recording.set_log_tick_enabled(False)
+        recording.save(temporary)
+        recording.send_blueprint(scene.blueprint())
+        recording.send_recording_name(scene.name)
+        if scene.background is not None:
+            scene.background(recording)
+        for tab in scene.tabs:
+            tab.log(recording)
+        recording.flush()
+        recording.disconnect()
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def picture_view(origin: str, name: str, width: int, height: int) -> rrb.Spatial2DView:
+    """A view that shows a picture as large as it can, whatever is drawn over it."""
+    bounds = rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height])
+    return rrb.Spatial2DView(origin=origin, name=name, visual_bounds=bounds)

@@ -1,0 +1,89 @@
+"""An .rrd as pictures, taken by Rerun itself without a window.
+
+Needs a Vulkan driver; a machine without a graphics card has one in Debian's ``mesa-vulkan-drivers``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from rerun.experimental import ViewerClient
+
+from dmotion_bench.errors import ViewerError
+from dmotion_bench.viewing.scene import FRAME
+from dmotion_bench.viewing.viewer import headless
+
+LOAD_SECONDS = 60.0
+TOAST_SECONDS = 5.5
+"""How long Rerun's own notices stay in the picture's corner."""
+
+DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+
+
+class Camera:
+    """A viewer without a window, showing one .rrd."""
+
+    def __init__(self, client: ViewerClient) -> None:
+        self._client = client
+
+    def tab(self, name: str) -> None:
+        """Bring a tab to the front.
+
+        Raises:
+            ViewerError: There is none of that name.
+        """
+        layout = self._client.get_blueprint("recording").blueprint
+        containers = {
+            path: parts["ContainerBlueprint"] for path, parts in layout.items() if "ContainerBlueprint" in parts
+        }
+        names = {path.strip("/"): facts.get("display_name", "") for path, facts in containers.items()}
+        for facts in containers.values():
+            for page in facts["contents"] if facts["container_kind"] == "Tabs" else ():
+                if names.get(page) == name:
+                    facts["active_tab"] = page
+                    self._client.set_blueprint(layout, "recording")
+                    return
+        raise ViewerError(f"no tab named {name!r}; there are: {', '.join(sorted(filter(None, names.values())))}.")
+
+    def take(self, picture: Path, *, frame: int) -> None:
+        """Write what is seen at a frame as a PNG."""
+        self._client.set_time(FRAME, sequence=frame, play_state="paused")
+        time.sleep(0.5)
+        self._client.save_screenshot(str(picture.resolve()))
+
+
+def has_vulkan() -> bool:
+    """Whether a Vulkan driver is installed."""
+    named = [Path(path) for path in os.environ.get("VK_ICD_FILENAMES", "").split(os.pathsep) if path]
+    return any(path.is_file() for path in named) or any(any(Path(f).glob("*.json")) for f in DRIVER_FOLDERS)
+
+
+@contextlib.contextmanager
+def camera(rrd: Path, width: int = 1600, height: int = 900) -> Iterator[Camera]:
+    """A camera on an .rrd, loaded and calm.
+
+    Raises:
+        ViewerError: No driver is there, or the file is not shown within a minute.
+    """
+    if not has_vulkan():
+        raise ViewerError("pictures need a Vulkan driver; on Debian: 'apt-get install mesa-vulkan-drivers'.")
+    with headless(rrd, width, height) as address:
+        client = ViewerClient.connect(address)
+        _wait_until_loaded(client, rrd)
+        time.sleep(TOAST_SECONDS)
+        yield Camera(client)
+
+
+def _wait_until_loaded(client: ViewerClient, rrd: Path) -> None:
+    end = time.monotonic() + LOAD_SECONDS
+    while time.monotonic() < end:
+        with contextlib.suppress(RuntimeError, ConnectionError):  # it listens before it answers
+            state = client.get_state()
+            if not state.loading and any(recording.timelines for recording in state.recordings):
+                return
+        time.sleep(0.1)
+    raise ViewerError(f"Rerun did not show {str(rrd)!r} within {LOAD_SECONDS:.0f} s.")

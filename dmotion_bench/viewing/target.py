@@ -1,0 +1,52 @@
+"""What a path is: a data set, a run, a run's report, or an .rrd that was saved before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, Workspace
+
+REPORT = "report"
+REPORT_MANIFEST = "report.json"
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is to be shown.
+
+    Attributes:
+        kind: What it is; a report is shown with its run.
+        path: The data set's, the run's or the file's.
+    """
+
+    kind: Literal["data set", "run", "report", "recording"]
+    path: Path
+
+
+def find_target(given: Path, workspace: Workspace) -> Target:
+    """What stands at a path, or under a name in the workspace.
+
+    Raises:
+        UnknownName: Nothing does; the closest name is said.
+        UsageError: Something else does.
+    """
+    if given.is_file() and given.suffix == ".rrd":
+        return Target("recording", given)
+    for folder in (given, workspace.runs / given, workspace.data / given):
+        if (folder / DATASET_MANIFEST).is_file():
+            return Target("data set", folder)
+        if (folder / RUN_MANIFEST).is_file():
+            return Target("run", folder)
+        if (folder / REPORT_MANIFEST).is_file() and (folder.resolve().parent / RUN_MANIFEST).is_file():
+            return Target("report", folder.resolve().parent)
+    if given.exists():
+        raise UsageError(
+            f"{str(given)!r} is nothing to look at: a data set holds {DATASET_MANIFEST}, a run {RUN_MANIFEST}, "
+            f"a report {REPORT_MANIFEST}; or give an .rrd."
+        )
+    known = [path.name for path in (*workspace.datasets(), *workspace.all_runs())]
+    asked = given.parent.name if given.name == REPORT else given.name
+    raise UnknownName("data set or run", asked, known, "dmbench list datasets' or 'dmbench list runs")

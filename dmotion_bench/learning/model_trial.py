@@ -1,0 +1,82 @@
+"""A model under test: builds it, feeds it, and turns what goes wrong into ``ModelContractBroken``."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInputs, TripletBatch
+
+
+class ModelTrial:
+    """A class of models under test, and all that it is tried on.
+
+    Args:
+        kind: The class.
+        arch: Which of its architectures.
+        inputs: What its models are built for.
+    """
+
+    def __init__(self, kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs) -> None:
+        self.kind, self.arch, self.inputs = kind, arch, inputs
+        self.name = kind.__qualname__
+
+    def build(self) -> ForwardModel[Any]:
+        """A new model, the same each time."""
+        with torch.random.fork_rng(), self.calling("__init__(config, inputs)"):
+            torch.manual_seed(0)
+            return self.kind(self.kind.configure(self.arch), self.inputs)
+
+    def images(self, count: int, seed: int) -> Float[Tensor, "n c h w"]:
+        """Noise in [-1, 1]."""
+        generator = torch.Generator().manual_seed(seed)
+        shape = (count, 3, self.inputs.height, self.inputs.width)
+        return (torch.rand(shape, generator=generator) * 2 - 1).contiguous(memory_format=torch.channels_last)
+
+    def actions(self, count: int, shift: int = 0) -> Int[Tensor, " n"]:
+        """All in turn."""
+        return (torch.arange(count) + shift) % self.inputs.actions
+
+    def batch(self, count: int, *, actions: bool) -> TripletBatch:
+        """Triplets, with or without their actions."""
+        return TripletBatch(
+            previous=self.images(count, 1),
+            current=self.images(count, 2),
+            next=self.images(count, 3),
+            action=self.actions(count) if actions else None,
+        )
+
+    def demonstrations(self, each: int, shift: int = 0) -> Demonstrations:
+        """So many of each action; with another ``shift`` the same frames show other actions."""
+        count = each * self.inputs.actions
+        return Demonstrations(
+            previous=self.images(count, 4),
+            current=self.images(count, 5),
+            next=self.images(count, 6),
+            action=self.actions(count, shift),
+        )
+
+    @contextlib.contextmanager
+    def calling(self, method: str) -> Iterator[None]:
+        """What the model raises is said with the method that raised it."""
+        try:
+            yield
+        except ModelContractBroken:
+            raise
+        except Exception as error:
+            raise self.broken(f"{method} raised {type(error).__name__}: {error}") from error
+
+    def require(self, holds: bool, sentence: str) -> None:
+        """Say what is broken unless it holds."""
+        if not holds:
+            raise self.broken(sentence)
+
+    def broken(self, sentence: str) -> ModelContractBroken:
+        """The error for a breach."""
+        return ModelContractBroken(f"{self.name}: {sentence}. The contract is in dmotion_bench/learning/model.py.")

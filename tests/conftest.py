@@ -8,5 +8,12 @@ from jaxtyping import install_import_hook
 torch.set_num_threads(1)
 
 _hook = install_import_hook(
-    ["dmotion_bench.learning", "dmotion_bench.scoring", "dmotion_bench.planning", "baselines"], "shape_check.beartype"
+    [
+        "dmotion_bench.learning",
+        "dmotion_bench.positions",
+        "dmotion_bench.scoring",
+        "dmotion_bench.planning",
+        "baselines",
+    ],
+    "shape_check.beartype",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
+import torch
 
 from dmotion_bench import __version__
 from dmotion_bench.errors import InvalidSetting, RunMismatch
@@ -122,7 +123,7 @@ def score_model(
     settings, how = settings or ScoreSettings(), how or Execution()
     references = references or ReferenceScores()
     held_out = HeldOut(dataset, settings.split, settings.protocol)
-    model = model.to(how.device).eval()
+    model = model.to(how.device).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
     if not model.needs_pixels:
         metrics = ()
     identity = (dataset.fingerprint, settings.split, settings.protocol)
@@ -159,14 +160,17 @@ def score_run(
 ) -> Report:
     """Score a run on the held-out episodes of its data set and write its report.
 
-    Groups of figures that an up-to-date report already holds are kept, and with ``renew=False`` not scored again.
+    Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings
+    and code.
+
+    Args:
+        renew: Whether to score again what the report already holds; the other arguments are ``score_model``'s.
 
     Raises:
         RunMissing, RunCorrupt: There is no trained run at this path.
         RunMismatch: The data set is not the one that the run was trained on.
     """
     run = Run.open(path)
-    model = run.model
     dataset = Dataset.open(run.dataset_path)
     if dataset.fingerprint != run.spec.fingerprint:
         raise RunMismatch(
@@ -174,42 +178,45 @@ def score_run(
             "held-out episodes may no longer be held out; train again with 'dmbench train'."
         )
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
-    settings = settings or ScoreSettings()
-    settings = ScoreSettings(**{**asdict(settings), "protocol": protocol})
+    settings = replace(settings or ScoreSettings(), protocol=protocol)
     folder = run.path / REPORT_FOLDER
-    old, earlier = _still_true(folder, run, settings)
-    held = tuple(old.settings["metrics"]) if old else ()
-    wanted = metrics if renew else tuple(metric for metric in metrics if metric not in held)
-    if old is not None and not wanted:
-        return old
-    if earlier is not None:
-        earlier = earlier.filter(~pc.is_in(pc.field("metric"), pa.array(wanted, pa.string())))
+    held: tuple[str, ...] = ()
+    kept = SCHEMA.empty_table()
+    old = _still_true(folder, run, settings)
+    if old is not None:
+        report, samples = old
+        if "rollout" not in metrics:
+            settings = replace(settings, horizon=report.settings["horizon"])
+        held = tuple(
+            metric
+            for metric in report.settings["metrics"]
+            if metric != "rollout" or report.settings["horizon"] == settings.horizon
+        )
+        if not renew and set(metrics) <= set(held):
+            return report
+        metrics = metrics if renew else tuple(metric for metric in metrics if metric not in held)
+        kept = samples.filter(pc.is_in(samples["metric"], pa.array(set(held) - set(metrics), pa.string())))
     scores = score_model(
-        model,
-        dataset,
-        metrics=wanted,
-        settings=settings,
-        how=how,
-        references=references,
-        earlier=earlier,
+        run.model, dataset, metrics=metrics, settings=settings, how=how, references=references, earlier=kept
     )
-    report = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*held, *wanted))))
-    return write_report(folder, report, scores.samples)
+    scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*held, *metrics))))
+    return write_report(folder, scored, scores.samples)
 
 
-def _still_true(folder: Path, run: Run, settings: ScoreSettings) -> tuple[Report, pa.Table] | tuple[None, None]:
-    """The report of a folder, if scoring now would come to the same."""
+def _still_true(folder: Path, run: Run, settings: ScoreSettings) -> tuple[Report, pa.Table] | None:
+    """The report of a folder with its samples, if single steps scored now would come to the same."""
     report = read_report(folder)
     if report is None or run.result is None:
-        return None, None
+        return None
+    apart = {"metrics": None, "horizon": None}
     same = (
         report.weights == run.result["weights"]
         and report.dataset["fingerprint"] == run.spec.fingerprint
         and report.code == code_version()
-        and {**report.settings, "metrics": None} == {**asdict(settings), "metrics": None}
+        and {**report.settings, **apart} == {**asdict(settings), **apart}
     )
     samples = read_report_samples(folder, report) if same else None
-    return (report, samples) if samples is not None else (None, None)
+    return None if samples is None else (report, samples)
 
 
 def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:

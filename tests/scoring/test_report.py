@@ -142,10 +142,15 @@ def test_what_is_up_to_date_is_kept_and_what_is_not_is_scored_again(make_run: Ma
     assert both.settings["metrics"] == ["prediction", "rollout"]
     assert both.figures["mse"] == only_single.figures["mse"]
     assert {name for name in both.figures if "rollout" not in name} == set(only_single.figures)
-    assert len(score(ScoreSettings(horizon=2, resamples=100))) == 4  # another horizon, everything anew
+    shorter = ScoreSettings(horizon=2, resamples=100)
+    assert score(shorter) == ["rollouts of copy_last", "rollouts of model"]  # single steps have no horizon
+    assert score(QUICK, "prediction") == []
+    assert {"mse", "rollout_mse[2]"} <= set(read_report(path / "report").figures)
+    assert "rollout_mse[3]" not in read_report(path / "report").figures
+    assert len(score(ScoreSettings(horizon=2, resamples=50))) == 4
     with (path / "report/samples.parquet").open("ab") as handle:
         handle.write(b"changed")
-    assert len(score(ScoreSettings(horizon=2, resamples=100))) == 4
+    assert len(score(ScoreSettings(horizon=2, resamples=50))) == 4
 
 
 def test_new_weights_make_a_report_stale(make_run: MakeRun, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.scoring.transitions import STARTS_PER_EPISODE, HeldOut, rollout_starts
-from dmotion_bench.specs import MASK_AGENT
+from dmotion_bench.specs import MASK_AGENT, EpisodeLabels
 from dmotion_bench.storage.dataset import Dataset
 
 from .conftest import FRAMES, write_dataset
@@ -34,6 +34,22 @@ def test_batches_are_the_episodes_own_frames_and_labels(grid: Dataset, size: int
             assert batch.shift[row] == pytest.approx(labels.agent.pixel[step + 1, 0] - labels.agent.pixel[step, 0])
 
     assert seen == [(episode, step) for episode in grid.split("test").tolist() for step in range(1, FRAMES - 1)]
+
+
+def test_one_episode_is_read_at_a_time(grid: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[int] = []
+    labels = Dataset.labels
+
+    def watched(self: Dataset, episode: int) -> EpisodeLabels:
+        read.append(episode)
+        return labels(self, episode)
+
+    monkeypatch.setattr(Dataset, "labels", watched)
+    batches = HeldOut(grid, "test").batches(FRAMES - 2)
+
+    for number in range(1, 4):
+        next(batches)
+        assert len(read) == number
 
 
 def test_rollouts_follow_the_recorded_actions(grid: Dataset) -> None:

@@ -13,12 +13,11 @@ from lightning_fabric import Fabric
 
 from dmotion_bench.errors import UsageError
 
-
 M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -3, -1  # malloc.h of the GNU C library
 
 
 def keep_freed_memory() -> None:
-    """Let the C library keep what a training step frees for the next one, instead of giving it back to the system.
+    """Let the C library keep what a training step frees for the next one.
 
     Page faults on fresh memory cost a fifth of a step on the CPU (DECISIONS.md). Does nothing without the GNU C library.
     """

@@ -27,20 +27,26 @@ def demo(
 ) -> None:
     """Record Grid World, train DMotion on the video alone, score it, and write a recording for Rerun."""
     from dmotion_bench.cli.record import record_with_progress
+    from dmotion_bench.cli.report_table import show_report
     from dmotion_bench.cli.score import score_runs
     from dmotion_bench.cli.train import train_run
-    from dmotion_bench.cli.view import save_view
+    from dmotion_bench.cli.view import scene_of
     from dmotion_bench.learning.start import TrainingRequest, open_run
     from dmotion_bench.recording.executor import available_workers, make_executor
     from dmotion_bench.recording.preset import recipe_for
     from dmotion_bench.scoring.score import ScoreSettings
     from dmotion_bench.specs import Preset
     from dmotion_bench.storage.dataset import Dataset
+    from dmotion_bench.viewing.scene import write_scene
+    from dmotion_bench.viewing.target import find_target
     from dmotion_bench.workspace import Workspace
 
     began = time.monotonic()
     workspace = Workspace(out)
-    say = (lambda _: None) if as_json else typer.echo
+
+    def say(line: str) -> None:
+        if not as_json:
+            typer.echo(line)
 
     say(f"1/4 recording {EPISODES} episodes of {ENVIRONMENT}")
     recipe = recipe_for(ENVIRONMENT, Preset.SMALL, episodes=EPISODES, tasks=0, seed=seed)
@@ -58,12 +64,11 @@ def demo(
 
     say("3/4 scoring it on episodes that it has not seen")
     reports, failures = score_runs([run.path], ("prediction", "rollout"), ScoreSettings())
-    for sentence in failures.values():
-        raise _failed(sentence)
+    assert not failures, failures  # a single run's failure is raised
 
     say("4/4 writing what it imagines for Rerun")
     recording = workspace.root / "demo.rrd"
-    save_view(run.path, recording)
+    write_scene(scene_of(find_target(run.path, workspace), [], None), recording)
     seconds = time.monotonic() - began
     if as_json:
         summary: dict[str, Any] = {
@@ -75,15 +80,8 @@ def demo(
         }
         typer.echo(json.dumps(summary))
         return
-    from dmotion_bench.cli.score import show_reports
-
-    show_reports(reports)
+    for report in reports:
+        show_report(report)
     minutes, rest = divmod(round(seconds), 60)
     say(f"Done in {minutes} min {rest} s. See the model's imagination with 'rerun {recording}',")
     say(f"or in a browser with 'dmbench view {run.path} --web'.")
-
-
-def _failed(sentence: str) -> Exception:
-    from dmotion_bench.errors import RunError
-
-    return RunError(sentence)

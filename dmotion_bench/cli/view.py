@@ -59,7 +59,7 @@ def view(
 
     from dmotion_bench.viewing.scene import write_scene
 
-    scene = _scene(target, episode or [], next((name for name in SPLITS if name == split), None))
+    scene = scene_of(target, episode or [], next((name for name in SPLITS if name == split), None))
     with tempfile.TemporaryDirectory(prefix="dmbench-view-") as folder:
         file = save or Path(folder) / "scene.rrd"
         write_scene(scene, file)
@@ -70,7 +70,10 @@ def view(
             _show(file, web)
 
 
-def _scene(target: Target, episodes: list[int], split: SplitName | None) -> Scene:
+def scene_of(target: Target, episodes: list[int], split: SplitName | None) -> Scene:
+    """What there is to see of a data set, a run or a report: the episodes asked for, or a few telling ones."""
+    from dataclasses import replace
+
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.viewing.dataset import dataset_scene
     from dmotion_bench.viewing.episodes import choose_episodes
@@ -79,11 +82,15 @@ def _scene(target: Target, episodes: list[int], split: SplitName | None) -> Scen
         dataset = Dataset.open(target.path)
         return dataset_scene(dataset, choose_episodes(dataset, episodes, split))
     from dmotion_bench.learning.run import Run
+    from dmotion_bench.viewing.report import telling_episodes
     from dmotion_bench.viewing.run import run_scene
 
     run = Run.open(target.path)
     dataset = Dataset.open(run.dataset_path)
-    return run_scene(run, dataset, choose_episodes(dataset, episodes, split or "test"))
+    told = {} if episodes or split else telling_episodes(run.path)
+    chosen = choose_episodes(dataset, episodes or list(told), split or ("test" if not episodes else None))
+    scene = run_scene(run, dataset, chosen, told)
+    return replace(scene, front="Report") if target.kind == "report" else scene
 
 
 def _show(file: Path, web: bool) -> None:

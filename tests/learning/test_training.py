@@ -25,7 +25,7 @@ MOVES = np.array([[0, -1], [0, 1], [-1, 0], [1, 0]])
 SETTINGS = ("batch_size=4", "epochs=0.4", "validations=3", "ema=0.9")
 
 
-class Stopped(Exception):  # noqa: N818 (no error: the test's own way to stop)
+class Stopped(Exception):
     """Raised by a progress callback."""
 
 

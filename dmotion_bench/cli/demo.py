@@ -76,12 +76,12 @@ def demo(
             "run": str(run.path),
             "recording": str(recording),
             "seconds": round(seconds, 1),
-            "reports": [report.summary() for report in reports],
+            "reports": [report.summary() | {"run": str(path)} for path, report in reports.items()],
         }
         typer.echo(json.dumps(summary))
         return
-    for report in reports:
-        show_report(report)
+    for path, report in reports.items():
+        show_report(report, path)
     minutes, rest = divmod(round(seconds), 60)
     say(f"Done in {minutes} min {rest} s. See the model's imagination with 'rerun {recording}',")
     say(f"or in a browser with 'dmbench view {run.path} --web'.")

@@ -31,8 +31,9 @@ def test_gather_takes_repeated_indices_and_fills_what_it_is_given(dataset) -> No
 
 def test_splits_by_episode_share_no_episode(dataset) -> None:
     parts = [TripletSet.of_split(dataset, name) for name in ("train", "validation", "test")]
-    seen = [set(part.episode.tolist()) for part in parts]
-    assert not (seen[0] & seen[1] or seen[0] & seen[2] or seen[1] & seen[2])
+    train, validation, test = (set(part.episode.tolist()) for part in parts)
+    assert train.isdisjoint(validation | test)
+    assert validation.isdisjoint(test)
 
 
 def test_the_papers_split_shuffles_triplets_and_loses_none(dataset) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
@@ -34,8 +35,8 @@ WORDS = {
 OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_rate")
 
 
-def show_report(report: Report) -> None:
-    """One run in full, beside its references."""
+def show_report(report: Report, run: Path) -> None:
+    """One run in full, beside its references; ``run`` is its folder."""
     console = _console()
     beside = [name for name in ("paper", "copy_last", "agent_moves") if name in report.reference]
     table = Table(title=_headline(report), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
@@ -51,7 +52,7 @@ def show_report(report: Report) -> None:
     for name in (*beside, "rollout", "split"):
         if name in report.remarks:
             console.print(f"  {name}: {report.remarks[name]}")
-    console.print(f"  labels used: {report.labels['total']}; all figures in {report.run}/report/")
+    console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run}/report/")
 
 
 def show_overview(reports: Sequence[Report]) -> None:

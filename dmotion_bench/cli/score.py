@@ -22,7 +22,7 @@ def register(app: typer.Typer) -> None:
 
 def score(
     runs: Annotated[
-        list[Path] | None, typer.Argument(metavar="[RUN]...", help="Runs; the only one of the workspace if left out.")
+        list[Path] | None, typer.Argument(metavar="RUN", help="Runs; the only one of the workspace if left out.")
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="Every run; reports that are up to date are kept.")] = False,
     metrics: Annotated[
@@ -65,7 +65,8 @@ def score(
     )
     reports, failures = score_runs(paths, asked, settings, batch_size=batch_size, device=device, keep=every)
     if as_json:
-        typer.echo(json.dumps({"reports": [report.summary() for report in reports]}))
+        summaries = [report.summary() | {"run": str(path)} for path, report in reports.items()]
+        typer.echo(json.dumps({"reports": summaries}))
     else:
         _show(reports, overview=every or len(paths) > 1)
     if failures:
@@ -80,14 +81,14 @@ def score_runs(
     batch_size: int = 64,
     device: str = "auto",
     keep: bool = False,
-) -> tuple[list[Report], dict[str, str]]:
+) -> tuple[dict[Path, Report], dict[str, str]]:
     """Score runs one after the other, with a progress bar; one that fails does not stop the rest.
 
     Args:
         keep: Whether reports that are up to date are left as they are.
 
     Returns:
-        The reports, and by its name what went wrong with each run that has none.
+        The report of each run, and by its name what went wrong with each that has none.
     """
     import torch
 
@@ -100,7 +101,7 @@ def score_runs(
         raise UsageError("no CUDA device is here; leave --device away to score on the CPU.")
     where = torch.device("cuda" if device != "cpu" and torch.cuda.is_available() else "cpu")
     references = ReferenceScores()
-    reports: list[Report] = []
+    reports: dict[Path, Report] = {}
     failures: dict[str, str] = {}
     with progress_bar() as bar:
         task = bar.add_task("scoring", total=None, status="")
@@ -110,15 +111,13 @@ def score_runs(
                 bar.update(task, description=f"scoring {name}", completed=done, total=total, status=what)
 
             try:
-                reports.append(
-                    score_run(
-                        path,
-                        metrics=metrics,
-                        settings=settings,
-                        how=Execution(batch_size=batch_size, device=where, progress=show),
-                        references=references,
-                        renew=not keep,
-                    )
+                reports[path] = score_run(
+                    path,
+                    metrics=metrics,
+                    settings=settings,
+                    how=Execution(batch_size=batch_size, device=where, progress=show),
+                    references=references,
+                    renew=not keep,
                 )
             except Exception as error:
                 if len(paths) == 1:
@@ -147,14 +146,14 @@ def _metrics(text: str) -> tuple[Metric, ...]:
     return tuple(chosen)
 
 
-def _show(reports: list[Report], *, overview: bool) -> None:
+def _show(reports: dict[Path, Report], *, overview: bool) -> None:
     from dmotion_bench.cli.report_table import show_overview, show_report
 
     if overview:
-        show_overview(reports)
+        show_overview(list(reports.values()))
     else:
-        for report in reports:
-            show_report(report)
+        for path, report in reports.items():
+            show_report(report, path)
 
 
 def _failed(failures: dict[str, str], total: int) -> Exception:

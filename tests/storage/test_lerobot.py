@@ -215,3 +215,12 @@ def test_a_video_shorter_than_its_table(source: Dataset, exported: ExportReport,
     longer = table.set_column(place, "length", pa.array([6, 7, 6, 50]))
     parquet.write_table(longer, copy / "meta/episodes/chunk-000/file-000.parquet")
     refused(copy, tmp_path, "lacks frame 24, which its data set lists")
+
+
+def test_continuous_actions_are_refused(exported: ExportReport, tmp_path: Path) -> None:
+    copy = damaged(exported, tmp_path)
+    table = parquet.read_table(copy / "data/chunk-000/file-000.parquet")
+    place = table.column_names.index("action")
+    for values in (pa.array(np.linspace(0, 1, 24)), pa.array([[0.5, 0.5]] * 24)):
+        parquet.write_table(table.set_column(place, "action", values), copy / "data/chunk-000/file-000.parquet")
+        refused(copy, tmp_path, "no choice out of a few", ImportOptions(size=48, actions="action"))

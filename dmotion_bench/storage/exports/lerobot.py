@@ -123,7 +123,7 @@ def export_lerobot(
         raise UsageError(f"{str(out)!r} is there already; name another folder with '--out DIR', or delete it first.")
     if codec is not H264 and (dataset.spec.height % 2 or dataset.spec.width % 2):
         raise UsageError(f"{codec.name} needs even sizes, not {dataset.spec.width}; use '--codec h264'.")
-    unfinished = out.with_name(f"{out.name}{UNFINISHED}")
+    unfinished = out.resolve().with_name(f"{out.resolve().name}{UNFINISHED}")
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
         report = _Export(dataset, unfinished, codec, labels, progress).run()

@@ -242,6 +242,7 @@ def _write(
     progress: Progress,
 ) -> None:
     """Write beside ``out`` and move there."""
+    out = out.resolve()  # '.' has no name to put a suffix on
     unfinished = out.with_name(f"{out.name}{UNFINISHED}")
     if unfinished.exists() and not (unfinished / DATASET_MANIFEST).is_file():
         raise UsageError(f"{str(unfinished)!r} is in the way; move it, or name another folder with '--out DIR'.")

@@ -87,6 +87,7 @@ class LeRobotRecording:
             raise self._bad(f"says that it has {str(fps)[:40]!r} frames a second")
         self._fps = float(fps)
         self._placed: list[_Placed] = []
+        self._numbers: tuple[Path, Any] | None = None  # the table of numbers that was read last
 
     def sha256(self) -> str:
         """Over the hashes of the files that are read, in the order of their names."""
@@ -127,14 +128,12 @@ class LeRobotRecording:
             yield from video.frames((wanted + placed.first).tolist(), self._fps)
 
     def _episodes(self) -> list[_Placed]:
-        import pyarrow.parquet as parquet
-
         video = f"videos/{self._camera}"
         columns = ["episode_index", "length", f"{video}/chunk_index", f"{video}/file_index", f"{video}/from_timestamp"]
         columns += ["data/chunk_index", "data/file_index"]
         placed: list[_Placed] = []
         for file in sorted(self.path.glob("meta/episodes/*/*.parquet")):
-            for row in self._rows(parquet, file, columns):
+            for row in self._rows(file, columns):
                 number, frames, video_chunk, video_file, start_s, data_chunk, data_file = row
                 if not isinstance(start_s, int | float) or not math.isfinite(start_s) or start_s < 0:
                     raise self._bad(f"says that an episode starts at {str(start_s)[:40]!r} s of its video")
@@ -154,8 +153,14 @@ class LeRobotRecording:
             raise self._bad("declares more frames than can be imported at once")
         return [one for one in placed if one.frames]
 
-    def _rows(self, parquet: Any, file: Path, columns: Sequence[str]) -> list[tuple[Any, ...]]:
-        """A small table's rows, without what LeRobot keeps beside (statistics of every column)."""
+    def _rows(self, file: Path, columns: Sequence[str]) -> list[tuple[Any, ...]]:
+        """A table's rows."""
+        table = self._table(file, columns)
+        return list(zip(*(table.column(name).to_pylist() for name in columns), strict=True))
+
+    def _table(self, file: Path, columns: Sequence[str]) -> Any:
+        """Some columns of a table, without what LeRobot keeps beside (statistics of every feature)."""
+        import pyarrow.parquet as parquet
         from pyarrow import ArrowException
 
         try:
@@ -165,30 +170,31 @@ class LeRobotRecording:
                     raise self._bad(f"lacks the columns {', '.join(missing)} in {file.name!r}")
                 if table.metadata.num_rows > self._limits.frames:
                     raise self._bad(f"has {table.metadata.num_rows} rows in {file.name!r}, more than can be imported")
-                content = table.read(columns=list(columns))
+                return table.read(columns=list(columns))
         except (ArrowException, OSError) as error:
             raise self._bad(f"has a damaged table {file.name!r}: {str(error)[:120]}") from error
-        return list(zip(*(content.column(name).to_pylist() for name in columns), strict=True))
 
     def _commands(self, placed: _Placed) -> list[str]:
-        import pyarrow.parquet as parquet
-
         assert self._actions is not None
+        if self._numbers is None or self._numbers[0] != placed.data:  # episodes stand side by side in few files
+            self._numbers = placed.data, self._table(placed.data, ["episode_index", "frame_index", self._actions])
+        table = self._numbers[1]
+        inside = np.flatnonzero(table.column("episode_index").to_numpy() == placed.number)
+        frames = table.column("frame_index").to_numpy()[inside]
+        if not np.array_equal(frames, np.arange(placed.frames)):
+            raise self._bad(f"lacks actions of episode {placed.number}, or has them out of order")
         feature = self._features[self._actions]
-        known = feature.get(ACTION_NAMES, []) if isinstance(feature, Mapping) else []
-        rows = self._rows(parquet, placed.data, ["episode_index", "frame_index", self._actions])
-        mine = sorted((frame, value) for episode, frame, value in rows if episode == placed.number)
-        if [frame for frame, _ in mine] != list(range(placed.frames)):
-            raise self._bad(f"lacks actions of episode {placed.number}")
+        known = feature.get(ACTION_NAMES) if isinstance(feature, Mapping) else None
+        known = known if isinstance(known, list) else []
         names = []
-        for _, value in mine:
+        for value in table.column(self._actions).take(inside).to_pylist():
             single = value[0] if isinstance(value, list) and len(value) == 1 else value
             try:
                 name = action_name(single)
+                number = int(name) if name.isdecimal() else -1
+                names.append(action_name(known[number]) if 0 <= number < len(known) else name)
             except BadPicture as error:
                 raise self._bad(f"{error} (feature {self._actions!r}, episode {placed.number})") from error
-            number = int(name) if name.isdecimal() else -1
-            names.append(action_name(known[number]) if 0 <= number < len(known) else name)
         return names
 
     def _read_info(self) -> Mapping[str, Any]:

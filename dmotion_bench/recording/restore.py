@@ -21,7 +21,6 @@ from dmotion_bench.storage.atomic import sync_folder
 from dmotion_bench.storage.check import CheckReport, check_dataset
 from dmotion_bench.storage.repair import Salvaged, held, rebuild_tables, salvage
 from dmotion_bench.storage.shard import LABELS, VIDEO, shard_path
-from dmotion_bench.storage.writer import storage_full_explained
 
 _STAGING = "repairing"
 
@@ -71,7 +70,7 @@ def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor)
     if manifest.salvaged or manifest.recipe.environment not in environment_names():
         return False
     staging = path / _STAGING
-    with held(path), storage_full_explained(path):
+    with held(path):
         shutil.rmtree(staging, ignore_errors=True)
         try:
             jobs = [ShardJob(dataset=staging, recipe=manifest.recipe, spec=manifest.spec, index=one) for one in shards]

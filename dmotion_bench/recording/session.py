@@ -13,7 +13,7 @@ from dmotion_bench.recording.rollout import find_policy, make_environment, recor
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
-from dmotion_bench.storage.writer import DatasetWriter, storage_full_explained
+from dmotion_bench.storage.writer import DatasetWriter
 
 SHARD_EPISODES = 20  # small enough that a killed recording of a slow environment loses seconds
 
@@ -77,7 +77,7 @@ def record_shard(job: ShardJob) -> ShardReceipt:
     """Make one shard, in whatever process this is."""
     kind = environment_class(job.recipe.environment)
     episodes = record_episodes(kind, job.recipe, shard_range(job.recipe, job.index))
-    with storage_full_explained(job.dataset), contextlib.closing(episodes):
+    with contextlib.closing(episodes):
         return write_shard(job.dataset, job.recipe, job.spec, job.index, episodes)
 
 

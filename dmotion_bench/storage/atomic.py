@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from dmotion_bench.errors import StorageFull
+
 TEMPORARY_SUFFIX = ".part"
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def sync_folder(folder: Path) -> None:
@@ -25,7 +29,24 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """A file that appears under ``path`` when the block ends well, and leaves nothing when it does not.
 
     A process that is killed leaves ``<name>.<process>.part``, which ``remove_leftovers`` takes away.
+
+    Raises:
+        StorageFull: There is no space left.
     """
+    try:
+        with _written(path) as file:
+            yield file
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        raise StorageFull(
+            f"no space left on the device while writing {str(path)!r}; what is finished beside it is whole. "
+            "Free some space and run the same command again: it goes on where it stopped."
+        ) from None
+
+
+@contextlib.contextmanager
+def _written(path: Path) -> Iterator[BinaryIO]:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
     try:

@@ -35,8 +35,9 @@ from dmotion_bench.storage.shard import (
 from dmotion_bench.storage.tables import read_episodes
 from dmotion_bench.storage.writer import DatasetWriter
 
-_UNFINISHED = ".repairing"
-_ORIGINAL = ".damaged"
+_UNFINISHED = "repairing"
+_ORIGINAL = "damaged"
+"""Folders beside the data set, one level down, so that the workspace does not list what is in them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +84,7 @@ def salvage(path: Path) -> Salvaged:
     """
     path = path.resolve()
     manifest = Manifest.read_complete(path)
-    original = path.with_name(f"{path.name}{_ORIGINAL}")
+    original = path.parent / _ORIGINAL / path.name
     if original.exists():
         raise DatasetCorrupt(
             f"{str(original)!r}, the original of an earlier repair, is still there; move or delete it, then run "
@@ -99,7 +100,7 @@ def salvage(path: Path) -> Salvaged:
                 f"not one episode of {str(path)!r} can be read; record it anew with 'dmbench record' "
                 "into another folder, or restore it from a copy."
             )
-        unfinished = path.with_name(f"{path.name}{_UNFINISHED}")
+        unfinished = path.parent / _UNFINISHED / path.name
         shutil.rmtree(unfinished, ignore_errors=True)
         recipe = dataclasses.replace(manifest.recipe, episodes=len(kept))
         with DatasetWriter.create_or_resume(unfinished, recipe, manifest.spec) as writer:
@@ -107,8 +108,11 @@ def salvage(path: Path) -> Salvaged:
                 places = [kept[number] for number in shard_range(recipe, index)]
                 writer.write_shard(index, (_footage(damaged, place, labelled) for place in places))
             writer.finish(salvaged=True)
+        original.parent.mkdir(exist_ok=True)
         path.rename(original)
         unfinished.rename(path)
+        with contextlib.suppress(OSError):  # not empty: another data set is being repaired
+            unfinished.parent.rmdir()
     numbers = {listed[place].episode for place in kept}
     return Salvaged(
         kept=tuple(sorted(numbers)),

@@ -6,15 +6,13 @@ and describes itself, so a killed recording goes on from what it finds.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import errno
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 
-from dmotion_bench.errors import DatasetError, RecipeMismatch, StorageFull, UsageError
+from dmotion_bench.errors import DatasetError, RecipeMismatch, UsageError
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.lock import lock_folder
@@ -43,20 +41,6 @@ _PACKAGES = ("dmbench", "numpy", "zstandard", "gymnasium", "pymunk", "pybullet")
 _GROWS = ("episodes", "tasks")  # what a second recording into the same folder may change
 
 
-@contextlib.contextmanager
-def storage_full_explained(dataset: Path) -> Iterator[None]:
-    """Turns "no space left" into a sentence that says how to go on."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            raise
-        raise StorageFull(
-            f"no space left on the device while writing to {str(dataset)!r}; what is finished there is whole. "
-            "Free some space and run the same command again: it goes on where it stopped."
-        ) from None
-
-
 class DatasetWriter:
     """The one writer of a data set's folder; leave its ``with`` block and another may write.
 
@@ -71,6 +55,7 @@ class DatasetWriter:
         self.path, self.recipe, self.spec = path, recipe, spec
         self._receipts = {receipt.index: receipt for receipt in receipts}
         self._lock = lock
+        self._standing: Manifest | None = None
 
     @classmethod
     def create_or_resume(cls, path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> DatasetWriter:
@@ -80,27 +65,33 @@ class DatasetWriter:
             RecipeMismatch: What stands there was made by another recipe, or is larger.
             UsageError: The folder holds something else.
         """
-        with storage_full_explained(path):
-            existing = path.is_dir() and any(path.iterdir())
-            if existing and not (path / DATASET_MANIFEST).is_file():
-                raise UsageError(
-                    f"{str(path)!r} is not empty and holds no data set; name another folder with '--out DIR'."
-                )
+        existing = path.is_dir() and any(path.iterdir())
+        if existing and not (path / DATASET_MANIFEST).is_file():
+            raise UsageError(f"{str(path)!r} is not empty and holds no data set; name another folder with '--out DIR'.")
+        try:
             path.mkdir(parents=True, exist_ok=True)
-            lock = lock_folder(path)
-            try:
-                receipts: list[ShardReceipt] = []
-                if existing:
-                    _check_recipe(Manifest.read(path), recipe, spec, path)
-                    for folder in (path, path / VIDEO, path / LABELS):
-                        remove_leftovers(folder)
-                    receipts = list(_standing_shards(path, recipe, spec))
-                writer = cls(path, recipe, spec, receipts, lock)
-                if writer.missing:
-                    Manifest(recipe=recipe, spec=spec, versions=versions(_PACKAGES)).write(path)
-            except BaseException:
-                os.close(lock)
-                raise
+        except (FileExistsError, NotADirectoryError):
+            raise UsageError(
+                f"{str(path)!r} cannot be a folder, a file is in the way; name another folder with '--out DIR'."
+            ) from None
+        lock = lock_folder(path)
+        try:
+            receipts: list[ShardReceipt] = []
+            standing: Manifest | None = None
+            if existing:
+                standing = Manifest.read(path)
+                _check_recipe(standing, recipe, spec, path)
+                for folder in (path, path / VIDEO, path / LABELS):
+                    remove_leftovers(folder)
+                receipts = list(_standing_shards(path, recipe, spec))
+            writer = cls(path, recipe, spec, receipts, lock)
+            if not writer.missing:
+                writer._standing = standing
+            else:
+                Manifest(recipe=recipe, spec=spec, versions=versions(_PACKAGES)).write(path)
+        except BaseException:
+            os.close(lock)
+            raise
         return writer
 
     @property
@@ -125,8 +116,7 @@ class DatasetWriter:
 
     def write_shard(self, index: int, episodes: Iterable[Episode | Footage]) -> ShardReceipt:
         """Write a shard in this process."""
-        with storage_full_explained(self.path):
-            receipt = write_shard(self.path, self.recipe, self.spec, index, episodes)
+        receipt = write_shard(self.path, self.recipe, self.spec, index, episodes)
         self.add(receipt)
         return receipt
 
@@ -143,27 +133,28 @@ class DatasetWriter:
         """
         if self.missing:
             raise DatasetError(f"{len(self.missing)} shards of {str(self.path)!r} are still missing.")
+        if self._standing is not None and self._standing.complete and self._standing.recipe == self.recipe:
+            return self._standing
         receipts = [self._receipts[index] for index in range(shard_count(self.recipe))]
         rows = [row for receipt in receipts for row in receipt.rows]
         possible = [found for receipt in receipts for found in receipt.candidates]
         split = split_episodes(self.recipe.seed, self.recipe.episodes)
         tasks = choose_tasks(dict(enumerate(possible)), set(split["test"].tolist()), self.recipe.tasks)
-        with storage_full_explained(self.path):
-            write_episodes(self.path, rows, split)
-            write_tasks(self.path, tasks)
-            manifest = Manifest(
-                recipe=self.recipe,
-                spec=self.spec,
-                complete=True,
-                salvaged=salvaged,
-                versions=made_with or versions(_PACKAGES),
-                tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
-                shards=tuple(
-                    ShardEntry(episodes=len(one.rows), frames=one.frames, video=one.video, labels=one.labels)
-                    for one in receipts
-                ),
-            )
-            manifest.write(self.path)
+        write_episodes(self.path, rows, split)
+        write_tasks(self.path, tasks)
+        manifest = Manifest(
+            recipe=self.recipe,
+            spec=self.spec,
+            complete=True,
+            salvaged=salvaged,
+            versions=made_with or versions(_PACKAGES),
+            tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
+            shards=tuple(
+                ShardEntry(episodes=len(one.rows), frames=one.frames, video=one.video, labels=one.labels)
+                for one in receipts
+            ),
+        )
+        manifest.write(self.path)
         return manifest
 
     def close(self) -> None:

@@ -120,10 +120,10 @@ def test_a_salvaged_data_set_is_not_extended(tmp_path: Path) -> None:
 
 def test_the_original_of_an_earlier_repair_is_not_overwritten(tmp_path: Path) -> None:
     path = write_noise(tmp_path / "d").path
-    (tmp_path / "d.damaged").mkdir()
+    (tmp_path / "damaged" / "d").mkdir(parents=True)
     (path / "video" / "shard-00001.mcap").unlink()
     before = files_of(path)
-    with pytest.raises(DatasetCorrupt, match=r"d\.damaged"):
+    with pytest.raises(DatasetCorrupt, match="damaged/d"):
         repair_dataset(path)
     assert files_of(path) == before
 

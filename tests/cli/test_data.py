@@ -1,0 +1,131 @@
+"""``dmbench data info``, ``check`` and ``repair``: what they print, and how they end."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from dmbench_command import Outcome, dmbench
+from noise_world import files_of, write_noise
+
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.specs import DatasetRecipe
+
+Run = Callable[..., Outcome]
+RECIPE = DatasetRecipe(environment="grid_world", episodes=10, frames=5, tasks=2, shard_episodes=4)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "grid"
+    record_dataset(path, RECIPE)
+    return path
+
+
+@pytest.fixture
+def folder(recorded: Path, tmp_path: Path) -> Path:
+    """The only data set of the workspace."""
+    shutil.copytree(recorded, tmp_path / "data" / "grid")
+    return tmp_path / "data" / "grid"
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    return lambda *words: dmbench(("data", *words), capsys, monkeypatch)
+
+
+def test_info_says_how_it_was_made(run: Run, folder: Path) -> None:
+    said = run("info").out
+    for part in ("grid_world, policy random, seed 0", "10: 8 train, 1 validation, 1 test", "50 frames in 3 shards"):
+        assert part in said
+
+
+def test_info_as_json(run: Run, folder: Path) -> None:
+    told = json.loads(run("info", "grid", "--json").out)
+    assert told["recipe"]["environment"] == "grid_world"
+    assert (told["episodes"], told["frames"], told["labels"], told["complete"]) == (10, 50, "present", True)
+    assert told["video_bytes"] == sum(file.stat().st_size for file in (folder / "video").iterdir())
+    assert told["split"] == {"train": 8, "validation": 1, "test": 1}
+
+
+def test_info_of_an_unfinished_recording_says_how_to_go_on(run: Run, folder: Path) -> None:
+    manifest = folder / "dataset.json"
+    content = json.loads(manifest.read_text())
+    manifest.write_text(json.dumps(content | {"complete": False, "shards": []}))
+    outcome = run("info")
+    assert outcome.code == 0
+    assert "not finished: 3 of 3 shards are there" in outcome.out
+    assert "dmbench record grid_world --episodes 10 --frames 5 --tasks 2 --seed 0 --out" in outcome.out
+    checked = run("check")
+    assert checked.code == 1
+    assert "dmbench record grid_world" in checked.sentence()
+
+
+def test_a_sound_data_set(run: Run, folder: Path) -> None:
+    assert run("check").out == f"{folder} is sound: 10 episodes, 50 frames, labels present.\n"
+    assert json.loads(run("check", "--json").out) == {
+        "dataset": str(folder),
+        "sound": True,
+        "damages": [],
+        "labels": "present",
+        "episodes": 10,
+        "frames": 50,
+    }
+    assert "nothing was changed" in run("repair").out
+
+
+def test_a_flipped_byte_is_found_and_mended(run: Run, folder: Path) -> None:
+    before = files_of(folder)
+    file = folder / "video" / "shard-00001.mcap"
+    content = bytearray(file.read_bytes())
+    content[2000] ^= 1
+    file.write_bytes(content)
+    checked = run("check")
+    assert checked.code == 1
+    assert checked.out == "video/shard-00001.mcap has other bytes than were recorded\n"
+    assert f"dmbench data repair {folder}" in checked.sentence()
+    assert json.loads(run("check", "--json").out)["damages"][0]["file"] == "video/shard-00001.mcap"
+    mended = run("repair", "--json")
+    assert json.loads(mended.out) == {
+        "dataset": str(folder),
+        "how": "restored",
+        "shards": [1],
+        "episodes_lost": [],
+        "original": None,
+    }
+    assert files_of(folder) == before
+
+
+def test_a_repair_that_loses_episodes_says_which_and_where_the_original_is(run: Run, tmp_path: Path) -> None:
+    folder = write_noise(tmp_path / "data" / "noise").path
+    file = folder / "video" / "shard-00001.mcap"
+    file.write_bytes(file.read_bytes()[:100])
+    outcome = run("repair")
+    assert outcome.code == 0
+    assert "4 episodes were kept and 3 are lost" in outcome.out
+    assert str(folder.parent / "damaged" / "noise") in outcome.out
+    assert run("check").code == 0  # the repaired one is still the only one of the workspace
+
+
+@pytest.mark.parametrize("command", ["info", "check", "repair"])
+def test_what_is_not_there_is_named(run: Run, command: str, tmp_path: Path) -> None:
+    missing = run(command)
+    assert missing.code == 1
+    assert "dmbench record" in missing.sentence()
+    write_noise(tmp_path / "data" / "noise-tiny")
+    misspelt = run(command, "noise-tny")
+    assert misspelt.code == 2
+    assert "did you mean 'noise-tiny'?" in misspelt.sentence()
+
+
+def test_another_version_of_the_format(run: Run, folder: Path) -> None:
+    manifest = folder / "dataset.json"
+    manifest.write_text(manifest.read_text().replace("dmbench/1", "dmbench/9"))
+    for command in ("info", "check", "repair"):
+        outcome = run(command)
+        assert outcome.code == 1
+        assert "'dmbench/9'" in outcome.sentence()

@@ -1,0 +1,166 @@
+"""``dmbench record``: what it prints, and that nothing that goes wrong costs more than a sentence."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from dmbench_command import Outcome, dmbench, finish, start_dmbench
+from noise_world import files_of
+
+from dmotion_bench.storage.dataset import Dataset
+
+Run = Callable[..., Outcome]
+MANY = ("record", "grid_world", "--preset", "tiny", "--episodes", "2000", "--workers", "1", "--out")
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    return lambda *words: dmbench(words, capsys, monkeypatch)
+
+
+def test_json_has_the_names_that_scripts_rely_on(run: Run, tmp_path: Path) -> None:
+    outcome = run("record", "grid_world", "--preset", "tiny", "--json")
+    assert (outcome.code, outcome.err) == (0, "")
+    result = json.loads(outcome.out)
+    assert set(result) == {"dataset", "episodes", "frames", "frames_per_s", "bytes_per_frame"}
+    assert result["dataset"] == str(tmp_path / "data" / "grid_world-tiny")
+    assert (result["episodes"], result["frames"]) == (20, 240)
+    assert result["frames_per_s"] > 0
+    files = [file for kind in ("video", "labels") for file in (tmp_path / "data/grid_world-tiny" / kind).iterdir()]
+    assert result["bytes_per_frame"] == round(sum(file.stat().st_size for file in files) / 240, 1)
+    assert len(Dataset.open(Path(result["dataset"]))) == 20
+
+
+def test_the_same_command_completes_and_a_larger_number_extends(run: Run, tmp_path: Path) -> None:
+    words = ("record", "grid_world", "--preset", "tiny", "--workers", "1")
+    assert run(*words, "--episodes", "25").code == 0
+    assert "it was complete already" in run(*words, "--episodes", "25").out
+    first = files_of(tmp_path / "data" / "grid_world-tiny")
+    assert run(*words, "--episodes", "45", "--json").code == 0
+    assert run(*words, "--episodes", "45", "--out", str(tmp_path / "at once")).code == 0
+    extended = files_of(tmp_path / "data" / "grid_world-tiny")
+    assert extended == files_of(tmp_path / "at once")
+    assert extended["video/shard-00000.mcap"] == first["video/shard-00000.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("words", "says", "code"),
+    [
+        (("grid_wrold",), "no environment named 'grid_wrold'; did you mean 'grid_world'?", 2),
+        (("grid_world", "--preset", "tinny"), "no preset named 'tinny'; did you mean 'tiny'?", 2),
+        (("grid_world", "--executor", "locla"), "no executor named 'locla'; did you mean 'local'?", 2),
+    ],
+)
+def test_a_misspelt_name_gets_the_one_that_was_meant(
+    run: Run, words: tuple[str, ...], says: str, code: int, tmp_path: Path
+) -> None:
+    outcome = run("record", *words)
+    assert outcome.code == code
+    assert says in outcome.sentence()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [("--episodes", "0"), ("--frames", "1"), ("--workers", "0"), ("--colour", "red")])
+def test_an_impossible_value_is_wrong_usage(run: Run, words: tuple[str, ...]) -> None:
+    outcome = run("record", "grid_world", *words)
+    assert outcome.code == 2
+    assert words[0] in outcome.err
+
+
+def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) -> None:
+    run("record", "grid_world", "--preset", "tiny")
+    before = files_of(tmp_path / "data")
+    outcome = run("record", "grid_world", "--preset", "tiny", "--seed", "4")
+    assert outcome.code == 1
+    assert "seed is 0 there and 4 here" in outcome.sentence()
+    assert "--seed 0 --out" in outcome.err
+    assert "'--out DIR'" in outcome.err
+    assert files_of(tmp_path / "data") == before
+
+
+def test_a_file_in_the_folders_way_is_named(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    outcome = run("record", "grid_world", "--preset", "tiny", "--out", str(tmp_path / "file" / "d"))
+    assert outcome.code == 2
+    assert "a file is in the way" in outcome.sentence()
+
+
+def wait_for_shard(dataset: Path) -> None:
+    deadline = time.monotonic() + 60
+    while not list(dataset.glob("video/*.mcap")):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_ctrl_c_leaves_it_resumable_and_says_how(run: Run, tmp_path: Path) -> None:
+    recording = start_dmbench(
+        [*MANY, str(tmp_path / "d")],
+        tmp_path,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    wait_for_shard(tmp_path / "d")
+    recording.send_signal(signal.SIGINT)
+    outcome = finish(recording)
+    assert outcome.code == 130
+    assert "run the same command again" in outcome.sentence()
+    looked = run("data", "check", str(tmp_path / "d"))
+    assert looked.code == 1
+    assert "dmbench record grid_world --episodes 2000 --frames 12 --tasks 0 --seed 0 --out" in looked.sentence()
+    whole = files_of(tmp_path / "d")
+    again = start_dmbench([*MANY, str(tmp_path / "d")], tmp_path)
+    time.sleep(1.5)
+    again.kill()
+    finish(again)
+    after = files_of(tmp_path / "d")
+    assert {name: after[name] for name in whole if name.endswith(".mcap")} == {
+        name: content for name, content in whole.items() if name.endswith(".mcap")
+    }
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 300 KiB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=300k", "dmbench-test", str(disk)], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("no permission to mount a small file system; the next test limits the size of files instead")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_full_disk_is_a_sentence_and_the_same_command_goes_on(run: Run, small_disk: Path, tmp_path: Path) -> None:
+    words = ("record", "grid_world", "--preset", "tiny", "--episodes", "60", "--workers", "1", "--out")
+    outcome = run(*words, str(small_disk / "d"))
+    assert outcome.code == 1
+    assert "no space left" in outcome.sentence()
+    assert "run the same command again" in outcome.err
+    assert not list(small_disk.rglob("*.part"))
+    assert (small_disk / "d" / "video" / "shard-00000.mcap").exists()
+    subprocess.run(["mount", "-o", "remount,size=2m", str(small_disk)], check=True)
+    assert run(*words, str(small_disk / "d")).code == 0
+    assert run(*words, str(tmp_path / "d")).code == 0
+    assert files_of(small_disk / "d") == files_of(tmp_path / "d")
+
+
+def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path: Path) -> None:
+    recording = start_dmbench(
+        ["record", "grid_world", "--preset", "tiny", "--workers", "1", "--out", str(tmp_path / "d")],
+        tmp_path,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
+    )
+    outcome = finish(recording)
+    assert outcome.code == 1
+    assert "no space left" in outcome.sentence()
+    assert not list((tmp_path / "d").rglob("*.part"))
+    assert not list((tmp_path / "d" / "video").iterdir())

@@ -1,0 +1,97 @@
+"""What the recipe can make again is restored byte for byte; what it cannot is salvaged."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from noise_world import files_of
+
+from dmotion_bench.recording import restore
+from dmotion_bench.recording.restore import repair_dataset
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.check import check_dataset
+from dmotion_bench.storage.dataset import Dataset
+
+RECIPE = DatasetRecipe(environment="grid_world", episodes=10, frames=5, tasks=2, shard_episodes=4)
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    record_dataset(tmp_path / "d", RECIPE)
+    return tmp_path / "d"
+
+
+def test_a_sound_data_set_is_left_alone(dataset: Path) -> None:
+    before = files_of(dataset)
+    assert repair_dataset(dataset).how == "sound"
+    assert files_of(dataset) == before
+
+
+def test_damaged_shards_and_tables_come_back_byte_for_byte(dataset: Path) -> None:
+    before = files_of(dataset)
+    (dataset / "video" / "shard-00000.mcap").write_bytes(b"nothing left")
+    (dataset / "labels" / "shard-00002.mcap").unlink()
+    (dataset / "episodes.parquet").write_bytes(b"")
+    done = repair_dataset(dataset)
+    assert (done.how, done.shards) == ("restored", (0, 2))
+    assert files_of(dataset) == before
+
+
+def test_labels_that_were_taken_away_come_back(dataset: Path) -> None:
+    before = files_of(dataset)
+    shutil.rmtree(dataset / "labels")
+    assert repair_dataset(dataset).how == "restored"
+    assert files_of(dataset) == before
+
+
+def test_an_environment_that_draws_differently_now_is_not_mixed_in(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after an upgrade of a simulator: the shard that it makes today is not the one that is lost."""
+    record = restore.record_shard
+
+    def differently(job: restore.ShardJob) -> object:
+        return record(dataclasses.replace(job, recipe=dataclasses.replace(job.recipe, seed=1)))
+
+    monkeypatch.setattr(restore, "record_shard", differently)
+    kept = Dataset.open(dataset).video(9)
+    (dataset / "video" / "shard-00000.mcap").unlink()
+    done = repair_dataset(dataset)
+    assert done.how == "salvaged"
+    assert done.salvaged is not None
+    assert done.salvaged.lost == (0, 1, 2, 3)
+    assert (Dataset.open(dataset).video(5) == kept).all()
+    assert check_dataset(dataset).damages == ()
+
+
+def test_an_environment_that_is_not_installed_is_no_obstacle(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(restore, "environment_names", lambda: ["something_else"])
+    (dataset / "video" / "shard-00001.mcap").unlink()
+    done = repair_dataset(dataset)
+    assert done.salvaged is not None
+    assert done.salvaged.kept == (0, 1, 2, 3, 8, 9)
+
+
+def test_a_repair_that_was_killed_leaves_nothing_in_the_way(dataset: Path) -> None:
+    before = files_of(dataset)
+    (dataset / "video" / "shard-00000.mcap").unlink()
+    (dataset / "repairing" / "video").mkdir(parents=True)
+    (dataset / "repairing" / "video" / "shard-00000.mcap").write_bytes(b"half")
+    repair_dataset(dataset)
+    assert files_of(dataset) == before
+
+
+def test_the_packages_that_made_a_data_set_stay_named(dataset: Path) -> None:
+    manifest = dataset / "dataset.json"
+    content = json.loads(manifest.read_text())
+    content["versions"]["numpy"] = "1.99"
+    manifest.write_text(json.dumps(content))
+    (dataset / "tasks.parquet").unlink()
+    repair_dataset(dataset)
+    record_dataset(dataset, RECIPE)  # complete: nothing to do
+    assert json.loads(manifest.read_text())["versions"]["numpy"] == "1.99"

@@ -284,7 +284,7 @@ def _check_rollout(subject: ModelTrial) -> None:
             tensors = state if isinstance(state, tuple) else (state,)
             subject.require(
                 all(isinstance(tensor, Tensor) and len(tensor) == BATCH for tensor in tensors),
-                "a state is no tensor or tuple of tensors whose first axis is the batch, of which the planner picks rows",
+                "a state is no tensor or tuple of tensors whose first axis is the batch; the planner picks its rows",
             )
             state = model.advance(state, action)
             frames.append(model.frame(state))

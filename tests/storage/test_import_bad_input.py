@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import foxglove
+import lz4.frame
 import numpy as np
 import pytest
 import zstandard
@@ -240,6 +241,15 @@ def test_a_chunk_that_inflates_to_more_than_it_declares(tmp_path: Path) -> None:
 def test_a_chunk_that_inflates_to_less_than_it_declares(tmp_path: Path) -> None:
     file = by_hand(tmp_path / "a.mcap", chunk(zstandard.compress(record(0x7F, b"\0" * 91)), declared=1000))
     refused(file, tmp_path, "a chunk holds less than it declares")
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_that_is_no_longer_what_was_compressed(tmp_path: Path, compression: str) -> None:
+    content = record(0x7F, np.random.default_rng(0).bytes(5000))
+    stored = (zstandard.compress if compression == "zstd" else lz4.frame.compress)(content)
+    for number, damaged in enumerate((stored[:-4], stored[:9], b"", b"\xff" * 50, stored[:2000] + stored[2100:])):
+        file = by_hand(tmp_path / f"{number}.mcap", chunk(damaged, len(content), compression=compression))
+        refused(file, tmp_path, "is damaged near byte .*(cannot be inflated|holds less than it declares)")
 
 
 @pytest.mark.parametrize("opcode", [0x05, 0x7F], ids=["message", "unknown record"])

@@ -60,6 +60,42 @@ class RawMessage:
     data: bytes
 
 
+class _Directory:
+    """The channels and schemas that a file has described so far."""
+
+    def __init__(self) -> None:
+        self.channels: dict[int, TopicInfo] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._held = 0
+
+    def add_schema(self, body: Span, largest: int) -> None:
+        """Take note of a schema; a repeated one is the same by the specification."""
+        schema = Schema.read(self._content(body, largest))
+        self._held += 0 if schema.id in self._schemas else len(schema.data)
+        self._schemas.setdefault(schema.id, schema)
+
+    def add_channel(self, body: Span, largest: int) -> None:
+        """Take note of a channel."""
+        channel = Channel.read(self._content(body, largest))
+        schema = self._schemas.get(channel.schema_id)
+        if channel.schema_id and schema is None:
+            raise Broken(f"channel {channel.id} names schema {channel.schema_id}, which is never given")
+        described = TopicInfo(
+            channel.topic,
+            channel.message_encoding,
+            "" if schema is None else schema.name,
+            "" if schema is None else schema.encoding,
+            b"" if schema is None else schema.data,
+        )
+        if self.channels.setdefault(channel.id, described).topic != channel.topic:
+            raise Broken(f"channel {channel.id} is described twice, differently")
+
+    def _content(self, body: Span, largest: int) -> ReadDataStream:
+        if body.left > largest or self._held > 4 * largest:
+            raise Broken("its schemas are larger than any real ones")
+        return ReadDataStream(BytesIO(body.exactly(body.left)))
+
+
 class McapFile:
     """One file, read from its beginning as often as it is asked for.
 
@@ -86,10 +122,10 @@ class McapFile:
         """Every channel, sorted by topic: from the summary at the end, or from the whole file without one."""
         found = self._summary_topics()
         if not found:
-            channels: dict[int, TopicInfo] = {}
-            for _ in self._messages(frozenset(), channels):
+            known = _Directory()
+            for _ in self._messages(frozenset(), known):
                 pass
-            found = list(channels.values())
+            found = list(known.channels.values())
         return sorted(set(found), key=lambda topic: (topic.topic, topic.schema_name))
 
     def messages(self, *topics: str) -> Iterator[RawMessage]:
@@ -99,16 +135,15 @@ class McapFile:
             RecordingTruncated: The file ends in the middle (unless it is to be salvaged).
             RecordingImportError: It is damaged, or larger inside than the limits allow.
         """
-        return self._messages(frozenset(topics), {})
+        return self._messages(frozenset(topics), _Directory())
 
-    def _messages(self, topics: frozenset[str], channels: dict[int, TopicInfo]) -> Iterator[RawMessage]:
-        schemas: dict[int, Schema] = {}
+    def _messages(self, topics: frozenset[str], known: _Directory) -> Iterator[RawMessage]:
         size = self.path.stat().st_size
         with self.path.open("rb") as file:
             whole = Span(file, size, lambda distance: file.seek(distance, 1))
             try:
                 whole.exactly(len(MAGIC))
-                yield from self._walk(whole, topics, channels, schemas)
+                yield from self._walk(whole, topics, known)
             except Cut:
                 if self.salvage:
                     return
@@ -116,9 +151,7 @@ class McapFile:
                     f"{str(self.path)!r} is cut off: it ends in the middle of a record, after {size:,} bytes; "
                     "import what stands before the cut with '--salvage'."
                 ) from None
-            except (Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError, zstandard.ZstdError) as error:
-                self._damaged(file.tell(), error)
-            except RuntimeError as error:  # all that lz4 raises
+            except (Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError) as error:
                 self._damaged(file.tell(), error)
 
     def _damaged(self, offset: int, error: Exception) -> None:
@@ -128,9 +161,7 @@ class McapFile:
                 "import what stands before the damage with '--salvage'."
             ) from None
 
-    def _walk(
-        self, span: Span, topics: frozenset[str], channels: dict[int, TopicInfo], schemas: dict[int, Schema]
-    ) -> Iterator[RawMessage]:
+    def _walk(self, span: Span, topics: frozenset[str], known: _Directory) -> Iterator[RawMessage]:
         while True:
             opcode, length = RECORD_HEAD.unpack(span.exactly(RECORD_HEAD.size))
             body = span.part(length)
@@ -138,9 +169,9 @@ class McapFile:
                 return
             if opcode == Opcode.CHUNK:
                 with_crc, inside = self._chunk(body)
-                yield from self._walk_chunk(inside, with_crc, topics, channels, schemas)
+                yield from self._walk_chunk(inside, with_crc, topics, known)
             else:
-                message = self._record(opcode, body, topics, channels, schemas)
+                message = self._record(opcode, body, topics, known)
                 if message is not None:
                     yield message
             body.skip()
@@ -150,15 +181,14 @@ class McapFile:
         inside: Span,
         crc: int,
         topics: frozenset[str],
-        channels: dict[int, TopicInfo],
-        schemas: dict[int, Schema],
+        known: _Directory,
     ) -> Iterator[RawMessage]:
         inside.crc = 0 if crc else None
         try:
             while inside.left:
                 opcode, length = RECORD_HEAD.unpack(inside.exactly(RECORD_HEAD.size))
                 body = inside.part(length)
-                message = self._record(opcode, body, topics, channels, schemas)
+                message = self._record(opcode, body, topics, known)
                 if message is not None:
                     yield message
                 body.skip()
@@ -200,12 +230,11 @@ class McapFile:
         opcode: int,
         body: Span,
         topics: frozenset[str],
-        channels: dict[int, TopicInfo],
-        schemas: dict[int, Schema],
+        known: _Directory,
     ) -> RawMessage | None:
         if opcode == Opcode.MESSAGE:
             number, _, log_ns, _ = MESSAGE_HEAD.unpack(body.exactly(MESSAGE_HEAD.size))
-            topic = channels.get(number)
+            topic = known.channels.get(number)
             if topic is None:
                 raise Broken(f"a message belongs to channel {number}, which is never described")
             if topic.topic not in topics:
@@ -219,20 +248,10 @@ class McapFile:
                 raise Broken(f"a message on {topic.topic!r} has the impossible time {log_ns} ns")
             return RawMessage(topic, log_ns, body.exactly(body.left))
         if opcode == Opcode.SCHEMA:
-            schema = Schema.read(self._small(body, schemas, channels))
-            schemas.setdefault(schema.id, schema)
+            known.add_schema(body, self.limits.schema_bytes)
         elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(self._small(body, schemas, channels))
-            described = _describe(channel, schemas.get(channel.schema_id))
-            if channels.setdefault(channel.id, described).topic != channel.topic:
-                raise Broken(f"channel {channel.id} is described twice, differently")
+            known.add_channel(body, self.limits.schema_bytes)
         return None
-
-    def _small(self, body: Span, schemas: dict[int, Schema], channels: dict[int, TopicInfo]) -> ReadDataStream:
-        held = sum(len(schema.data) for schema in schemas.values()) + 256 * len(channels)
-        if body.left > self.limits.schema_bytes or held > 4 * self.limits.schema_bytes:
-            raise Broken("its schemas are larger than any real ones")
-        return ReadDataStream(BytesIO(body.exactly(body.left)))
 
     def _summary_topics(self) -> list[TopicInfo]:
         """The channels that the summary section repeats; none where there is no summary or it is damaged."""
@@ -240,8 +259,7 @@ class McapFile:
         size = self.path.stat().st_size
         if size < tail + len(MAGIC):
             return []
-        channels: dict[int, TopicInfo] = {}
-        schemas: dict[int, Schema] = {}
+        known = _Directory()
         with self.path.open("rb") as file:
             file.seek(-tail, 2)
             opcode, _ = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
@@ -251,11 +269,11 @@ class McapFile:
             file.seek(start)
             span = Span(file, size - start, lambda distance: file.seek(distance, 1))
             try:
-                for _ in self._walk(span, frozenset(), channels, schemas):
+                for _ in self._walk(span, frozenset(), known):
                     pass
             except (Cut, Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError):
                 return []
-        return list(channels.values())
+        return list(known.channels.values())
 
 
 def _short_string(body: Span) -> str:
@@ -263,18 +281,6 @@ def _short_string(body: Span) -> str:
     if length > 256:
         raise Broken("a compression's name is longer than any real one")
     return body.exactly(length).decode()
-
-
-def _describe(channel: Channel, schema: Schema | None) -> TopicInfo:
-    if channel.schema_id and schema is None:
-        raise Broken(f"channel {channel.id} names schema {channel.schema_id}, which is never given")
-    return TopicInfo(
-        channel.topic,
-        channel.message_encoding,
-        "" if schema is None else schema.name,
-        "" if schema is None else schema.encoding,
-        b"" if schema is None else schema.data,
-    )
 
 
 def _what_else(start: bytes) -> str:

@@ -6,6 +6,8 @@ import zlib
 from collections.abc import Callable
 from typing import Protocol
 
+import zstandard
+
 from dmotion_bench.storage.imports.limits import MIB
 
 
@@ -87,9 +89,13 @@ class Inflated(Span):
         self._checked = False
 
     def read(self, size: int = -1, /) -> bytes:
-        data = super().read(size)
-        if not self.left and not self._checked:
-            self._checked = True
-            if self._beyond.read(1):
-                raise Broken("a chunk inflates to more than it declares")
+        try:
+            data = super().read(size)
+            beyond = b""
+            if not self.left and not self._checked:
+                self._checked, beyond = True, self._beyond.read(1)
+        except (zstandard.ZstdError, RuntimeError, EOFError, ValueError) as error:  # RuntimeError: all that lz4 raises
+            raise Broken(f"a chunk cannot be inflated ({error})") from error
+        if beyond:
+            raise Broken("a chunk inflates to more than it declares")
         return data

@@ -47,7 +47,10 @@ def dmbench(
     """The benchmark for forward models learned from robot video without action labels."""
 
 
-def _register() -> None:
+def register_commands() -> None:
+    """Add every command to the application, once."""
+    if app.registered_commands:
+        return
     for name in COMMANDS:
         importlib.import_module(f"dmotion_bench.cli.{name}").register(app)
 
@@ -59,7 +62,7 @@ def _fail(sentence: str, code: int) -> NoReturn:
 
 def main() -> None:
     """Entry point of the ``dmbench`` script."""
-    _register()
+    register_commands()
     try:
         app(prog_name="dmbench", standalone_mode=True)
     except UsageError as error:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from dmotion_bench.cli.record import preset_named
 from dmotion_bench.specs import Preset
+
+if TYPE_CHECKING:
+    from dmotion_bench.workspace import Workspace
 
 
 def register(app: typer.Typer) -> None:
@@ -17,13 +21,21 @@ def register(app: typer.Typer) -> None:
 
 
 def train(
-    model: Annotated[str, typer.Argument(help="A model's name; 'dmbench list models' shows them.")],
+    model: Annotated[
+        str | None, typer.Argument(help="A model's name; 'dmbench list models' shows them.", show_default=False)
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Every model under each of its label budgets.")] = False,
     data: Annotated[Path | None, typer.Option(help="The data set; the only one of the workspace if left out.")] = None,
     labels: Annotated[
         str | None,
         typer.Option(help="Label budget: none, one-shot, K-shot, 10%, 100%. One-shot for models that see video only."),
     ] = None,
-    preset: Annotated[Preset | None, typer.Option(help="How long to train; the data set's own if left out.")] = None,
+    preset: Annotated[
+        Preset | None,
+        typer.Option(
+            parser=preset_named, metavar="[tiny|small|paper]", help="How long to train; the data set's own if left out."
+        ),
+    ] = None,
     arch: Annotated[str | None, typer.Option(help="The model's architecture: compact or paper.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the weights, the batches and the demonstrations.")] = 0,
     split: Annotated[
@@ -37,16 +49,24 @@ def train(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
-    """Train a model. The same command again goes on where it stopped."""
-    from dmotion_bench.errors import RunMissing, UnknownName
+    """Train a model, or all of them. The same command again goes on where it stopped."""
+    from dmotion_bench.errors import RunMissing, UnknownName, UsageError
     from dmotion_bench.registry import model_class
     from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 
     for kind, given, allowed in (("split", split, ("episode", "paper")), ("device", device, ("auto", "cpu", "cuda"))):
         if given not in allowed:
             raise UnknownName(kind, given, allowed)
-    model_class(model)  # a misspelt name is said before anything is loaded
     workspace = Workspace.current()
+    if everything:
+        own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}
+        if given := [name for name, value in own.items() if value]:
+            raise UsageError(f"--all trains every model its own way; leave {' and '.join(given)} away.")
+        _train_all(workspace, data, preset, seed, split, device, as_json)
+        return
+    if model is None:
+        raise UsageError("no model is named; name one ('dmbench list models' shows them), or train --all of them.")
+    model_class(model)  # a misspelt name is said before anything is loaded
 
     from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve
     from dmotion_bench.storage.dataset import Dataset
@@ -85,6 +105,40 @@ def train(
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
     typer.echo(f"  labels used: {result['labels_total']} of {_transitions(dataset)} transitions in the data set")
     typer.echo(f"Score it with 'dmbench score {run.path}'.")
+
+
+def _train_all(
+    workspace: Workspace, data: Path | None, preset: Preset | None, seed: int, split: str, device: str, as_json: bool
+) -> None:
+    """Train the whole table; fails in the end if a row did."""
+    from dmotion_bench.errors import RunError
+    from dmotion_bench.learning.start import TrainingRequest
+    from dmotion_bench.learning.table import train_table
+    from dmotion_bench.storage.dataset import Dataset
+
+    protocol: Literal["paper", "episode"] = "paper" if split == "paper" else "episode"
+    request = TrainingRequest(model="", preset=preset, seed=seed, protocol=protocol)
+    dataset = Dataset.open(workspace.dataset(data))
+    rows: list[dict[str, Any]] = []
+    for outcome in train_table(request, dataset, workspace, lambda run: train_run(run, dataset, device)):
+        row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels, "error": outcome.error}
+        if outcome.run is not None:
+            row["run"] = str(outcome.run.path)
+            result = outcome.run.result or {}
+            row |= {name: result[name] for name in ("steps", "triplets_per_s", "seconds") if name in result}
+            row["labels"] = result.get("labels_total")
+        rows.append(row)
+        if not as_json:
+            done = outcome.error or f"{_duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
+            typer.echo(f"{row['model']:16s} {row['budget']:9s} {done}")
+    if as_json:
+        typer.echo(json.dumps({"rows": rows}))
+    if failed := [row["model"] for row in rows if row["error"]]:
+        raise RunError(
+            f"{len(failed)} of {len(rows)} rows failed: {', '.join(failed)}; the same command tries them again."
+        )
+    if not as_json:
+        typer.echo("Score them with 'dmbench score --all'.")
 
 
 def train_run(run: Any, dataset: Any, device: str = "auto") -> dict[str, Any]:

@@ -162,6 +162,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
     paper: ClassVar[str]  # authors, title, venue, year
     Config: ClassVar[type]
     architectures: ClassVar[tuple[str, ...]] = ("compact",)
+    budgets: ClassVar[tuple[str, ...]] = ()  # label budgets it is ranked under; those of its supervision if empty
     needs_pixels: ClassVar[bool] = True  # whether frames it predicts are meant to look like frames
 
     def __init__(self, config: ConfigT, inputs: ModelInputs) -> None:

@@ -114,7 +114,7 @@ class Run:
 
     @classmethod
     def create_or_open(cls, path: Path, spec: RunSpec, *, dataset_path: Path, versions: Mapping[str, str]) -> Run:
-        """The run of this folder if it asks for the same, else a new one.
+        """The run of this folder if it asks for the same, else a new one, which is on disk once training begins.
 
         Raises:
             RunMismatch: The folder holds a run that asks for something else; says what differs.
@@ -139,9 +139,7 @@ class Run:
             "versions": dict(versions),
             "result": None,
         }
-        run = cls(path, manifest)
-        run.write()
-        return run
+        return cls(path, manifest)
 
     @property
     def name(self) -> str:

@@ -119,7 +119,10 @@ def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Repor
     """
     if run.result is not None:
         return run.result
-    return _Trainer(run, data, fabric).fit(on_step)
+    trainer = _Trainer(run, data, fabric)  # what is missing is said here, before anything is written
+    if fabric.is_global_zero:
+        run.write()
+    return trainer.fit(on_step)
 
 
 class _Trainer:

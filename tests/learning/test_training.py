@@ -6,9 +6,9 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
+from walking_square import record_walks
 
 from dmotion_bench.errors import LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
@@ -16,12 +16,9 @@ from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training import Report, train
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectSpec, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import Workspace
 
-MOVES = np.array([[0, -1], [0, 1], [-1, 0], [1, 0]])
 SETTINGS = ("batch_size=4", "epochs=0.4", "validations=3", "ema=0.9")
 
 
@@ -29,52 +26,9 @@ class Stopped(Exception):
     """Raised by a progress callback."""
 
 
-def _episode(number: int, frames: int = 9) -> Episode:
-    """A white square walks over a grey picture of 32 pixels, a step of four pixels an action."""
-    generator = np.random.default_rng(number)
-    actions = generator.integers(0, 4, frames - 1)
-    places = np.clip(np.cumsum(np.vstack([[3, 3], MOVES[actions]]), axis=0), 0, 6)
-    pictures = np.full((frames, 32, 32, 3), 60, np.uint8)
-    for picture, (x, y) in zip(pictures, places, strict=True):
-        picture[4 * y : 4 * y + 8, 4 * x : 4 * x + 8] = 250
-    states = ObjectStates(
-        position=np.zeros((frames, 1, 3)),
-        orientation=np.tile([0.0, 0, 0, 1], (frames, 1, 1)),
-        pixel=4.0 * places[:, None] + 3.5,
-        visible=np.ones((frames, 1)),
-    )
-    nothing = ObjectStates(
-        position=np.zeros((frames, 0, 3)),
-        orientation=np.zeros((frames, 0, 4)),
-        pixel=np.zeros((frames, 0, 2)),
-        visible=np.zeros((frames, 0)),
-    )
-    labels = EpisodeLabels(
-        actions=actions,
-        pushed=np.zeros(frames - 1, bool),
-        agent=states,
-        objects=nothing,
-        masks=(pictures[..., 0] == 250).astype(np.uint8),
-    )
-    return Episode(frames=pictures, labels=labels, seed=number, ended="truncated")
-
-
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("data") / "walk-test"
-    recipe = DatasetRecipe(environment="walk", episodes=14, frames=9, shard_episodes=14)
-    spec = EnvSpec(
-        id="walk",
-        actions=("up", "down", "left", "right"),
-        agent=ObjectSpec(name="agent", shape="square", color=(250, 250, 250)),
-        objects=(),
-        height=32,
-        width=32,
-    )
-    with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
-        writer.add(writer.write_shard(0, [_episode(number) for number in range(14)]))
-        writer.finish()
-    return path
+    return record_walks(tmp_path_factory.mktemp("data") / "walk-test")
 
 
 def _run(data: Path, folder: Path, **request) -> Run:

@@ -1,0 +1,141 @@
+"""``dmbench train``: what it prints, where it goes on, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from dmbench_command import Outcome, dmbench, finish, start_dmbench
+from walking_square import record_walks
+
+from dmotion_bench.learning.run import Run
+
+Command = Callable[..., Outcome]
+QUICK = ("--set", "batch_size=4", "--set", "epochs=0.2")
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    return lambda *words: dmbench(words, capsys, monkeypatch)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return record_walks(tmp_path / "data" / "walk-small")
+
+
+def test_json_has_the_names_that_scripts_rely_on(run: Command, data: Path, tmp_path: Path) -> None:
+    outcome = run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"), "--json")
+    assert (outcome.code, outcome.err) == (0, "")
+    result = json.loads(outcome.out)
+    assert set(result) == {"run", "model", "steps", "triplets_per_s", "seconds", "labels"}
+    assert (result["model"], result["labels"]) == ("dmotion", 4)
+    again = json.loads(run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"), "--json").out)
+    assert again == result
+
+
+def test_the_folders_name_says_what_sets_the_run_apart(run: Command, data: Path, tmp_path: Path) -> None:
+    run("train", "dmotion", *QUICK[2:], "--seed", "3", "--labels", "2-shot")
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["dmotion-walk-small-2-shot-epochs_0.2-s3"]
+    listed = json.loads(run("list", "runs", "--json").out)["runs"]
+    assert [row["labels"] for row in listed] == ["2-shot"]
+
+
+@pytest.mark.parametrize(
+    ("words", "says", "code"),
+    [
+        (("dmotoin",), "no model named 'dmotoin'; did you mean 'dmotion'?", 2),
+        (("dmotion", "--preset", "smal"), "no preset named 'smal'; did you mean 'small'?", 2),
+        (("dmotion", "--arch", "papr"), "did you mean 'paper'?", 2),
+        (("dmotion", "--set", "epoch=3"), "no setting named 'epoch'; did you mean 'epochs'?", 2),
+        (("dmotion", "--set", "epochs=three"), "epochs is 'three'; it must be a number.", 2),
+        (("dmotion", "--labels", "some"), "no label budget 'some'", 2),
+        (("dmotion", "--labels", "10%"), "give it --labels one-shot", 2),
+        (("dmotion", "--labels", "900-shot"), "fewer than 900 demonstrations", 1),
+        (("dmotion", "--split", "paperr"), "did you mean 'paper'?", 2),
+        (("dmotion", "--data", "walk-smal"), "no data set named 'walk-smal'; did you mean 'walk-small'?", 2),
+        (("dmotion", "--resume"), "nothing to resume", 1),
+    ],
+)
+def test_a_wrong_word_costs_a_sentence(run: Command, data: Path, words: tuple[str, ...], says: str, code: int) -> None:
+    outcome = run("train", *words)
+    assert outcome.code == code
+    assert says in outcome.sentence()
+
+
+def test_no_data_set_and_several_are_said(run: Command, tmp_path: Path) -> None:
+    outcome = run("train", "dmotion")
+    assert outcome.code == 1
+    assert "dmbench record" in outcome.sentence()
+    for name in ("walk-a", "walk-b"):
+        record_walks(tmp_path / "data" / name)
+    outcome = run("train", "dmotion")
+    assert outcome.code == 2
+    assert "walk-a" in outcome.err
+    assert "walk-b" in outcome.err
+
+
+def test_too_few_episodes_are_said(run: Command, tmp_path: Path) -> None:
+    record_walks(tmp_path / "data" / "walk-few", episodes=2)
+    assert "record at least 10" in run("train", "dmotion").sentence()
+
+
+def test_without_labels_one_demonstration_is_too_much(run: Command, data: Path) -> None:
+    shutil.rmtree(data / "labels")
+    outcome = run("train", "dmotion", *QUICK)
+    assert outcome.code == 1
+    assert "labels" in outcome.sentence()
+    assert run("train", "dmotion", *QUICK, "--labels", "none").code == 0
+
+
+def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("train", "dmotion", "--set", "batch_size=4", "--set", "epochs=2", "--out", str(tmp_path / "run"))
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # bits depend on the number of threads; the tests have one
+    process = start_dmbench(words, tmp_path)
+    metrics = tmp_path / "run" / "metrics.jsonl"
+    deadline = time.monotonic() + 100
+    while not (metrics.exists() and metrics.read_text().count("\n") > 3) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    outcome = finish(process)
+    assert outcome.code == 130
+    assert "run the same command again" in outcome.sentence()
+    stopped = Run.open(tmp_path / "run")
+    assert stopped.result is None
+    assert stopped.last.exists()
+    assert run(*words).code == 0
+    assert run("train", "dmotion", *words[2:-2], "--out", str(tmp_path / "whole")).code == 0
+    assert Run.open(tmp_path / "run").result["weights"] == Run.open(tmp_path / "whole").result["weights"]
+
+
+def test_a_full_disk_costs_a_sentence_and_no_checkpoint(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import errno
+
+    def full(path: Path, content: bytes) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("dmotion_bench.learning.checkpoint.write_atomically", full)
+        outcome = run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
+    assert outcome.code == 1
+    assert "no space left on the device" in outcome.sentence()
+    assert run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run")).code == 0
+
+
+def test_a_truncated_checkpoint_is_said(run: Command, data: Path, tmp_path: Path) -> None:
+    assert run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run")).code == 0
+    best = tmp_path / "run" / "best.safetensors"
+    best.write_bytes(best.read_bytes()[:1000])
+    outcome = run("score", str(tmp_path / "run"))
+    assert outcome.code == 1
+    assert "cannot be read" in outcome.sentence()

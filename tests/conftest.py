@@ -13,6 +13,7 @@ _hook = install_import_hook(
         "dmotion_bench.positions",
         "dmotion_bench.scoring",
         "dmotion_bench.planning",
+        "dmotion_bench.viewing",
         "baselines",
     ],
     "shape_check.beartype",

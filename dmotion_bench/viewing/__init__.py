@@ -11,6 +11,7 @@
     maps.py        the feature maps of a model, as pictures
     curves.py      the curves of a training, drawn by chart.py
     episodes.py    which episodes are shown
+    report.py      the figures of a run, and its worst and best episodes
     run.py         the scene of a run
     file_server.py one file over HTTP, for the web page
     viewer.py      Rerun's programs: a window, a web page, a headless one

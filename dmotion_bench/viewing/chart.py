@@ -7,6 +7,7 @@ logarithmic axis.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,18 +15,18 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float, Int
 
-from dmotion_bench.viewing.tracks import Color
+from dmotion_bench.viewing.tracks import WORDS, Color
 
 WIDTH, HEIGHT = 1000.0, 600.0
 MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 90.0, 230.0, 30.0, 60.0
 LINE_HEIGHT = 26.0
-AXIS: Color = (150, 150, 150)
-GRID: Color = (60, 60, 64)
+AXIS: Color = WORDS
+GRID: Color = (110, 110, 115)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One figure over the steps of a training."""
+    """One figure over steps."""
 
     step: Int[np.ndarray, " n"]
     value: Float[np.ndarray, " n"]
@@ -37,6 +38,7 @@ def log_chart(
     curves: Mapping[str, Curve],
     colors: Mapping[str, Color],
     widths: Mapping[str, float],
+    across_name: str,
 ) -> None:
     """Draw curves by their names; values that are not above zero have no place on the axis and are left out."""
     shown = {
@@ -65,14 +67,12 @@ def log_chart(
     recording.log(f"{path}/grid", rr.LineStrips2D(grid, colors=[GRID], radii=[0.5]), static=True)
     marks = [(x, bottom + 6) for x in across(steps)] + [(MARGIN_LEFT - 42, y - 12) for y in down(values)]
     words = [f"{int(step)}" for step in steps] + [f"{value:g}" for value in values]
-    _write(
-        recording, f"{path}/axes", [*marks, ((MARGIN_LEFT + right) / 2, bottom + 30)], [*words, "training step"], AXIS
-    )
+    _write(recording, f"{path}/axes", [*marks, ((MARGIN_LEFT + right) / 2, bottom + 30)], [*words, across_name], AXIS)
     ends = {name: float(down(curve.value[-1:])[0]) for name, curve in shown.items()}
     for name, height in _apart(ends).items():
         curve = shown[name]
         line = np.stack([across(curve.step), down(curve.value)], axis=1)
-        entity = f"{path}/{name.replace(' ', '_')}"
+        entity = f"{path}/{re.sub(r'[^A-Za-z0-9]+', '_', name)}"
         recording.log(
             entity, rr.LineStrips2D([line], colors=[colors[name]], radii=[widths[name]], draw_order=10.0), static=True
         )

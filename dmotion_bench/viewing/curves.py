@@ -80,6 +80,7 @@ def training_tab(curves: Mapping[str, Curve], text: str) -> Tab:
             {_words(name): curve for name, curve in losses.items()},
             {_words(name): color for name, color in colors.items()},
             {_words(name): _width(name) / 2 for name in losses},
+            "training step",
         )
         recording.log(f"{ROOT}/about", rr.TextDocument(text, media_type="text/markdown"), static=True)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import rerun as rr
@@ -17,6 +17,7 @@ from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import log_images
 
 
+@runtime_checkable
 class ViewableDataset(Protocol):
     """What viewing needs of a ``storage.dataset.Dataset``."""
 

@@ -66,9 +66,9 @@ class Imagination:
     one_step: Prediction
     imagined: Prediction
     copied: Prediction
-    maps: Float[np.ndarray, "t-1 m y x"] | None
-    moved: Float[np.ndarray, "t-1 m y x"] | None
-    shift: Float[np.ndarray, "t-1 2"] | None
+    maps: Float[np.ndarray, "n m y x"] | None
+    moved: Float[np.ndarray, "n m y x"] | None
+    shift: Float[np.ndarray, "n 2"] | None
 
 
 def imagine(

@@ -70,7 +70,7 @@ def log_events(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: 
         log_states(recording, f"{root}/pushed/{it.name}", lane, {"pushed": it.color, "gone": GONE})
 
 
-def pushes(spec: EnvSpec, labels: EpisodeLabels) -> tuple[Bool[np.ndarray, "t-1 k"], Bool[np.ndarray, "t k"]]:
+def pushes(spec: EnvSpec, labels: EpisodeLabels) -> tuple[Bool[np.ndarray, "s k"], Bool[np.ndarray, "t k"]]:
     """Which objects are moved between frame i and i+1, and which are no longer there at frame i."""
     position = labels.objects.position
     gone = ~np.isfinite(position).all(-1)

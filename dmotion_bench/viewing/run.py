@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -16,6 +16,7 @@ from dmotion_bench.viewing.dataset import ViewableDataset
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, imagine
 from dmotion_bench.viewing.labels import log_events, log_legend, plain
 from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
+from dmotion_bench.viewing.report import report_tab
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import (
     Color,
@@ -37,8 +38,10 @@ SEEN_MOTION: Color = (255, 220, 0)
 TRUE_MOTION: Color = (255, 255, 255)
 
 
-def run_scene(run: Run, dataset: ViewableDataset, episodes: Sequence[int], why: dict[int, str] | None = None) -> Scene:
-    """One tab an episode, and one for the training.
+def run_scene(
+    run: Run, dataset: ViewableDataset, episodes: Sequence[int], why: Mapping[int, str] | None = None
+) -> Scene:
+    """One tab an episode, one for the report if there is one, and one for the training.
 
     Args:
         run: A finished one.
@@ -52,9 +55,10 @@ def run_scene(run: Run, dataset: ViewableDataset, episodes: Sequence[int], why: 
     """
     notes = why or {}
     tabs = [_tab(run, dataset, episode, notes.get(episode, "")) for episode in episodes]
+    figures = report_tab(run.path)
     return Scene(
         name=run.name,
-        tabs=(*tabs, training_tab(read_curves(run.metrics), _of_training(run))),
+        tabs=(*tabs, *((figures,) if figures else ()), training_tab(read_curves(run.metrics), _of_training(run))),
         step_ns=dataset.spec.step_ns,
         background=lambda recording: log_legend(recording, dataset.spec),
     )
@@ -112,7 +116,7 @@ def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -
             *plots,
             row_shares=[1.6, *(1.0 for _ in plots)],
         ),
-        column_shares=[2.4, 1],
+        column_shares=[2.2, 1],
         name=name,
     )
 

@@ -44,7 +44,8 @@ class Scene:
 
     Attributes:
         name: Of the data set or the run.
-        tabs: Its pages, the first in front.
+        tabs: Its pages.
+        front: The name of the page in front; the first if empty.
         step_ns: Time between two frames [ns]; it is played at that pace.
         background: Logged once, for all pages.
     """
@@ -53,11 +54,13 @@ class Scene:
     tabs: tuple[Tab, ...]
     step_ns: int
     background: Callable[[rr.RecordingStream], None] | None = None
+    front: str = ""
 
     def blueprint(self) -> rrb.Blueprint:
         """The layout: the tabs, and a narrow bar to play them with."""
+        front = next((place for place, tab in enumerate(self.tabs) if tab.name == self.front), 0)
         return rrb.Blueprint(
-            rrb.Tabs(*(tab.layout for tab in self.tabs), active_tab=0, name=self.name),
+            rrb.Tabs(*(tab.layout for tab in self.tabs), active_tab=front, name=self.name),
             rrb.BlueprintPanel(state="collapsed"),
             rrb.SelectionPanel(state="collapsed"),
             rrb.TimePanel(

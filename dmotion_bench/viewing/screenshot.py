@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rerun.experimental import ViewerClient
@@ -51,9 +51,20 @@ class Camera:
 
     def take(self, picture: Path, *, frame: int) -> None:
         """Write what is seen at a frame as a PNG."""
-        self._client.set_time(FRAME, sequence=frame, play_state="paused")
+        _patiently(lambda: self._client.set_time(FRAME, sequence=frame, play_state="paused"))
         time.sleep(0.5)
-        self._client.save_screenshot(str(picture.resolve()))
+        _patiently(lambda: self._client.save_screenshot(str(picture.resolve())))
+
+
+def _patiently(ask: Callable[[], None]) -> None:
+    """Ask again where a busy machine lets Rerun's own 15 s pass."""
+    end = time.monotonic() + LOAD_SECONDS
+    while True:
+        try:
+            return ask()
+        except TimeoutError:
+            if time.monotonic() > end:
+                raise ViewerError(f"Rerun did not answer within {LOAD_SECONDS:.0f} s.") from None
 
 
 def has_vulkan() -> bool:
@@ -69,6 +80,8 @@ def camera(rrd: Path, width: int = 1600, height: int = 900) -> Iterator[Camera]:
     Raises:
         ViewerError: No driver is there, or the file is not shown within a minute.
     """
+    if not rrd.is_file():
+        raise ViewerError(f"no file {str(rrd)!r} to take a picture of.")
     if not has_vulkan():
         raise ViewerError("pictures need a Vulkan driver; on Debian: 'apt-get install mesa-vulkan-drivers'.")
     with headless(rrd, width, height) as address:
@@ -81,7 +94,7 @@ def camera(rrd: Path, width: int = 1600, height: int = 900) -> Iterator[Camera]:
 def _wait_until_loaded(client: ViewerClient, rrd: Path) -> None:
     end = time.monotonic() + LOAD_SECONDS
     while time.monotonic() < end:
-        with contextlib.suppress(RuntimeError, ConnectionError):  # it listens before it answers
+        with contextlib.suppress(RuntimeError, ConnectionError, TimeoutError):  # it listens before it answers
             state = client.get_state()
             if not state.loading and any(recording.timelines for recording in state.recordings):
                 return

@@ -21,8 +21,10 @@ TRAIL = 12
 RING = 4.0
 """Radius of the ring around a thing [px]."""
 
-BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 Color = tuple[int, int, int]
+BLACK, WHITE = (0, 0, 0), (255, 255, 255)
+WORDS: Color = (120, 160, 215)
+"""Of text in a picture: read as well in Rerun's light theme as in its dark one."""
 
 
 def log_images(
@@ -126,23 +128,23 @@ def log_arrows(
     color: Color,
     radius: float,
 ) -> None:
-    """An arrow a frame [px]."""
+    """An arrow a frame [px], with a black border."""
     there = np.isfinite(np.concatenate([origins, vectors], axis=1)).all(1)
     count = int(there.sum())
     columns = rr.Arrows2D.columns(
-        origins=_in_picture(origins[there]),
-        vectors=vectors[there].astype(np.float32),
-        colors=[color] * count,
-        radii=[radius] * count,
+        origins=np.repeat(_in_picture(origins[there]), 2, axis=0),
+        vectors=np.repeat(vectors[there].astype(np.float32), 2, axis=0),
+        colors=np.tile(np.array([BLACK, color], np.uint8), (count, 1)),
+        radii=np.tile(np.array([radius * 1.5, radius], np.float32), count),
     )
-    recording.send_columns(path, indexes=_index(range(len(origins))), columns=columns.partition(there.astype(int)))
+    recording.send_columns(path, indexes=_index(range(len(origins))), columns=columns.partition(2 * there))
 
 
 def log_words(
     recording: rr.RecordingStream, path: str, places: Sequence[tuple[float, float]], words: Sequence[str]
 ) -> None:
     """Words in a picture, the same at every frame, each a little below its place [px]."""
-    recording.log(path, rr.Points2D(places, labels=words, colors=[WHITE], radii=[0.01], show_labels=True), static=True)
+    recording.log(path, rr.Points2D(places, labels=words, colors=[WORDS], radii=[0.01], show_labels=True), static=True)
 
 
 def log_curve(

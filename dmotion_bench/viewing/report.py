@@ -1,0 +1,135 @@
+"""A run's report in the scene of the run: its figures, and which episodes tell most."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dmotion_bench.scoring.report import REPORT_FOLDER, FigureJson, Report, read_report, read_report_samples
+from dmotion_bench.viewing.chart import HEIGHT, WIDTH, Curve, log_chart
+from dmotion_bench.viewing.labels import plain
+from dmotion_bench.viewing.scene import Tab, picture_view
+from dmotion_bench.viewing.tracks import Color
+
+ROOT = "/report"
+COLORS: tuple[Color, ...] = ((230, 159, 0), (140, 140, 140), (86, 180, 233))
+SHOWN = (
+    "mse",
+    "psnr",
+    "ssim",
+    "position_error_paper",
+    "position_error",
+    "miss_rate",
+    "false_positive_rate",
+    "agent_iou",
+    "motion_shift_error",
+    "motion_within_over_between",
+    "control_success",
+)
+AHEAD = re.compile(r"rollout_mse\[(\d+)\]")
+
+
+def telling_episodes(run: Path) -> dict[int, str]:
+    """The worst, the middle and the best episode by the MSE of single steps, and what is to be said of each.
+
+    Empty where the run has no report, or its samples are gone.
+
+    Raises:
+        RunCorrupt: The report cannot be read.
+    """
+    report = read_report(run / REPORT_FOLDER)
+    samples = None if report is None else read_report_samples(run / REPORT_FOLDER, report)
+    if samples is None:
+        return {}
+    metric, predictor = (np.asarray(samples[name].to_pylist()) for name in ("metric", "predictor"))
+    chosen = (metric == "prediction") & (predictor == "model")
+    episode, mse = samples["episode"].to_numpy()[chosen], samples["mse"].to_numpy()[chosen]
+    if not len(episode):
+        return {}
+    episodes, place = np.unique(episode, return_inverse=True)
+    means = np.bincount(place, mse) / np.bincount(place)
+    order = np.argsort(-means, kind="stable")
+    told: dict[int, str] = {}
+    for word, rank in (("worst", 0), ("middle", len(order) // 2), ("best", len(order) - 1)):
+        told.setdefault(int(episodes[order[rank]]), f"{word}, MSE {means[order[rank]]:.3g}")
+    return told
+
+
+def report_tab(run: Path) -> Tab | None:
+    """The page of a report; None where the run has none.
+
+    Raises:
+        RunCorrupt: The report cannot be read.
+    """
+    report = read_report(run / REPORT_FOLDER)
+    if report is None:
+        return None
+    curves = rollout_curves(report)
+    layout = rrb.Horizontal(
+        rrb.TextDocumentView(origin=f"{ROOT}/figures", name="Figures"),
+        picture_view(f"{ROOT}/rollout", "MSE of an imagined frame (logarithmic)", round(WIDTH), round(HEIGHT)),
+        column_shares=[1, 1.4],
+        name="Report",
+    )
+
+    def log(recording: rr.RecordingStream) -> None:
+        text = rr.TextDocument(_figures(report), media_type="text/markdown")
+        recording.log(f"{ROOT}/figures", text, static=True)
+        colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(curves)}
+        log_chart(recording, f"{ROOT}/rollout", curves, colors, dict.fromkeys(curves, 1.5), "steps imagined")
+
+    return Tab(name="Report", layout=layout, log=log)
+
+
+def rollout_curves(report: Report) -> dict[str, Curve]:
+    """MSE over the steps of a rollout, of the run and of what knows nothing of learning."""
+    of_all: dict[str, Mapping[str, FigureJson]] = {report.model: report.figures}
+    of_all |= {plain(name): figures for name, figures in report.reference.items()}
+    curves: dict[str, Curve] = {}
+    for name, figures in of_all.items():
+        points = sorted(
+            (int(found[1]), figure["mean"]) for key, figure in figures.items() if (found := AHEAD.fullmatch(key))
+        )
+        known = [(ahead, float(mean)) for ahead, mean in points if mean is not None]
+        if known:
+            curves[name] = Curve(np.array([ahead for ahead, _ in known]), np.array([mean for _, mean in known]))
+    return curves
+
+
+def _figures(report: Report) -> str:
+    beside = [name for name in ("paper", "copy_last") if name in report.reference]
+    lines = [
+        f"### {report.run}",
+        "",
+        f"*{report.dataset['name']}*, {report.settings['split']} episodes, labels used: **{report.labels['asked']} "
+        f"({report.labels['total']})**, protocol {report.protocol}.",
+        "",
+        f"| | mean ± std | 95% interval | {' | '.join(map(plain, beside))} |",
+        "|---|---|---|" + "---|" * len(beside),
+    ]
+    for name in SHOWN:
+        if name in report.figures:
+            figure = report.figures[name]
+            others = " | ".join(_mean(report.reference[other].get(name)) for other in beside)
+            lines.append(
+                f"| {plain(name)} | {_mean(figure)} ± {_number(figure['std'])} | {_interval(figure)} | {others} |"
+            )
+    lines += ["", "On the other tabs: the worst, the middle and the best episode by the MSE of single steps."]
+    return "\n".join(lines)
+
+
+def _mean(figure: FigureJson | None) -> str:
+    return "" if figure is None else _number(figure["mean"])
+
+
+def _interval(figure: FigureJson) -> str:
+    return "" if figure["low"] is None else f"{_number(figure['low'])} ... {_number(figure['high'])}"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"

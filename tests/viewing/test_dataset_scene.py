@@ -1,0 +1,133 @@
+"""What an .rrd of a data set holds, read back and compared with the data set."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pushed_squares import SPEC
+from rrd_contents import layout_of, lane, read, rgba, static, tabs_of, values
+
+from dmotion_bench.specs import MASK_AGENT
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.viewing.dataset import dataset_scene
+from dmotion_bench.viewing.scene import write_scene
+
+EPISODE = 3
+THINGS = [*SPEC.objects, SPEC.agent]
+
+
+@pytest.fixture(scope="module")
+def written(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("dataset") / "scene.rrd"
+    write_scene(dataset_scene(dataset, [1, EPISODE]), path)
+    return path
+
+
+def test_the_video_is_there_to_the_last_bit(dataset: Dataset, written: Path) -> None:
+    for episode in (1, EPISODE):
+        column = values(written, f"/episode_{episode}/camera", "Image:buffer")
+        assert [frame for frame, _ in column] == list(range(8))
+        shown = np.array([buffer for _, (buffer,) in column], np.uint8)
+        np.testing.assert_array_equal(shown.reshape(8, 64, 64, 3), dataset.video(episode))
+
+
+def test_only_the_episodes_asked_for(written: Path) -> None:
+    assert {path.split("/")[1] for path in read(written)} - {"", "__properties"} == {"episode_1", f"episode_{EPISODE}"}
+
+
+def test_masks_and_their_legend_have_the_objects_own_colours(dataset: Dataset, written: Path) -> None:
+    column = values(written, f"/episode_{EPISODE}/masks", "SegmentationImage:buffer")
+    shown = np.array([buffer for _, (buffer,) in column], np.uint8).reshape(8, 64, 64)
+    np.testing.assert_array_equal(shown, dataset.labels(EPISODE).masks)
+    (legend,) = static(written, "/", "AnnotationContext:context")
+    known = {one["class_id"]: one["class_description"]["info"] for one in legend}
+    assert {number: known[number]["label"] for number in (1, 2, 3)} == {
+        1: "green square",
+        2: "red square",
+        3: "blue square",
+    }
+    for number, thing in ((1, SPEC.agent), (2, SPEC.objects[0]), (3, SPEC.objects[1])):
+        assert known[number]["color"] == rgba(thing.color)
+
+
+def test_rings_are_around_the_things_and_gone_ones_have_none(dataset: Dataset, written: Path) -> None:
+    labels = dataset.labels(EPISODE)
+    pixel = np.concatenate([labels.objects.pixel, labels.agent.pixel], axis=1)
+    for frame, centres in values(written, f"/episode_{EPISODE}/camera/places", "Ellipses2D:centers"):
+        there = pixel[frame][np.isfinite(pixel[frame]).all(-1)]
+        np.testing.assert_allclose(centres, np.tile(there + 0.5, (2, 1)))  # Rerun's pixels begin at their corners
+
+
+def test_places_in_metres_are_named_after_their_things(dataset: Dataset, written: Path) -> None:
+    labels = dataset.labels(EPISODE)
+    path = f"/episode_{EPISODE}/world/things"
+    ids = dict(values(written, path, "Points3D:class_ids"))
+    places = dict(values(written, path, "Points3D:positions"))
+    assert ids[0] == [2, 3, MASK_AGENT]
+    assert ids[7] == [2, MASK_AGENT]  # the blue square is gone by then
+    np.testing.assert_allclose(places[7], [*labels.objects.position[7, :1], *labels.agent.position[7]], rtol=1e-6)
+
+
+def test_trails_follow_what_has_moved(dataset: Dataset, written: Path) -> None:
+    labels = dataset.labels(EPISODE)
+    path = f"/episode_{EPISODE}/camera/trails"
+    strips, ids = (
+        dict(values(written, path, "LineStrips2D:strips")),
+        dict(values(written, path, "LineStrips2D:class_ids")),
+    )
+    trail = strips[5][ids[5].index(MASK_AGENT)]
+    np.testing.assert_allclose(trail, labels.agent.pixel[:6, 0] + 0.5)
+    assert all(3 not in at_frame for at_frame in ids.values())  # the blue square never moves
+
+
+def test_the_lanes_say_what_happens(dataset: Dataset, written: Path) -> None:
+    labels = dataset.labels(EPISODE)
+    actions = [SPEC.actions[action] for action in labels.actions]
+    assert lane(written, f"/episode_{EPISODE}/action", 8) == [*actions, None]
+    moved = np.abs(np.diff(labels.objects.position[:, 0], axis=0)).max(-1) > SPEC.push_threshold
+    expected = ["pushed" if now else None for now in moved]
+    assert lane(written, f"/episode_{EPISODE}/pushed/red_square", 8) == [*expected, None]
+    assert lane(written, f"/episode_{EPISODE}/pushed/blue_square", 8) == [*[None] * 5, "pushed", "gone", "gone"]
+    colors = static(written, f"/episode_{EPISODE}/pushed/red_square", "StateConfiguration:colors")
+    assert colors[0] == rgba(SPEC.objects[0].color)
+
+
+def test_it_plays_at_the_pace_of_the_recording(dataset: Dataset, written: Path) -> None:
+    panel = layout_of(written)["/time_panel"]
+    assert panel["TimePanelBlueprint:timeline"] == ["frame"]
+    assert panel["TimePanelBlueprint:fps"] == [1e9 / dataset.spec.step_ns]
+    assert tabs_of(written) == ["Episode 1", f"Episode {EPISODE}"]
+
+
+def test_the_text_says_which_split_an_episode_is_of(dataset: Dataset, rrd: Path) -> None:
+    episodes = {name: int(dataset.split(name)[0]) for name in ("train", "validation", "test")}
+    write_scene(dataset_scene(dataset, list(episodes.values())), rrd)
+    for name, episode in episodes.items():
+        (text,) = static(rrd, f"/episode_{episode}/about", "TextDocument:text")
+        assert f"in the **{name}** split" in text
+
+
+def test_without_labels_the_video_is_shown_alone(dataset: Dataset, tmp_path: Path, rrd: Path) -> None:
+    copy = tmp_path / "unlabelled"
+    shutil.copytree(dataset.path, copy)
+    shutil.rmtree(copy / "labels")
+    write_scene(dataset_scene(Dataset.open(copy), [0]), rrd)
+    assert {path for path in read(rrd) if path.startswith("/episode")} == {"/episode_0/camera", "/episode_0/about"}
+    assert "no labels" in static(rrd, "/episode_0/about", "TextDocument:text")[0]
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(dataset: Dataset, rrd: Path) -> None:
+    scene = dataset_scene(dataset, [0])
+    write_scene(scene, rrd)
+    before = rrd.read_bytes()
+
+    def fail(_recording: object) -> None:
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        write_scene(type(scene)(name="broken", tabs=scene.tabs, step_ns=1, background=fail), rrd)
+    assert rrd.read_bytes() == before
+    assert [path.name for path in rrd.parent.iterdir()] == [rrd.name]

@@ -196,18 +196,18 @@ class DMotion(ForwardModel[DMotionConfig]):
         motion: Tensor = self.motion_encoder(self.pack(current), self.pack(following))
         return motion[:, 0]
 
-    def agent_map(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b h w"]:
+    def agent_map(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b y x"]:
         """|m^0|: where the agent is."""
         return self.feature_maps(current)[:, 0].abs()
 
-    def feature_maps(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k h w"]:
+    def feature_maps(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k y x"]:
         """The maps m^i_t before they are moved."""
         maps: Tensor = self.image_encoder(self.pack(current))
         return maps.float()
 
     def moved_maps(
         self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]
-    ) -> Float[Tensor, "b k h w"]:
+    ) -> Float[Tensor, "b k y x"]:
         """The maps m^i_{t+1}, each moved by its own motion."""
         current, following = self.pack(current), self.pack(following)
         return self.transform(self.image_encoder(current), self.motion_encoder(current, following)).float()

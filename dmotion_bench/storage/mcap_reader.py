@@ -116,6 +116,11 @@ class Section(NamedTuple):
     values: Mapping[str, str]
     span: Span
 
+    @property
+    def kind(self) -> str:
+        """The name without the number that makes it unique."""
+        return self.name.partition(" ")[0]
+
 
 def list_sections(path: Path, *, salvage: bool = False) -> list[Section]:
     """What a file holds, by walking its records; no chunk is decompressed.

@@ -128,7 +128,7 @@ def _listed_episodes(path: Path, manifest: Manifest) -> Iterator[EpisodeRow]:
     except DamagedFile:
         for index in range(len(manifest.shards)):
             labels = {
-                (one.name, one.values.get("episode")): one.span for one in _sections(shard_path(path, LABELS, index))
+                (one.kind, one.values.get("episode")): one.span for one in _sections(shard_path(path, LABELS, index))
             }
             for section in _sections(shard_path(path, VIDEO, index)):
                 with contextlib.suppress(DamagedFile):

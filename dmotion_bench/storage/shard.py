@@ -177,14 +177,14 @@ def write_shard(
                 "ended": episode.ended,
                 "start_ns": str(start_ns),
             }
-            video.metadata("episode", facts)
+            video.metadata(f"episode {number}", facts)
             spans = [video.chunks(encode_video(episode.frames, start_ns, spec.step_ns)), Span(0, 0), Span(0, 0)]
             interactions, possible = 0, tuple[Candidate, ...]()
             if labels is not None and episode.labels is not None:
                 truth, step_ns = episode.labels, spec.step_ns
-                labels.metadata("states", {"episode": str(number)})
+                labels.metadata(f"states {number}", {"episode": str(number)})
                 spans[1] = labels.chunks(encode_states(truth, spec, start_ns, step_ns))
-                labels.metadata("masks", {"episode": str(number)})
+                labels.metadata(f"masks {number}", {"episode": str(number)})
                 spans[2] = labels.chunks(encode_masks(truth.masks, start_ns, step_ns))
                 interactions = int(truth.pushed.sum())
                 possible = candidates(truth.objects.position, truth.pushed, spec.push_threshold)
@@ -222,8 +222,8 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
     videos = list_sections(video_path)
     has_labels = labels_path.is_file()
     sections = list_sections(labels_path) if has_labels else []
-    states = {one.values.get("episode"): one for one in sections if one.name == "states"}
-    masks = {one.values.get("episode"): one for one in sections if one.name == "masks"}
+    states = {one.values.get("episode"): one for one in sections if one.kind == "states"}
+    masks = {one.values.get("episode"): one for one in sections if one.kind == "masks"}
     rows, found = list[EpisodeRow](), list[tuple[Candidate, ...]]()
     for section in videos:
         row = episode_row(section, index)
@@ -254,7 +254,7 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
 def episode_row(section: Section, index: int) -> EpisodeRow:
     """What a section of a video file says of its episode; where its labels are, it does not know."""
     values: Mapping[str, str] = section.values
-    if section.name != "episode":
+    if section.kind != "episode":
         raise DamagedFile(f"holds a section {section.name!r} where an episode was expected")
     try:
         return EpisodeRow(

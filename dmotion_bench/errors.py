@@ -20,6 +20,7 @@
     │   ├── RunCorrupt                a checkpoint or configuration that cannot be read
     │   └── RunMismatch               a run that was made with other settings or data
     ├── ModelContractBroken           a model does not do what learning/model.py asks
+    ├── EntryInvalid                  an entry of the leaderboard that breaks its schema
     ├── PackageNotInstalled           an optional dependency is absent; names the command
     ├── StorageFull                   no space left on the device
     └── ViewerError                   Rerun could not be started or reached
@@ -122,6 +123,10 @@ class RunMismatch(RunError):
 
 class ModelContractBroken(DmbenchError):
     """A model does not do what ``learning/model.py`` asks of it."""
+
+
+class EntryInvalid(DmbenchError):
+    """A file that is no entry of the leaderboard."""
 
 
 class PackageNotInstalled(DmbenchError):

@@ -1,0 +1,271 @@
+"""From entries to standings: one board a data set, one row a model, its architecture and its label budget.
+
+Runs that differ in nothing but their seed are one row. Its value is the mean over the seeds; what stands beside it
+is the range over the seeds, or, of a single seed, the 95% interval over the test episodes. Who is better is not read
+from these: each row is compared with the best by the paired difference over the episodes (``comparison.py``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+from dmotion_bench.scoring.statistics import Estimate
+from leaderboard.comparison import difference_by_episode
+from leaderboard.entry import Entry
+
+RANKED_BY: Final = "mse"
+RowKind = Literal["measured", "published", "reference"]
+
+REFERENCE_WORDS: Final = {
+    "copy_last": "copy the last frame",
+    "agent_moves": "only the agent moves",
+    "idle": "idle",
+    "random": "random actions",
+    "oracle": "true simulator as the model",
+    "scripted": "scripted pusher",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Value:
+    """One figure of one row.
+
+    Attributes:
+        mean: Over seeds.
+        low, high: The range over several seeds, or one seed's interval over episodes.
+        std: Over samples, of a single seed or as published.
+        seeds: How many it is the mean of.
+    """
+
+    mean: float
+    low: float | None
+    high: float | None
+    std: float | None
+    seeds: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A model on a board.
+
+    Attributes:
+        kind: Measured here, printed elsewhere, or a predictor that knows nothing.
+        name: What it is called: the model's registry name, or what the reference does.
+        model: Gives it its colour; empty for references.
+        variant: What tells it from others of the model and budget, often nothing.
+        labels, label_count: The budget and what it came to.
+        entries: The results behind it.
+        figures: By their fixed names.
+        behind: How much higher its error is than the best's, paired; None where that is not known.
+        is_best: Whether it is the one the others are compared with.
+    """
+
+    kind: RowKind
+    name: str
+    model: str = ""
+    variant: str = ""
+    labels: str = ""
+    label_count: int | None = None
+    entries: tuple[Entry, ...] = ()
+    figures: Mapping[str, Value]
+    behind: Estimate | None = None
+    is_best: bool = False
+
+    @property
+    def title(self) -> str:
+        """Its name, its variant and whether it was printed elsewhere."""
+        words = [self.name, self.variant and f"({self.variant})", self.kind == "published" and "as published"]
+        return " ".join(word for word in words if word)
+
+    @property
+    def seeds(self) -> int:
+        """Runs that it is the mean of."""
+        return len(self.entries)
+
+    @property
+    def ties(self) -> bool:
+        """Whether it is the best or cannot be told from it."""
+        return self.is_best or (
+            self.behind is not None and self.behind.low is not None and self.behind.low <= 0 <= (self.behind.high or 0)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Board:
+    """The results on one data set.
+
+    Attributes:
+        environment: Registry name.
+        dataset, fingerprint: Of the data set; empty where only published results are known.
+        split, protocol: Which episodes, and how triplets were split.
+        triplets: Single steps that were scored; None where nothing was.
+        rows: The best first, then the published rows and the references where their error puts them.
+    """
+
+    environment: str
+    dataset: str = ""
+    fingerprint: str = ""
+    split: str = ""
+    protocol: str = ""
+    triplets: int | None = None
+    rows: tuple[Row, ...]
+
+    @property
+    def title(self) -> str:
+        """The environment in words."""
+        return self.environment.replace("_", " ").title()
+
+    @property
+    def measured(self) -> list[Entry]:
+        """The entries that were measured here."""
+        return [entry for row in self.rows if row.kind == "measured" for entry in row.entries]
+
+
+def make_boards(entries: Iterable[Entry]) -> list[Board]:
+    """Every board that the entries make, by environment; published rows stand on each board of their environment."""
+    groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
+    published: dict[str, list[Entry]] = defaultdict(list)
+    for entry in entries:
+        if entry.is_measured:
+            groups[_board_key(entry)].append(entry)
+        else:
+            published[entry.environment].append(entry)
+    boards = [_board(own, published.get(key[0], [])) for key, own in groups.items()]
+    lonely = set(published) - {key[0] for key in groups}
+    boards += [Board(environment=name, rows=_sorted(map(_published_row, published[name]))) for name in lonely]
+    return sorted(boards, key=lambda board: (board.environment, board.protocol, board.dataset, board.fingerprint))
+
+
+def _board_key(entry: Entry) -> tuple[str, ...]:
+    settings, dataset = entry.content["settings"], entry.content["dataset"]
+    return entry.environment, dataset["name"], dataset["fingerprint"], str(settings["split"]), str(settings["protocol"])
+
+
+def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
+    environment, dataset, fingerprint, split, protocol = _board_key(entries[0])
+    groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
+    for entry in entries:
+        groups[_row_key(entry)].append(entry)
+    measured = _told_apart([_measured_row(own) for own in groups.values()])
+    rows = [*_ranked(measured), *map(_published_row, published), *_reference_rows(entries)]
+    counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
+    return Board(
+        environment=environment,
+        dataset=dataset,
+        fingerprint=fingerprint,
+        split=split,
+        protocol=protocol,
+        triplets=int(max(counts)) if counts else None,
+        rows=_sorted(rows),
+    )
+
+
+def _row_key(entry: Entry) -> tuple[str, ...]:
+    content = entry.content
+    return entry.model, content["arch"], content["preset"], entry.labels, _without_seed(entry)
+
+
+def _without_seed(entry: Entry) -> str:
+    return re.sub(r"-s\d+$", "", entry.name)
+
+
+def _measured_row(entries: Sequence[Entry]) -> Row:
+    first = entries[0]
+    arch = first.content["arch"]
+    return Row(
+        kind="measured",
+        name=first.model,
+        model=first.model,
+        variant="" if arch == "compact" else f"{arch} architecture",
+        labels=first.labels,
+        label_count=first.label_count,
+        entries=tuple(sorted(entries, key=lambda entry: (entry.content["seed"], entry.slug))),
+        figures=_values([entry.figures for entry in entries]),
+    )
+
+
+def _told_apart(rows: list[Row]) -> list[Row]:
+    """Rows of the same model, architecture and budget bear their run's name."""
+    counts: dict[tuple[str, ...], int] = defaultdict(int)
+    for row in rows:
+        counts[row.model, row.variant, row.labels] += 1
+    return [
+        replace(row, variant=_without_seed(row.entries[0])) if counts[row.model, row.variant, row.labels] > 1 else row
+        for row in rows
+    ]
+
+
+def _values(seeds: Sequence[Mapping[str, Any]]) -> dict[str, Value]:
+    """The figures that every seed has."""
+    found: dict[str, Value] = {}
+    for name in seeds[0]:
+        own = [figures[name] for figures in seeds if name in figures and figures[name]["mean"] is not None]
+        if len(own) != len(seeds):
+            continue
+        means = [float(figure["mean"]) for figure in own]
+        if len(own) == 1:
+            found[name] = Value(mean=means[0], low=own[0]["low"], high=own[0]["high"], std=own[0]["std"])
+        else:
+            found[name] = Value(
+                mean=sum(means) / len(means), low=min(means), high=max(means), std=None, seeds=len(means)
+            )
+    return found
+
+
+def _published_row(entry: Entry) -> Row:
+    return Row(
+        kind="published",
+        name=entry.model,
+        model=entry.model,
+        labels=entry.labels,
+        label_count=entry.label_count,
+        entries=(entry,),
+        figures=_values([entry.figures]),
+    )
+
+
+def _reference_rows(entries: Sequence[Entry]) -> list[Row]:
+    """What the entries say of predictors that know nothing; all of a board say the same."""
+    found: dict[str, dict[str, Any]] = defaultdict(dict)
+    for entry in entries:
+        for name, figures in entry.content["reference"].items():
+            if name != "paper":
+                for figure, value in figures.items():
+                    found[name].setdefault(figure, value)
+    return [
+        Row(kind="reference", name=REFERENCE_WORDS.get(name, name), figures=_values([figures]))
+        for name, figures in found.items()
+        if figures
+    ]
+
+
+def _ranked(rows: list[Row]) -> list[Row]:
+    """The measured rows, each with its paired difference to the best."""
+    ranked = [row for row in rows if RANKED_BY in row.figures]
+    if not ranked:
+        return rows
+    best = min(ranked, key=lambda row: row.figures[RANKED_BY].mean)
+    return [
+        replace(row, is_best=True) if row is best else replace(row, behind=_difference(row, best)) for row in rows
+    ]
+
+
+def _difference(row: Row, best: Row) -> Estimate | None:
+    sums = [
+        [entry.by_episode[RANKED_BY] for entry in one.entries if RANKED_BY in entry.by_episode] for one in (row, best)
+    ]
+    if any(len(own) != len(one.entries) for own, one in zip(sums, (row, best), strict=True)):
+        return None
+    return difference_by_episode(*sums)
+
+
+def _sorted(rows: Iterable[Row]) -> tuple[Row, ...]:
+    def key(row: Row) -> tuple[float, str]:
+        value = row.figures.get(RANKED_BY)
+        return (float("inf") if value is None else value.mean, row.name)
+
+    return tuple(sorted(rows, key=key))

@@ -1,0 +1,149 @@
+"""From a workspace's scored runs, others' entries and the paper's tables to a folder that is a leaderboard.
+
+::
+
+    index.html       the page
+    schema.json      what an entry is
+    entries/         one JSON file an entry, measured and published
+
+The folder can be copied anywhere, put on any static host, or opened from the disk.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid
+from dmotion_bench.learning.run import Run
+from dmotion_bench.scoring.references import published_results
+from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER
+from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.dataset import Dataset
+from leaderboard.comparison import scored, sums_by_episode
+from leaderboard.entry import FORMAT, REPORT_FIELDS, Entry, published_entry, read_entries, read_entry, schema_text
+from leaderboard.layout import ENTRIES, PAGE, SCHEMA
+from leaderboard.page import make_page
+from leaderboard.paper import label_count
+from leaderboard.pictures import take_pictures
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Built:
+    """What came of building.
+
+    Attributes:
+        page: The page's file.
+        measured, published: Entries of each kind.
+        left_out: By the runs' names, why they have no entry.
+    """
+
+    page: Path
+    measured: int
+    published: int
+    left_out: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """What ``dmbench leaderboard build --json`` prints."""
+        return {
+            "page": str(self.page),
+            "measured": self.measured,
+            "published": self.published,
+            "left_out": self.left_out,
+        }
+
+
+def build(
+    runs: Sequence[Path], given: Sequence[Path], out: Path, *, on_progress: Progress = lambda _what, _done, _all: None
+) -> Built:
+    """Build the leaderboard of some runs and of entries that others made.
+
+    Args:
+        runs: Scored runs; those that are not are left out, and it is said why.
+        given: Entry files, or folders of them.
+        out: The folder; made if need be, its other files are left alone.
+        on_progress: Told which run is at work, how many are done, and of how many.
+
+    Raises:
+        EntryInvalid: A given entry is none.
+    """
+    found = [published_entry(row, label_count(row.environment, row.labels)) for row in published_results()]
+    found += _given(given)
+    left_out: dict[str, str] = {}
+    for place, path in enumerate(runs):
+        on_progress(path.name, place, len(runs))
+        try:
+            found.append(entry_of_run(path, earlier=out / ENTRIES))
+        except DmbenchError as error:
+            left_out[path.name] = str(error)
+    on_progress("", len(runs), len(runs))
+    entries = list({entry.slug: entry for entry in found}.values())
+    for entry in entries:
+        entry.write(out / ENTRIES)
+    write_atomically(out / SCHEMA, schema_text().encode())
+    write_atomically(out / PAGE, make_page(entries).encode())
+    measured = sum(entry.is_measured for entry in entries)
+    return Built(page=out / PAGE, measured=measured, published=len(entries) - measured, left_out=left_out)
+
+
+def _given(paths: Iterable[Path]) -> list[Entry]:
+    found: list[Entry] = []
+    for path in paths:
+        if path.is_dir():
+            own = read_entries(path)
+            if not own:
+                raise EntryInvalid(f"{str(path)!r} holds no entry (no .json file).")
+            found += own
+        else:
+            found.append(read_entry(path))
+    return found
+
+
+def entry_of_run(path: Path, *, earlier: Path | None = None) -> Entry:
+    """The entry of a scored run.
+
+    Args:
+        path: Its folder.
+        earlier: Where an entry of it may stand already; its pictures are kept if the report is still the same.
+
+    Raises:
+        RunMissing: It is not scored, or not trained to its end.
+        EntryInvalid: Its report is of weights or data that the run no longer has.
+    """
+    report, samples = scored(path)
+    run = Run.open(path)
+    if run.result is None or run.result["weights"] != report.weights or run.spec.fingerprint != report.dataset["fingerprint"]:
+        raise EntryInvalid(f"the report of {str(path)!r} is of an earlier training; score it with 'dmbench score {path}'.")
+    stored = json.loads((path / REPORT_FOLDER / REPORT_FILE).read_text())
+    content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
+    content |= {name: stored[name] for name in REPORT_FIELDS}
+    content |= {"by_episode": sums_by_episode(samples), "pictures": []}
+    entry = Entry(content)
+    old = _standing(earlier, entry)
+    if old is not None:
+        return old
+    try:
+        dataset = Dataset.open(run.dataset_path)
+    except DatasetError:
+        return entry  # a page without this model's pictures is still a page
+    if dataset.fingerprint != run.spec.fingerprint:
+        return entry
+    return Entry(content | {"pictures": take_pictures(run, dataset, samples)})
+
+
+def _standing(folder: Path | None, entry: Entry) -> Entry | None:
+    """The entry that was built earlier, if it says the same."""
+    path = None if folder is None else folder / f"{entry.slug}.json"
+    if path is None or not path.is_file():
+        return None
+    try:
+        old = read_entry(path)
+    except EntryInvalid:
+        return None
+    same = {**old.content, "pictures": None} == {**entry.content, "pictures": None}
+    return old if same and old.pictures else None

@@ -1,0 +1,129 @@
+"""Which figures the page shows, in which words, and how numbers are written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A figure as a column of a table.
+
+    Attributes:
+        figure: Its fixed name.
+        heading: What it is called.
+        unit: Of the number, or nothing.
+        meaning: A sentence for those who ask.
+        higher: Whether more is better.
+    """
+
+    figure: str
+    heading: str
+    unit: str = ""
+    meaning: str
+    higher: bool = False
+
+
+_SINGLE: Final = (
+    Column(figure="mse", heading="MSE", meaning="Mean squared error of pixel values 0-255 over all pixels and channels."),
+    Column(figure="mse_push", heading="MSE, pushes", meaning="The same over the steps at which an object is moved."),
+    Column(figure="psnr", heading="PSNR", unit="dB", meaning="Mean of the frames' PSNRs.", higher=True),
+    Column(figure="ssim", heading="SSIM", meaning="Structural similarity, 1 for identical frames.", higher=True),
+    Column(
+        figure="position_error_paper",
+        heading="Position error, paper's",
+        unit="px",
+        meaning="Distance of the objects' centres; one missing in the prediction is charged its distance to (-1, -1).",
+    ),
+    Column(
+        figure="position_error",
+        heading="Position error",
+        unit="px",
+        meaning="Distance of the objects' centres, over objects found in both frames.",
+    ),
+    Column(figure="miss_rate", heading="Missed", meaning="Share of the objects that the prediction does not show."),
+)
+_AFTER: Final = (
+    Column(
+        figure="agent_iou",
+        heading="Agent IoU",
+        meaning="Overlap of the model's own map of the agent with the agent; only of models that have one.",
+        higher=True,
+    ),
+    Column(
+        figure="motion_within_over_between",
+        heading="Motion within / between",
+        meaning="Variance of the agent's motion within an action over that between actions; 0 is best.",
+    ),
+    Column(
+        figure="control_success",
+        heading="Tasks solved",
+        meaning="Share of the control tasks that are solved.",
+        higher=True,
+    ),
+)
+ROLLOUT_STEPS: Final = (5, 15)
+CONTROL_STEPS: Final = (40, 100)
+
+
+def columns_for(figures: Collection[str]) -> list[Column]:
+    """The columns of a table in which any of these figures stand, in their order."""
+    chosen = [column for column in _SINGLE if column.figure in figures]
+    chosen += [column for column in _rollouts(figures) if column.figure in figures]
+    chosen += [
+        Column(
+            figure=f"control_distance[{step}]",
+            heading=f"Control, {step} steps",
+            meaning=f"Distance of the objects to their goals after {step} steps over that at the start; idle is 1.",
+        )
+        for step in CONTROL_STEPS
+        if f"control_distance[{step}]" in figures
+    ]
+    return chosen + [column for column in _AFTER if column.figure in figures]
+
+
+def _rollouts(figures: Collection[str]) -> list[Column]:
+    steps = [int(found[1]) for name in figures if (found := re.fullmatch(r"rollout_mse\[(\d+)\]", name))]
+    wanted = sorted({step for step in ROLLOUT_STEPS if step in steps} | ({max(steps)} if steps else set()))
+    return [
+        Column(
+            figure=f"rollout_mse[{step}]",
+            heading=f"MSE, {step} ahead",
+            meaning=f"Of the {step}th frame of a rollout that feeds on its own predictions.",
+        )
+        for step in wanted
+    ]
+
+
+def number(value: float | int | None) -> str:
+    """Three digits that mean something, never an exponent below a million; a true minus sign."""
+    if value is None:
+        return ""
+    size = abs(value)
+    if size >= 1e6:
+        text = f"{size:.2e}"
+    elif size >= 100:
+        text = f"{size:,.0f}".replace(",", "\u202f")
+    elif size >= 10:
+        text = f"{size:.1f}"
+    elif size >= 1:
+        text = f"{size:.2f}"
+    elif size >= 1e-4:
+        text = f"{size:.3g}"
+    else:
+        text = "0"
+    return f"\u2212{text}" if value < 0 and text != "0" else text
+
+
+def count(value: float) -> str:
+    """A number of things, or a place on an axis: no digits that say nothing."""
+    return f"{value:,.0f}".replace(",", "\u202f") if abs(value) >= 1 and value == int(value) else f"{value:g}"
+
+
+def signed(value: float) -> str:
+    """A difference, with its sign."""
+    text = number(value)
+    return text if text == "0" or value < 0 else f"+{text}"

@@ -1,0 +1,200 @@
+"""The charts of a board: error against labels, error over the rollout, control over time."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+from leaderboard.board import Board, Row
+from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
+from leaderboard.columns import count, number
+from leaderboard.markup import Markup, element, joined
+
+Styles = Mapping[str, Style]
+_AHEAD: Final = re.compile(r"(\w+)\[(\d+)\]")
+
+
+def assign_styles(boards: Iterable[Board]) -> dict[str, Style]:
+    """Each model's colour and marker, the same on every board of a page."""
+    models = sorted({row.model for board in boards for row in board.rows if row.model})
+    return {model: Style(index) for index, model in enumerate(models)}
+
+
+def legend(board: Board, styles: Styles) -> Markup:
+    """Which model is which; each is a button that brings its lines forward (``page.js``)."""
+    models = sorted({row.model for row in board.rows if row.model})
+    items = [
+        element(
+            "li",
+            element(
+                "button", key(styles[model]), model, type="button", aria_pressed="false", data_model=styles[model].index
+            ),
+        )
+        for model in models
+    ]
+    kinds = []
+    if any(_dash(row) == "dashed" for row in board.rows):
+        kinds.append("dashed: a share of the labels, or more demonstrations than one")
+    if any(row.kind == "published" for row in board.rows):
+        kinds.append("hollow and dotted: as published")
+    return element(
+        "div",
+        element("ul", *items, class_="legend", aria_label="Models in the charts"),
+        element("p", "; ".join(kinds).capitalize() + ".", class_="note") if kinds else None,
+    )
+
+
+def charts(board: Board, styles: Styles) -> Markup:
+    """All charts that the board's figures allow, each with its numbers as a table."""
+    where = f"{board.title}{f' ({board.dataset})' if board.dataset else ''}"
+    drawn = [
+        _labels(board, styles, "mse", "MSE", where),
+        _labels(board, styles, "position_error_paper", "position error, paper's [px]", where),
+        _ahead(board, styles, "rollout_mse", "MSE", "steps ahead", f"Error over the rollout: {where}", log=True),
+        _ahead(
+            board,
+            styles,
+            "rollout_position_error",
+            "position error [px]",
+            "steps ahead",
+            f"Position error over the rollout: {where}",
+        ),
+        _ahead(
+            board,
+            styles,
+            "control_distance",
+            "distance to the goal / at the start",
+            "control step",
+            f"Control: {where}",
+            every=10,
+        ),
+    ]
+    return element("div", *drawn, class_="charts")
+
+
+def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -> Markup | None:
+    """The label-efficiency curve: one line a model, over its budgets."""
+    groups: dict[tuple[str, str, str], list[Row]] = defaultdict(list)
+    for row in board.rows:
+        if row.kind != "reference" and row.label_count and figure in row.figures:
+            groups[row.kind, row.model, row.variant].append(row)
+    series = [
+        Series(
+            name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(row.figures[figure].mean)}" for row in rows),
+            points=[_point(float(row.label_count or 0), row, figure) for row in rows],
+            style=styles[rows[0].model],
+            dash="dotted" if rows[0].kind == "published" else "solid",
+            hollow=rows[0].kind == "published",
+        )
+        for rows in (sorted(own, key=lambda row: row.label_count or 0) for own in groups.values())
+    ]
+    if not series:
+        return None
+    title = f"Label efficiency, {words.partition(',')[0].partition(' [')[0]}: {where}"
+    counts = sorted({point.x for one in series for point in one.points})
+    chart = line_chart(
+        title,
+        Axis(label="action labels used", log=True, ticks=counts),
+        Axis(label=words, log=True),
+        series,
+        _guides(board, figure),
+    )
+    rows = sorted((row for own in groups.values() for row in own), key=lambda row: (row.label_count or 0, row.title))
+    numbers = _numbers(
+        ("model", "labels", words),
+        [(row.title, f"{row.labels} ({count(row.label_count or 0)})", number(row.figures[figure].mean)) for row in rows],
+    )
+    return _figure(chart, title, numbers)
+
+
+def _ahead(
+    board: Board, styles: Styles, base: str, words: str, along: str, title: str, *, log: bool = False, every: int = 5
+) -> Markup | None:
+    """A figure over the steps of a rollout or of a control task, one line a row."""
+    curves = {row.title + row.labels: (row, _steps(row, base)) for row in board.rows if row.model}
+    curves = {name: (row, points) for name, (row, points) in curves.items() if len(points) > 1}
+    if not curves:
+        return None
+    lengths = {point.x for _, points in curves.values() for point in points}
+    marked = frozenset(step for step in lengths if step % every == 0 or step == min(lengths))
+    series = [
+        Series(
+            name=f"{row.title}, labels {row.labels}",
+            points=points,
+            style=styles[row.model],
+            dash=_dash(row),
+            hollow=row.kind == "published",
+            marked=marked,
+        )
+        for row, points in curves.values()
+    ]
+    guides = [
+        Guide(row.name, points[-1].y)
+        for row in board.rows
+        if row.kind == "reference" and (points := _steps(row, base)) and base == "control_distance"
+    ]
+    still = [
+        Series(name=row.name, points=points, style=Style(-1), dash="dotted", hollow=True, marked=frozenset())
+        for row in board.rows
+        if row.kind == "reference" and len(points := _steps(row, base)) > 1 and base != "control_distance"
+    ]
+    ticks = sorted(step for step in marked) if len(marked) < 12 else ()
+    chart = line_chart(title, Axis(label=along, ticks=ticks), Axis(label=words, log=log, zero=True), [*series, *still], guides)
+    shown = sorted(marked)
+    numbers = _numbers(
+        ("model", "labels", *(f"{step:g}" for step in shown)),
+        [
+            (row.title, row.labels, *(number(values.get(step)) for step in shown))
+            for row, points in curves.values()
+            if (values := {point.x: point.y for point in points})
+        ],
+    )
+    return _figure(chart, title, numbers, note=f"Dotted: {still[0].name}." if still else "")
+
+
+def _figure(chart: Markup, title: str, numbers: Markup, note: str = "") -> Markup:
+    kind = title.partition(":")[0]
+    return element(
+        "figure",
+        element("figcaption", element("b", kind), f" {note}" if note else None),
+        chart,
+        element("details", element("summary", "The numbers"), numbers),
+    )
+
+
+def _numbers(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
+    head = element("tr", *(element("th", heading, scope="col") for heading in headings))
+    body = [
+        element("tr", element("th", first, scope="row"), *(element("td", text) for text in rest))
+        for first, *rest in rows
+    ]
+    table = element("table", element("thead", head), element("tbody", joined(body)))
+    return element("div", table, class_="scroll", tabindex=0, role="region", aria_label="Numbers of the chart")
+
+
+def _point(x: float, row: Row, figure: str) -> Point:
+    value = row.figures[figure]
+    return Point(x=x, y=value.mean, low=value.low, high=value.high)
+
+
+def _steps(row: Row, base: str) -> list[Point]:
+    places = [
+        (int(found[2]), name) for name in row.figures if (found := _AHEAD.fullmatch(name)) and found[1] == base
+    ]
+    return [_point(float(step), row, name) for step, name in sorted(places)]
+
+
+def _guides(board: Board, figure: str) -> list[Guide]:
+    return [
+        Guide(row.name, row.figures[figure].mean)
+        for row in board.rows
+        if row.kind == "reference" and figure in row.figures
+    ]
+
+
+def _dash(row: Row) -> str:
+    if row.kind == "published":
+        return "dotted"
+    return "solid" if row.labels in ("one-shot", "100%") else "dashed"

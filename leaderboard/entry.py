@@ -1,0 +1,221 @@
+"""An entry of the leaderboard: one result, as one JSON file that conforms to ``schema.json``.
+
+A measured entry is a run's report word for word, and with it what a page or a comparison needs and a report leaves
+to other files: the errors by episode, so that two entries can be compared on the same triplets, and a few pictures.
+A published entry is a row of somebody's table.
+
+Entries come from anybody. A file is read up to a limit, checked against the schema, and nothing in it is taken for a
+path or for markup; its pictures are decoded and encoded anew before they are shown (``pictures.py``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.scoring.references import PublishedResult
+from dmotion_bench.scoring.report import FigureJson, Report
+from dmotion_bench.storage.atomic import write_atomically
+from leaderboard.json_schema import violations
+
+FORMAT: Final = "dmbench-entry/1"
+LARGEST: Final = 8 * 2**20
+"""Bytes of a file that are read."""
+
+REPORT_FIELDS: Final = tuple(field.name for field in dataclasses.fields(Report))
+SHOWN_VIOLATIONS: Final = 3
+
+
+@functools.cache
+def schema() -> dict[str, Any]:
+    """The published schema."""
+    content: dict[str, Any] = json.loads(schema_text())
+    return content
+
+
+def schema_text() -> str:
+    """The published schema as it stands in its file."""
+    return resources.files("leaderboard").joinpath("schema.json").read_text()
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One result.
+
+    Args:
+        content: As in the file; checked here.
+
+    Raises:
+        EntryInvalid: It breaks the schema.
+    """
+
+    content: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        found = violations(self.content, schema())
+        if not found and self.is_measured:
+            found = [one for name, sums in self.by_episode.items() for one in _sums_violations(name, sums)]
+        if found:
+            more = f" (and {len(found) - SHOWN_VIOLATIONS} more)" if len(found) > SHOWN_VIOLATIONS else ""
+            raise EntryInvalid(f"it breaks the schema: {'; '.join(found[:SHOWN_VIOLATIONS])}{more}")
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether a run is behind it, and not a printed table."""
+        return bool(self.content["kind"] == "measured")
+
+    @property
+    def name(self) -> str:
+        """What people know it by: the run's name, or the model and budget of a published row."""
+        if self.is_measured:
+            return str(self.content["run"])
+        return f"{self.model} {self.labels} {self.environment}"
+
+    @property
+    def model(self) -> str:
+        """The model's registry name."""
+        return str(self.content["model"])
+
+    @property
+    def environment(self) -> str:
+        """The environment's registry name."""
+        return str(self.content["dataset"]["environment"] if self.is_measured else self.content["environment"])
+
+    @property
+    def labels(self) -> str:
+        """The label budget that was asked for."""
+        return str(self.content["labels"]["asked"])
+
+    @property
+    def label_count(self) -> int | None:
+        """How many labels that came to; None where it was not said."""
+        count: int | None = self.content["labels"]["total"]
+        return count
+
+    @property
+    def figures(self) -> Mapping[str, FigureJson]:
+        """By their fixed names."""
+        figures: Mapping[str, FigureJson] = self.content["figures"]
+        return figures
+
+    @property
+    def by_episode(self) -> Mapping[str, Mapping[str, Any]]:
+        """See ``comparison.sums_by_episode``; empty for published entries."""
+        sums: Mapping[str, Mapping[str, Any]] = self.content.get("by_episode", {})
+        return sums
+
+    @property
+    def pictures(self) -> list[Mapping[str, Any]]:
+        """As the schema has them; empty for published entries."""
+        pictures: list[Mapping[str, Any]] = self.content.get("pictures", [])
+        return pictures
+
+    @property
+    def report(self) -> Mapping[str, Any]:
+        """The part of a measured entry that is the run's report."""
+        return {name: self.content[name] for name in REPORT_FIELDS}
+
+    @property
+    def slug(self) -> str:
+        """A file's and an anchor's name: plain letters, and unique by what the entry is of."""
+        plain = re.sub(r"[^A-Za-z0-9_]+", "-", self.name).strip("-")[:80]
+        identity = [self.content.get(key) for key in ("run", "weights", "source", "environment")]
+        identity += [self.content.get("dataset"), self.content.get("settings"), self.labels, self.model]
+        return f"{plain}-{hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:8]}"
+
+    def to_json(self) -> str:
+        """As it stands in a file."""
+        return json.dumps(self.content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+    def write(self, folder: Path) -> Path:
+        """Write it under its own name, in one step."""
+        path = folder / f"{self.slug}.json"
+        write_atomically(path, self.to_json().encode())
+        return path
+
+
+def _sums_violations(name: str, sums: Mapping[str, Any]) -> Iterable[str]:
+    episodes = sums["episode"]
+    if not len(episodes) == len(sums["n"]) == len(sums["sum"]):
+        yield f"by_episode.{name} has columns of different lengths"
+    if sorted(set(episodes)) != episodes:
+        yield f"by_episode.{name}.episode is not in order"
+
+
+def read_entry(path: Path) -> Entry:
+    """The entry of a file.
+
+    Raises:
+        EntryInvalid: There is none, or it is no entry; says why.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(LARGEST + 1)
+        if len(raw) > LARGEST:
+            raise ValueError(f"it is larger than {LARGEST} bytes")
+        content = json.loads(
+            raw, object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_whole, parse_float=_real
+        )
+        return Entry(content)
+    except (OSError, ValueError, RecursionError, EntryInvalid) as error:
+        said = error.strerror if isinstance(error, OSError) else error
+        raise EntryInvalid(
+            f"{str(path)!r} is no entry of the leaderboard: {said}. "
+            "Entries are written by 'dmbench leaderboard build'; what they hold is in leaderboard/schema.json."
+        ) from None
+
+
+def read_entries(folder: Path) -> list[Entry]:
+    """Every entry of a folder, in the order of the files' names.
+
+    Raises:
+        EntryInvalid: One cannot be read.
+    """
+    return [read_entry(path) for path in sorted(folder.glob("*.json"))]
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        raise ValueError("it names something twice")
+    return content
+
+
+def _no_number(text: str) -> Any:
+    raise ValueError(f"it holds {text[:20]}, which is no number")
+
+
+def _whole(text: str) -> int:
+    """A whole number that floating point holds exactly."""
+    return int(text) if len(text) < 16 else _no_number(text)
+
+
+def _real(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _no_number(text)
+
+
+def published_entry(result: PublishedResult, count: int | None) -> Entry:
+    """A row of a published table; ``count`` is the number of labels, if it is known."""
+    return Entry(
+        {
+            "format": FORMAT,
+            "kind": "published",
+            "model": result.model,
+            "environment": result.environment,
+            "labels": {"asked": result.labels, "total": count},
+            "figures": {name: figure.to_json() for name, figure in result.figures.items()},
+            "source": result.source,
+            "note": result.note,
+        }
+    )

@@ -1,0 +1,103 @@
+"""Predictions to look at: the same held-out steps for every model of a board, a row a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from leaderboard.board import Board, Row
+from leaderboard.entry import Entry
+from leaderboard.markup import Markup, element, joined
+from leaderboard.pictures import identity, shown
+
+BUDGET: Final = 3_200_000
+"""Characters of pictures on a page; steps that do not fit are left out on every board alike."""
+
+
+def fitting_steps(boards: Sequence[Board]) -> int:
+    """How many steps of each board the page has room for."""
+    most = max((len(_steps(board)) for board in boards), default=0)
+    for count in range(most, 0, -1):
+        total = 0
+        for board in boards:
+            chosen = _steps(board)[:count]
+            total += sum(len(picture["current"]) + len(picture["truth"]) for picture in chosen)
+            for row in _pictured(board):
+                total += sum(len(picture["predicted"]) for picture in _of(row.entries[0], chosen) if picture)
+        if total <= BUDGET:
+            return count
+    return 0
+
+
+def gallery(board: Board, steps: int) -> Markup | None:
+    """The pictures of a board; None where no entry has any."""
+    chosen = _steps(board)[:steps]
+    rows = _pictured(board)
+    if not chosen or not rows:
+        return None
+    steps_shown = [_step(picture, rows) for picture in chosen]
+    return element(
+        "section",
+        element("h3", "What the models predict"),
+        element(
+            "p",
+            "The same held-out steps for every model, chosen by the data set alone. Of several seeds the first is shown.",
+            class_="note",
+        ),
+        joined(steps_shown),
+    )
+
+
+def _step(picture: Mapping[str, Any], rows: Sequence[Row]) -> Markup:
+    """One step: the frame before, the truth, and what each model makes of it."""
+    what = f"{picture['action']}, {'an object is pushed' if picture['pushed'] else 'nothing is pushed'}"
+    where = f"episode {picture['episode']}, step {picture['step']}"
+    tiles = [
+        _tile("frame before", "", where, picture["current"]),
+        _tile("true next frame", "", where, picture["truth"]),
+    ]
+    for row in rows:
+        own = _of(row.entries[0], [picture])[0]
+        if own is not None:
+            tiles.append(_tile(row.name, _told(row), where, own["predicted"]))
+    return element(
+        "div", element("h4", what, element("small", where)), element("ul", *tiles, class_="tiles"), class_="step"
+    )
+
+
+def _told(row: Row) -> str:
+    return ", ".join(part for part in (row.variant, row.labels) if part)
+
+
+def _tile(name: str, small: str, where: str, png: str) -> Markup:
+    source = f"data:image/png;base64,{shown(png)}"
+    told = f"{name}{f' ({small})' if small else ''}: {where}"
+    return element(
+        "li",
+        element("img", src=source, alt=told, width=112, height=112, loading="lazy"),
+        element("span", name),
+        element("small", small) if small else None,
+    )
+
+
+def _steps(board: Board) -> list[Mapping[str, Any]]:
+    """The steps that the first pictured entry shows: pushes and others by turns, so that any few of them tell."""
+    rows = _pictured(board)
+    if not rows:
+        return []
+    pictures = rows[0].entries[0].pictures
+    pushes, others = ([one for one in pictures if one["pushed"] is wanted] for wanted in (True, False))
+    mixed: list[Mapping[str, Any]] = []
+    while pushes or others:
+        mixed += [own.pop(0) for own in (pushes, others) if own]
+    return mixed
+
+
+def _pictured(board: Board) -> list[Row]:
+    return [row for row in board.rows if row.kind == "measured" and row.entries[0].pictures]
+
+
+def _of(entry: Entry, chosen: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | None]:
+    own = {identity(picture): picture for picture in entry.pictures}
+    return [own.get(identity(picture)) for picture in chosen]
+

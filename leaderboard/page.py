@@ -1,0 +1,174 @@
+"""The page: one HTML file that needs no server, no network and no script to be read.
+
+Its content security policy allows its own style, its own script (by their hashes) and pictures that stand in it;
+nothing else is fetched or run, even if something slipped through ``markup.py``.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from importlib import resources
+from typing import Final
+
+from leaderboard.board import Board, make_boards
+from leaderboard.columns import count
+from leaderboard.curves import Styles, assign_styles, charts, legend
+from leaderboard.entry import Entry
+from leaderboard.gallery import fitting_steps, gallery
+from leaderboard.markup import Markup, element, escaped, joined
+from leaderboard.provenance import count_figures, provenance
+from leaderboard.standings import standings
+
+LARGEST: Final = 5_000_000
+"""Bytes of the page."""
+
+
+def make_page(entries: Sequence[Entry]) -> str:
+    """The page of some entries; the same entries make the same bytes."""
+    boards = make_boards(entries)
+    for steps in range(fitting_steps(boards), -1, -1):
+        page = _page(entries, boards, steps)
+        if len(page.encode()) <= LARGEST or not steps:
+            break
+    return page
+
+
+def _page(entries: Sequence[Entry], boards: Sequence[Board], steps: int) -> str:
+    style, script = _asset("page.css"), _asset("page.js")
+    policy = f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'"
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=policy),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="color-scheme", content="light dark"),
+        element("title", "dmbench leaderboard"),
+        element("style", Markup(style)),
+    )
+    styles = assign_styles(boards)
+    body = element(
+        "body",
+        _header(entries, boards),
+        element("main", joined(_section(board, place, styles, steps) for place, board in enumerate(boards))),
+        _footer(entries),
+        element("script", Markup(script)),
+    )
+    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+
+
+def _asset(name: str) -> str:
+    return resources.files("leaderboard").joinpath(name).read_text()
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _header(entries: Sequence[Entry], boards: Sequence[Board]) -> Markup:
+    measured = [entry for entry in entries if entry.is_measured]
+    links = [
+        element("li", element("a", f"{board.title}{f', {board.dataset}' if board.dataset else ''}", href=f"#{_anchor(place)}"))
+        for place, board in enumerate(boards)
+    ]
+    return element(
+        "header",
+        element("h1", "dmbench leaderboard"),
+        element(
+            "p",
+            "Forward models of robot video, learned with few action labels or none, and scored on episodes that they "
+            "have not seen. ",
+            f"{_counted(len(measured), 'result', 'results')} measured here, ",
+            f"{_counted(len(entries) - len(measured), 'row', 'rows')} of published tables beside them.",
+            class_="lead",
+        ),
+        element("nav", element("ul", *links), aria_label="Environments") if len(boards) > 1 else None,
+        element(
+            "details",
+            element("summary", "How to read this"),
+            element(
+                "ul",
+                element("li", "Lower is better, except for PSNR, SSIM, agent IoU and tasks solved."),
+                element(
+                    "li",
+                    "Small print under a number: of one run, the 95% interval over test episodes (a bootstrap); of "
+                    "several seeds, their range; of a published row, what its table printed after \u00b1.",
+                ),
+                element(
+                    "li",
+                    "\u201cMSE above the best\u201d is the paired difference on the same test episodes. Rows in bold are "
+                    "the best and those that cannot be told from it: their interval reaches zero. It speaks of these "
+                    "trained models, not of other seeds.",
+                ),
+                element(
+                    "li",
+                    "\u201cLabels\u201d counts every action label that a model was handed, for training, validation and "
+                    "alignment.",
+                ),
+                element("li", "Errors over a rollout feed on the model's own predictions."),
+                element("li", "A model's name leads to where its numbers come from."),
+            ),
+        ),
+    )
+
+
+def _counted(count: int, one: str, many: str) -> str:
+    return f"{count} {one if count == 1 else many}"
+
+
+def _anchor(place: int) -> str:
+    return f"board-{place + 1}"
+
+
+def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
+    drawn = charts(board, styles)
+    return element(
+        "section",
+        element("h2", board.title, element("small", board.dataset) if board.dataset else None),
+        element("p", *_described(board), class_="note"),
+        standings(board, _anchor(place)),
+        joined(element("p", note, class_="note") for note in _notes(board)),
+        element("h3", "Curves"),
+        legend(board, styles),
+        drawn,
+        gallery(board, steps),
+        provenance(board),
+        id=_anchor(place),
+        class_="board",
+    )
+
+
+def _described(board: Board) -> list[Markup]:
+    if not board.fingerprint:
+        return [escaped("Published results alone; nothing has been measured here yet.")]
+    told = [escaped(f"{count(board.triplets)} steps of the {board.split} episodes; " if board.triplets else "")]
+    told.append(escaped("data set "))
+    told.append(element("code", board.fingerprint[:12], title=board.fingerprint))
+    told.append(escaped("."))
+    if board.protocol == "paper":
+        told.append(
+            element("strong", " Split as in the paper: most test frames were seen in training, so these figures leak.")
+        )
+    return told
+
+
+def _notes(board: Board) -> list[str]:
+    published = [row.entries[0].content for row in board.rows if row.kind == "published"]
+    return list(dict.fromkeys(f"As published: {one['source']}. {one['note']}" for one in published))
+
+
+def _footer(entries: Sequence[Entry]) -> Markup:
+    digest = hashlib.sha256("".join(sorted(entry.to_json() for entry in entries)).encode()).hexdigest()
+    return element(
+        "footer",
+        element(
+            "p",
+            f"{count_figures(entries)} figures in {_counted(len(entries), 'entry', 'entries')}. ",
+            "Made of ",
+            element("code", digest[:12], title=digest),
+            " by dmbench leaderboard build; the format of an entry is in ",
+            element("a", "schema.json", href="schema.json"),
+            ".",
+        ),
+    )

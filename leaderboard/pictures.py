@@ -1,0 +1,124 @@
+"""A few predictions to look at: the same single steps of the held-out episodes for every model of a data set.
+
+Which steps is decided by the samples' rows, which are the data set's: three at which something is pushed and two at
+which nothing is, spread evenly. Nobody picks the ones that look well.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import io
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import torch
+from jaxtyping import UInt8
+from PIL import Image
+
+from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.run import Run
+from dmotion_bench.scoring.prediction import predicting
+from dmotion_bench.scoring.samples import column
+from dmotion_bench.storage.dataset import Dataset
+
+PUSHES: Final = 3
+OTHERS: Final = 2
+LARGEST_SIDE: Final = 512  # [px]
+_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """A single step: the action taken at frame ``step`` leads to the frame that is predicted."""
+
+    episode: int
+    step: int
+    action: int
+    pushed: bool
+
+
+def choose_steps(samples: pa.Table) -> list[Step]:
+    """The steps that are shown, pushes first; none where no single step was scored."""
+    rows = samples.filter(pc.and_(pc.equal(samples["predictor"], "model"), pc.equal(samples["metric"], "prediction")))
+    episode, step, action = (column(rows, name) for name in ("episode", "step", "action"))
+    pushed = column(rows, "pushed").astype(bool)
+    order = np.lexsort((step, episode))
+    chosen: list[Step] = []
+    for wanted, count in ((True, PUSHES), (False, OTHERS)):
+        places = order[pushed[order] == wanted]
+        spread = np.unique(((np.arange(count) + 0.5) / count * len(places)).astype(np.int64)) if len(places) else []
+        chosen += [
+            Step(episode=int(episode[row]), step=int(step[row]), action=int(action[row]), pushed=wanted)
+            for row in places[spread].tolist()
+        ]
+    return chosen
+
+
+def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[str, Any]]:
+    """What the run's model makes of the chosen steps, as an entry holds it; none of a model that draws no frames."""
+    steps = choose_steps(samples)
+    if not steps or not run.model.needs_pixels:
+        return []
+    frames = np.stack([dataset.video(one.episode)[one.step - 1 : one.step + 2] for one in steps])
+    images = to_model(torch.from_numpy(frames))
+    action = torch.tensor([one.action for one in steps])
+    model = run.model.to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    with predicting(torch.device("cpu")):
+        predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
+    return [
+        {
+            "episode": one.episode,
+            "step": one.step,
+            "action": dataset.spec.actions[one.action],
+            "pushed": one.pushed,
+            "current": to_png(frames[place, 1]),
+            "truth": to_png(frames[place, 2]),
+            "predicted": to_png(predicted[place]),
+        }
+        for place, one in enumerate(steps)
+    ]
+
+
+def to_png(frame: UInt8[np.ndarray, "h w 3"]) -> str:
+    """A frame as PNG in base64, nothing lost."""
+    file = io.BytesIO()
+    Image.fromarray(frame).save(file, "PNG", optimize=True)
+    return base64.b64encode(file.getvalue()).decode()
+
+
+def from_png(text: str) -> UInt8[np.ndarray, "h w 3"]:
+    """The frame of a PNG in base64, from anybody.
+
+    Raises:
+        EntryInvalid: It is none, or larger than a frame can be.
+    """
+    try:
+        raw = base64.b64decode(text, validate=True)
+        if raw[:8] != _SIGNATURE or raw[12:16] != b"IHDR":
+            raise ValueError("it is no PNG")
+        width, height = struct.unpack(">II", raw[16:24])
+        if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
+            raise ValueError(f"it is {width} x {height} pixels; a side has at most {LARGEST_SIDE}")
+        with Image.open(io.BytesIO(raw), formats=["PNG"]) as image:
+            frame: UInt8[np.ndarray, "h w 3"] = np.asarray(image.convert("RGB"))
+    except (ValueError, OSError, SyntaxError, EOFError, struct.error, binascii.Error, zlib.error) as error:
+        raise EntryInvalid(f"a picture of the entry cannot be read: {error}.") from None
+    return frame
+
+
+def shown(text: str) -> str:
+    """A picture of an entry for a page: decoded and encoded anew, so that nothing else travels with it."""
+    return to_png(from_png(text))
+
+
+def identity(picture: Mapping[str, Any]) -> tuple[int, int]:
+    """Which step it shows: episode and step."""
+    return int(picture["episode"]), int(picture["step"])

@@ -1,0 +1,122 @@
+"""The table of a board: a row a model, sortable by every column (``page.js``)."""
+
+from __future__ import annotations
+
+from leaderboard.board import Board, Row, Value
+from leaderboard.columns import Column, columns_for, count, number, signed
+from leaderboard.markup import Markup, element, joined
+
+SHOWN_SEPARATELY = "as published"
+
+
+def standings(board: Board, anchor: str) -> Markup:
+    """The table in its scrolling frame."""
+    columns = columns_for({name for row in board.rows for name in row.figures})
+    compared = any(row.behind is not None for row in board.rows)
+    head = [_heading("Model"), _heading("Labels", "Action labels that the model was given, and the budget asked for.")]
+    for column in columns:
+        head.append(_heading(column.heading, column.meaning, unit=column.unit, sorted_up=column.figure == "mse"))
+        if column.figure == "mse" and compared:
+            head.append(
+                _heading(
+                    "MSE above the best",
+                    "Paired over the test episodes, with the 95% interval of the difference; "
+                    "a tie where the interval reaches zero.",
+                )
+            )
+    compute = any(_compute(row) for row in board.rows)
+    if compute:
+        head.append(_heading("Compute", "Of the training, of all seeds together."))
+    body = [_row(row, columns, compared=compared, compute=compute) for row in board.rows]
+    caption = f"{board.title}{f', {board.dataset}' if board.dataset else ''}"
+    table = element(
+        "table",
+        element("caption", caption, id=f"{anchor}-caption"),
+        element("thead", element("tr", *head)),
+        element("tbody", joined(body)),
+        class_="standings",
+    )
+    return element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=f"{anchor}-caption")
+
+
+def _heading(text: str, meaning: str = "", *, unit: str = "", sorted_up: bool = False) -> Markup:
+    return element(
+        "th",
+        text,
+        element("small", f" [{unit}]") if unit else None,
+        scope="col",
+        title=meaning or None,
+        aria_sort="ascending" if sorted_up else None,
+    )
+
+
+def _row(row: Row, columns: list[Column], *, compared: bool, compute: bool) -> Markup:
+    cells = [_name(row), _labels(row)]
+    for column in columns:
+        cells.append(_value(row, row.figures.get(column.figure), strong=column.figure == "mse" and row.ties))
+        if column.figure == "mse" and compared:
+            cells.append(_behind(row))
+    if compute:
+        seconds = _compute(row)
+        cells.append(element("td", _duration(seconds), data_value=seconds or None))
+    return element("tr", *cells, class_=row.kind)
+
+
+def _name(row: Row) -> Markup:
+    if row.kind == "measured":
+        name: Markup = element("a", row.name, href=f"#{row.entries[0].slug}")
+        seeds = f"{row.seeds} seeds" if row.seeds > 1 else f"seed {row.entries[0].content['seed']}"
+        small = ", ".join(part for part in (row.variant, seeds) if part)
+    elif row.kind == "published":
+        name = element("a", row.name, href=f"#{row.entries[0].slug}")
+        small = SHOWN_SEPARATELY
+    else:
+        name, small = element("span", row.name), "reference"
+    return element("th", name, element("small", small), scope="row", data_value=row.title)
+
+
+def _labels(row: Row) -> Markup:
+    if row.kind == "reference":
+        return element("td", "")
+    known = "?" if row.label_count is None else count(row.label_count)
+    return element("td", known, element("small", row.labels), data_value=row.label_count)
+
+
+def _value(row: Row, value: Value | None, *, strong: bool) -> Markup:
+    if value is None:
+        return element("td", "")
+    if value.seeds > 1 or row.kind != "published":
+        between = "" if value.low is None else f"{number(value.low)} \u2013 {number(value.high)}"
+    else:
+        between = "" if value.std is None else f"\u00b1 {number(value.std)}"
+    mean = element("b", number(value.mean)) if strong else number(value.mean)
+    return element("td", mean, element("small", between) if between else None, data_value=repr(value.mean))
+
+
+def _behind(row: Row) -> Markup:
+    if row.is_best:
+        return element("td", "best", data_value="0")
+    if row.behind is None:
+        return element("td", "")
+    difference = row.behind
+    between = (
+        "" if difference.low is None else f"{signed(difference.low)} \u2013 {signed(difference.high or 0.0)}"
+    )
+    text = f"tie ({signed(difference.mean)})" if row.ties else signed(difference.mean)
+    return element("td", text, element("small", between) if between else None, data_value=repr(difference.mean))
+
+
+def _compute(row: Row) -> float:
+    """Seconds of training, of all seeds; zero where nobody says."""
+    seconds = [entry.content["training"].get("seconds") for entry in row.entries if entry.is_measured]
+    return float(sum(one for one in seconds if isinstance(one, int | float)))
+
+
+def _duration(seconds: float) -> str:
+    if not seconds:
+        return ""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    if seconds < 6000:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

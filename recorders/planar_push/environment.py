@@ -6,13 +6,16 @@ the way) can be told from what pushing alone asks of a model.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import ClassVar
 
 import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
+from dmotion_bench.environment import RecordingPreset
+from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates, Preset
 from recorders.planar_push.drawing import Stamp, View, stamp
 from recorders.planar_push.shapes import SHAPES, circle, rectangle
 from recorders.planar_push.table_physics import Piece, PlanarPhysics
@@ -37,7 +40,7 @@ FACTORS = (
     Factor(name="mass", usual=0.15, low=0.05, high=0.6, each=True, meaning="an object's mass [kg]"),
     Factor(name="colour", usual=0, low=-15, high=15, each=True, meaning="turn of an object's hue [deg]"),
     Factor(name="light", usual=1, low=0.8, high=1.05, meaning="brightness of the whole picture"),
-    Factor(name="camera", usual=0, low=-10, high=10, meaning="turn of the camera about its axis [deg]"),
+    Factor(name="camera", usual=0, low=-6, high=6, meaning="turn of the camera about its axis [deg]"),
     Factor(
         name="distractors",
         usual=0,
@@ -60,6 +63,14 @@ class PlanarPush(PushingEnvironment):
             None: the usual ones.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
     """
+
+    recording: ClassVar[Mapping[Preset, RecordingPreset]] = MappingProxyType(
+        {
+            Preset.TINY: RecordingPreset(episodes=6, frames=16, tasks=0),
+            Preset.SMALL: RecordingPreset(episodes=400, frames=101, tasks=100),
+            Preset.PAPER: RecordingPreset(episodes=6000, frames=101, tasks=104),
+        }
+    )
 
     def __init__(
         self,
@@ -140,7 +151,7 @@ class PlanarPush(PushingEnvironment):
         self._physics.build(pieces, self.lattice.at(place))
         reach = TABLE.size[0] / 2 - DRIFTING.radius
         self._drift = Drift(distraction, int(self._factor("distractors")), reach=(reach, reach), speed=DRIFT_SPEED)
-        self._colors = [self._lit(255 * np.asarray(self._color(one))) for one in self.facts.objects]
+        self._colors = [self._lit([255 * channel for channel in self._color(one)]) for one in self.facts.objects]
         look = (self._factor("camera"), self._factor("light"))
         if look != self._look:
             self._look = look
@@ -177,7 +188,7 @@ class PlanarPush(PushingEnvironment):
         frame, masks = self._still[0].copy(), self._still[1].copy()
         if self._place not in self._discs:
             place = np.asarray(self.lattice.at(self._place))
-            self._discs[self._place] = stamp(self._view, DISC, place, 0.0, self._lit(np.asarray(DISC_COLOR)))
+            self._discs[self._place] = stamp(self._view, DISC, place, 0.0, self._lit(DISC_COLOR))
         disc = self._discs[self._place]
         if disc is not None:
             disc.lay(frame)
@@ -187,7 +198,7 @@ class PlanarPush(PushingEnvironment):
     def _draw_objects(self) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
         frame, masks = self._table.copy(), np.zeros(self._table.shape[:2], np.uint8)
         for place in self._drift.places(self._moment):
-            drifting = stamp(self._view, DRIFTING, place, 0.0, self._lit(np.asarray(DRIFTING_COLOR)))
+            drifting = stamp(self._view, DRIFTING, place, 0.0, self._lit(DRIFTING_COLOR))
             if drifting is not None:
                 drifting.lay(frame)
         for index, one in enumerate(self._stamps):
@@ -201,15 +212,15 @@ class PlanarPush(PushingEnvironment):
 
     def _empty_table(self) -> UInt8[np.ndarray, "h w 3"]:
         frame = np.empty((self.facts.height, self.facts.width, 3), np.uint8)
-        frame[:] = np.asarray(self._lit(np.asarray(FLOOR_COLOR)), np.uint8)
-        table = stamp(self._view, rectangle(*TABLE.size), np.zeros(2), 0.0, self._lit(np.asarray(TABLE_COLOR)))
+        frame[:] = np.asarray(self._lit(FLOOR_COLOR), np.uint8)
+        table = stamp(self._view, rectangle(*TABLE.size), np.zeros(2), 0.0, self._lit(TABLE_COLOR))
         if table is not None:
             table.lay(frame)
         return frame
 
-    def _lit(self, color: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
+    def _lit(self, color: Sequence[float]) -> tuple[float, float, float]:
         """A colour (RGB, 0-255) under this episode's light."""
-        red, green, blue = np.rint(np.clip(self._factor("light") * color, 0, 255))
+        red, green, blue = np.rint(np.clip(self._factor("light") * np.asarray(color), 0, 255))
         return float(red), float(green), float(blue)
 
 

@@ -1,6 +1,6 @@
 """The environment ``robot_push``: the robot pushing of the paper's section 5.1, in PyBullet.
 
-Measured on one core of a 2-core machine: see ``table_physics`` and ``renderer``.
+330 frames a second of one core's time, policy and labels included: 1.3 ms physics, 1.3 ms drawing a frame.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from dmotion_bench.specs import MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
+from dmotion_bench.specs import MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
 from recorders.pushing import ACTIONS, Drift, PushingEnvironment, Snapshot, colored_objects
 from recorders.robot_push import panda
 from recorders.robot_push.camera import Camera
-from recorders.robot_push.renderer import ArmLayer, Light, Picture, Renderer, Sprite
+from recorders.robot_push.renderer import ArmLayer, ArmPose, Light, Picture, Renderer, Sprite
 from recorders.robot_push.scene import (
     DISC_COLOR,
     DISC_RADIUS,
@@ -99,7 +99,7 @@ class RobotPush(PushingEnvironment):
         self._renderer = self._make_renderer(*self._camera_and_light())
 
     def agent(self) -> ObjectStates:
-        """The rod's tip; ``visible`` speaks of the arm and the rod together."""
+        """The rod's tip; ``visible`` speaks of arm and rod. The base, which never moves, is background."""
         position = np.array([[*self.lattice.at(self._place), ROD_BOTTOM]])
         return ObjectStates(
             position=position,
@@ -172,18 +172,18 @@ class RobotPush(PushingEnvironment):
         for index in np.flatnonzero((poses != self._drawn).any(axis=-1)):
             self._sprites[index] = self._sprite(int(index), poses[index])
         self._drawn = poses
-        sprites = [(sprite, MASK_FIRST_OBJECT + index) for index, sprite in enumerate(self._sprites)]
         discs = [
-            self._renderer.sprite(DISC, np.array([x, y, 0.0]), UPRIGHT, DISC_COLOR)
+            self._renderer.sprite(DISC, np.array([x, y, 0.0]), UPRIGHT, DISC_COLOR, MASK_BACKGROUND)
             for x, y in self._drift.places(self._moment) + TABLE.center
         ]
-        self._picture: Picture = self._renderer.picture(self._place, sprites, discs)
+        self._picture: Picture = self._renderer.picture(self._place, self._sprites, discs)
         return self._picture.frame, self._picture.masks
 
     def _sprite(self, index: int, pose: Float[np.ndarray, "7"]) -> Sprite | None:
         if self._physics.fallen[index]:
             return None
-        return self._renderer.sprite(self._solids[index], pose[:3], pose[3:], self._colors[index])
+        label = MASK_FIRST_OBJECT + index
+        return self._renderer.sprite(self._solids[index], pose[:3], pose[3:], self._colors[index], label)
 
     def _camera_and_light(self) -> tuple[Camera, Light]:
         azimuth = np.deg2rad(self._factor("light"))
@@ -194,9 +194,10 @@ class RobotPush(PushingEnvironment):
         table = box(*TABLE.size, TABLE_THICKNESS), np.array([*TABLE.center, -TABLE_THICKNESS / 2]), TABLE_COLOR
         return Renderer(camera=camera, light=light, table=table, arm=self._posed_arm, layers=_arm_layers(camera, light))
 
-    def _posed_arm(self, place: Place) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
+    def _posed_arm(self, place: Place) -> ArmPose:
         tip = np.array([*self.lattice.at(place), ROD_BOTTOM])
-        return self._arm.posed(panda.link_frames(panda.joints_for(tip))), self._arm.colors
+        frames = panda.link_frames(panda.joints_for(tip))
+        return ArmPose(self._arm.posed(frames), self._arm.colors, self._arm.links > 0)
 
 
 gymnasium.register(id="dmbench/RobotPush-v0", entry_point="recorders.robot_push:RobotPush")

@@ -23,7 +23,7 @@ FACTORS = (
     Factor(name="mass", usual=0.15, low=0.05, high=0.6, each=True, meaning="an object's mass [kg]"),
     Factor(name="colour", usual=0, low=-15, high=15, each=True, meaning="turn of an object's hue [deg]"),
     Factor(name="light", usual=53, low=-180, high=180, meaning="where the light comes from, around z [deg]"),
-    Factor(name="camera", usual=0, low=-10, high=10, meaning="turn of the camera around the table [deg]"),
+    Factor(name="camera", usual=0, low=-6, high=6, meaning="turn of the camera around the table [deg]"),
     Factor(
         name="distractors",
         usual=0,

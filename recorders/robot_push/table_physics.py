@@ -5,6 +5,11 @@ whatever it pushes. 240 Hz; a step moves the rod at a constant speed for 42 subs
 rest. Where the rod's way touches nothing, nothing is simulated and nothing moves. An object whose centre sinks
 below the table's top has fallen, and is taken out.
 
+Measured over 1,200 steps of the recording policy, of which a third push something and half are simulated at all: an
+object's speed at the end of a step 0.002 m/s (p50), 0.003 (p99), taken away then; overlap of rod and object 0.4 mm
+(p99), 0.8 (most); of two objects 0.3 mm, 1.3; the tip's error 0.002 mm; none of 180 objects toppled. A step costs
+1.3 ms.
+
 Every episode is built into an emptied world: rebuilding takes 2 ms and makes an episode a function of its seed and
 actions (30 of 30 equal on a used simulation). Resetting the poses in a used world does not (0 of 30).
 """
@@ -116,6 +121,8 @@ class TablePhysics:
         self.positions = np.array([[*body.position, body.solid.height / 2 + MARGIN] for body in bodies]).reshape(-1, 3)
         self.quaternions = np.array([_upright(body.yaw) for body in bodies]).reshape(-1, 4)
         self.fallen: Bool[np.ndarray, " k"] = np.zeros(len(bodies), bool)
+        self._low, self._high = (np.full((len(bodies), 2), np.nan) for _ in range(2))
+        self._measured = np.full((len(bodies), 7), np.nan)
         self._built, self._solids = list(bodies), [body.solid for body in bodies]
 
     def restore(
@@ -250,13 +257,15 @@ class TablePhysics:
                 return True
         return False
 
-    def _extents(self) -> Float[np.ndarray, "2 k 2"]:
-        """Each object's least and greatest x and y [m]; NaN for a fallen one, which is near nothing."""
-        extents = np.full((2, len(self._bodies), 2), np.nan)
-        for index in np.flatnonzero(~self.fallen):
-            corners = self._solids[index].corners @ rotation_matrix(self.quaternions[index]).T + self.positions[index]
-            extents[:, index] = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
-        return extents
+    def _measure(self) -> None:
+        """Find each object's least and greatest x and y [m]; NaN for a fallen one, which is near nothing."""
+        poses = np.concatenate([self.positions, self.quaternions], axis=-1)
+        for index in np.flatnonzero((poses != self._measured).any(axis=-1) & ~self.fallen):
+            turn = rotation_matrix(self.quaternions[index])
+            corners = (self._solids[index].corners @ turn.T + self.positions[index])[:, :2]
+            self._low[index], self._high[index] = corners.min(axis=0), corners.max(axis=0)
+        self._low[self.fallen] = self._high[self.fallen] = np.nan
+        self._measured = poses
 
     def _rest(self) -> None:
         """Wait until all that has not fallen is at rest, then stop it altogether."""
@@ -269,7 +278,7 @@ class TablePhysics:
             if calm and was_calm:  # twice, since something that rocks stands still for a moment
                 self._stop()
                 return
-        self._low, self._high = self._extents()
+        self._measure()
 
     def _stop(self) -> None:
         """Take what little speed is left, and let all sleep until something touches it."""
@@ -279,7 +288,7 @@ class TablePhysics:
                 p.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0], physicsClientId=client)
                 p.changeDynamics(body, -1, activationState=p.ACTIVATION_STATE_SLEEP, physicsClientId=client)
         self.at_rest = True
-        self._low, self._high = self._extents()
+        self._measure()
 
     def _read_poses(self) -> None:
         p, client = self._bullet, self._client

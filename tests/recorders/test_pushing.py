@@ -234,7 +234,7 @@ def test_distractors_move_and_touch_nothing(env: PushingEnvironment) -> None:
     [
         ({"vary": ["colours"]}, UnknownName, "did you mean 'colour'"),
         ({"gravity": 1.0}, UnknownName, "no factor of variation named 'gravity'"),
-        ({"camera": 90.0}, InvalidSetting, "from -10 to 10"),
+        ({"camera": 90.0}, InvalidSetting, "from -6 to 6"),
         ({"distractors": 1.5}, InvalidSetting, "a whole number from 0 to 3"),
         ({"mass": "heavy"}, InvalidSetting, "is no number"),
     ],

@@ -99,14 +99,23 @@ def test_masks_are_what_bullets_renderer_segments(bullet: Any, arm: tuple[int, i
             seen[index] = add(shape, objects.position[index].tolist(), objects.orientation[index].tolist())
     view = bullet.computeViewMatrixFromYawPitchRoll(camera.target, camera.distance, camera.yaw, camera.pitch, 0, 2)
     lens = bullet.computeProjectionMatrixFOV(camera.field_of_view, 1.0, 0.1, 5.0)
-    picture = bullet.getCameraImage(512, 512, view, lens, renderer=bullet.ER_TINY_RENDERER, physicsClientId=client)
+    picture = bullet.getCameraImage(
+        512,
+        512,
+        view,
+        lens,
+        renderer=bullet.ER_TINY_RENDERER,
+        flags=bullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+        physicsClientId=client,
+    )
     # TinyRenderer draws half of its own pixel to the right and upward of where the camera's matrices say.
     segments = np.reshape(picture[4], (512, 512))[1::4, 2::4]
+    drawn_body, link = np.where(segments < 0, -1, segments & 0xFFFFFF), (segments >> 24) - 1
 
     masks = env.masks()
     bare = ~np.isin(masks, [MASK_FIRST_OBJECT + k for k in range(6) if k not in seen])  # Bullet has the boxes alone
-    expected = {MASK_AGENT: np.isin(segments, [body, rod])}
-    expected |= {MASK_FIRST_OBJECT + index: segments == drawn for index, drawn in seen.items()}
+    expected = {MASK_AGENT: ((drawn_body == body) & (link >= 0)) | (drawn_body == rod)}
+    expected |= {MASK_FIRST_OBJECT + index: drawn_body == drawn for index, drawn in seen.items()}
     for value, wanted in expected.items():
         overlap = ((masks == value) & wanted & bare).sum() / (((masks == value) | wanted) & bare).sum()
         assert overlap > (0.85 if value == MASK_AGENT else 0.95), value  # Bullet draws the arm's finer meshes

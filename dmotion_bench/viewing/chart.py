@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Real
 
 from dmotion_bench.viewing.tracks import WORDS, Color
 
@@ -53,7 +53,7 @@ def log_chart(
     high = math.log10(max(float(curve.value.max()) for curve in shown.values()))
     low, high = (low - 0.05, high + 0.05) if high - low < 0.1 else (low, high)
 
-    def across(step: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    def across(step: Real[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return MARGIN_LEFT + (WIDTH - MARGIN_LEFT - MARGIN_RIGHT) * step / max(last, 1)
 
     def down(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -10,6 +10,7 @@ hides the others in a catalogue.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +18,14 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
+from dmotion_bench.errors import StorageFull, ViewerError
 from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, sync_folder
 
 FRAME = "frame"
 """The timeline that episodes run on: the number of a frame within its episode."""
+
+ALMOST_FULL = 2**20
+"""Bytes: a disk with less is why a file could not be written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,16 +80,35 @@ def write_scene(scene: Scene, path: Path) -> None:
     """Write a scene to an .rrd; the file is whole as soon as it has its name.
 
     Raises:
-        OSError: The file cannot be written.
+        ViewerError: The file cannot be written.
+        StorageFull: There is no space left for it.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}{TEMPORARY_SUFFIX}")
     try:
-        temporary.touch()  # says at once, and as an OSError, when the folder cannot be written
-        recording = rr.RecordingStream(f"dmbench {scene.name}")
-        recording.set_log_time_enabled(False)
-        recording.set_log_tick_enabled(False)
-        recording.save(temporary)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.touch()
+    except OSError as error:
+        raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None
+    try:
+        _write(scene, temporary)
+        temporary.replace(path)
+    except RuntimeError as error:  # Rerun writes in a thread of its own and says at the end that it could not
+        if shutil.disk_usage(path.parent).free < ALMOST_FULL:
+            raise StorageFull(
+                f"no space left on the device for {str(path)!r}; free some, or --save elsewhere."
+            ) from error
+        raise ViewerError(f"{str(path)!r} could not be written: {error}.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    sync_folder(path.parent)
+
+
+def _write(scene: Scene, path: Path) -> None:
+    recording = rr.RecordingStream(f"dmbench {scene.name}")
+    recording.set_log_time_enabled(False)
+    recording.set_log_tick_enabled(False)
+    try:
+        recording.save(path)
         recording.send_blueprint(scene.blueprint())
         recording.send_recording_name(scene.name)
         if scene.background is not None:
@@ -92,12 +116,8 @@ def write_scene(scene: Scene, path: Path) -> None:
         for tab in scene.tabs:
             tab.log(recording)
         recording.flush()
+    finally:
         recording.disconnect()
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
 
 
 def picture_view(origin: str, name: str, width: int, height: int) -> rrb.Spatial2DView:

@@ -74,8 +74,13 @@ def has_vulkan() -> bool:
 
 
 @contextlib.contextmanager
-def camera(rrd: Path, width: int = 1600, height: int = 900) -> Iterator[Camera]:
-    """A camera on an .rrd, loaded and calm.
+def camera(rrd: Path, width: int = 1600, height: int = 900, settle: float = TOAST_SECONDS) -> Iterator[Camera]:
+    """A camera on an .rrd that has been loaded.
+
+    Args:
+        rrd: What is shown.
+        width, height: Of the pictures [px].
+        settle: Waited before the first picture [s], for Rerun's notices to leave.
 
     Raises:
         ViewerError: No driver is there, or the file is not shown within a minute.
@@ -87,7 +92,7 @@ def camera(rrd: Path, width: int = 1600, height: int = 900) -> Iterator[Camera]:
     with headless(rrd, width, height) as address:
         client = ViewerClient.connect(address)
         _wait_until_loaded(client, rrd)
-        time.sleep(TOAST_SECONDS)
+        time.sleep(settle)
         yield Camera(client)
 
 

@@ -24,7 +24,7 @@ from urllib.parse import quote
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.viewing.file_server import LOOPBACK, serving
 
-WEB_PORT = 9090
+WEB_PORT, LIVE_PORT = 9090, 9876
 START_SECONDS = 30.0
 
 
@@ -41,6 +41,23 @@ class WebViewer:
     url: str
     page_port: int
     data_port: int
+    process: subprocess.Popen[bytes]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveViewer:
+    """A viewer that shows what is logged as it is logged.
+
+    Attributes:
+        address: What a recording connects to.
+        page: To open in a browser on this machine; None for a window.
+        ports: Over ssh all are forwarded.
+        process: The viewer.
+    """
+
+    address: str
+    page: str | None
+    ports: tuple[int, ...]
     process: subprocess.Popen[bytes]
 
 
@@ -88,6 +105,30 @@ def serve_web(rrd: Path) -> Iterator[WebViewer]:
             _wait_for_port(port, process, log)
             page = f"http://{LOOPBACK}:{port}?url={quote(data.url, safe='')}"
             yield WebViewer(url=page, page_port=port, data_port=data.port, process=process)
+
+
+@contextlib.contextmanager
+def open_live(*, web: bool) -> Iterator[LiveViewer]:
+    """A window, or a web page, that waits for a recording, for as long as the block lasts.
+
+    Raises:
+        ViewerError: There is no display, or Rerun could not be started.
+    """
+    if not web:
+        require_display()
+    port = _free_port(LIVE_PORT)
+    address, ports, page = f"rerun+http://{LOOPBACK}:{port}/proxy", (port,), None
+    options = ["--bind", LOOPBACK, "--port", str(port)]
+    if web:
+        page_port = _free_port(WEB_PORT)
+        options += ["--serve-web", "--web-viewer-port", str(page_port)]
+        page, ports = f"http://{LOOPBACK}:{page_port}?url={quote(address, safe='')}", (port, page_port)
+    else:
+        options += ["--hide-welcome-screen"]
+    with _program(*options) as (process, log):
+        for one in ports:
+            _wait_for_port(one, process, log)
+        yield LiveViewer(address=address, page=page, ports=ports, process=process)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pushed_squares import SPEC
-from rrd_contents import layout_of, lane, read, rgba, static, tabs_of, values
+from rrd_contents import lane, layout_of, read, rgba, static, tabs_of, values
 
 from dmotion_bench.specs import MASK_AGENT
 from dmotion_bench.storage.dataset import Dataset
@@ -125,9 +125,9 @@ def test_a_file_is_replaced_whole_or_not_at_all(dataset: Dataset, rrd: Path) -> 
     before = rrd.read_bytes()
 
     def fail(_recording: object) -> None:
-        raise RuntimeError
+        raise KeyError
 
-    with pytest.raises(RuntimeError):
+    with pytest.raises(KeyError):
         write_scene(type(scene)(name="broken", tabs=scene.tabs, step_ns=1, background=fail), rrd)
     assert rrd.read_bytes() == before
     assert [path.name for path in rrd.parent.iterdir()] == [rrd.name]

@@ -1,0 +1,106 @@
+"""Control in Rerun: what the camera sees, the goal, the futures that were thought of, and how far it still is.
+
+Everything is on the timeline ``step``, the number of actions taken before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from jaxtyping import Float, UInt8
+
+from dmotion_bench.planning.planner import Plan
+from dmotion_bench.specs import EnvSpec
+from dmotion_bench.viewing.scene import picture_view
+
+STEP = "step"
+GAP = 2  # [px] between the pictures of a strip
+SHOWN = 3  # of the best candidates are drawn
+
+
+def control_blueprint(spec: EnvSpec, horizon: int, pictures: bool) -> rrb.Blueprint:
+    """The layout.
+
+    Args:
+        spec: Of the environment.
+        horizon: Pictures in a future.
+        pictures: Whether futures are drawn.
+    """
+    images = rrb.Horizontal(
+        picture_view("camera", "camera", spec.width, spec.height),
+        picture_view("goal", "goal", spec.width, spec.height),
+    )
+    width = horizon * (spec.width + GAP)
+    strip = picture_view("imagined", "imagined: the best candidates, step by step", width, SHOWN * (spec.height + GAP))
+    curves = rrb.Horizontal(
+        rrb.TimeSeriesView(origin="distance", name="distance, 1 at the start"),
+        rrb.BarChartView(origin="cost", name="lowest cost after each iteration"),
+        rrb.TextDocumentView(origin="candidates", name="candidates"),
+    )
+    rows = [images, strip, curves] if pictures else [images, curves]
+    return rrb.Blueprint(
+        rrb.Vertical(*rows, row_shares=[3, 4, 2] if pictures else [3, 2]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=STEP),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def log_step(
+    recording: rr.RecordingStream,
+    spec: EnvSpec,
+    step: int,
+    camera: UInt8[np.ndarray, "h w 3"],
+    distance: float,
+    plan: Plan | None = None,
+    futures: UInt8[np.ndarray, "m t h w 3"] | None = None,
+) -> None:
+    """One control step of one task.
+
+    Args:
+        recording: Where to.
+        spec: Names the actions.
+        step: Actions taken before.
+        camera: What is seen.
+        distance: Normalised.
+        plan: What the planner came to for this task alone.
+        futures: What the model makes of its best candidates.
+    """
+    recording.set_time(STEP, sequence=step)
+    recording.log("camera", rr.Image(camera))
+    recording.log("distance", rr.Scalars([distance]))
+    if plan is not None:
+        recording.log("cost", rr.BarChart(plan.progress[0]))
+        recording.log("candidates", rr.TextDocument(candidate_table(spec.actions, plan), media_type="text/markdown"))
+    if futures is not None:
+        recording.log("imagined", rr.Image(strip_of(futures)))
+
+
+def log_goal(recording: rr.RecordingStream, goal: UInt8[np.ndarray, "h w 3"]) -> None:
+    """What it should look like, for all time."""
+    recording.log("goal", rr.Image(goal), static=True)
+
+
+def strip_of(futures: UInt8[np.ndarray, "m t h w 3"]) -> UInt8[np.ndarray, "y x 3"]:
+    """One picture: a candidate a row, a step a column, white lines between."""
+    padded = np.pad(futures, ((0, 0), (0, 0), (0, GAP), (0, GAP), (0, 0)), constant_values=255)
+    rows, steps, height, width, _ = padded.shape
+    strip: UInt8[np.ndarray, "y x 3"] = padded.transpose(0, 2, 1, 3, 4).reshape(rows * height, steps * width, 3)
+    return strip
+
+
+def candidate_table(actions: Sequence[str], plan: Plan) -> str:
+    """The best candidates of a plan's first task, as Markdown."""
+    lines = ["| cost | actions |", "|---:|---|"]
+    rows: list[tuple[Float[np.ndarray, ""], list[int]]] = list(
+        zip(plan.costs[0], plan.candidates[0].tolist(), strict=True)
+    )
+    for cost, sequence in rows:
+        if np.isfinite(cost):
+            lines.append(f"| {cost:.4g} | {' '.join(actions[action] for action in sequence)} |")
+    return "\n".join(lines)

@@ -1,0 +1,41 @@
+"""A model's imagination in Rerun while somebody drives it, beside the simulator."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from jaxtyping import UInt8
+
+from dmotion_bench.specs import EnvSpec
+from dmotion_bench.viewing.scene import picture_view
+
+MOMENT = "moment"
+
+
+def drive_blueprint(spec: EnvSpec, simulator: bool) -> rrb.Blueprint:
+    """The layout; ``simulator`` says whether the truth is known."""
+    views = [picture_view("imagined", "imagined", spec.width, spec.height)]
+    if simulator:
+        views.append(picture_view("simulator", "simulator", spec.width, spec.height))
+    return rrb.Blueprint(
+        rrb.Horizontal(*views),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=MOMENT),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def log_drive(
+    recording: rr.RecordingStream,
+    moment: int,
+    imagined: UInt8[np.ndarray, "h w 3"],
+    simulator: UInt8[np.ndarray, "h w 3"] | None,
+) -> None:
+    """What the model imagines after a key was pressed, and what truly happens."""
+    recording.set_time(MOMENT, sequence=moment)
+    recording.log("imagined", rr.Image(imagined))
+    if simulator is not None:
+        recording.log("simulator", rr.Image(simulator))

@@ -1,0 +1,56 @@
+"""Recordings that are watched while they are made, written to a file, or both."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, sync_folder
+
+
+@contextlib.contextmanager
+def recording_to(
+    name: str, blueprint: rrb.Blueprint, *, address: str | None = None, file: Path | None = None
+) -> Iterator[rr.RecordingStream]:
+    """A recording whose data go to a viewer and to a file, where they are given.
+
+    The file has its name when the block has ended well; whatever ends it otherwise, nothing is left.
+
+    Args:
+        name: Shown by the viewer.
+        blueprint: The layout.
+        address: Of a viewer that listens.
+        file: An .rrd.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    temporary = None
+    sinks: list[rr.GrpcSink | rr.FileSink] = [] if address is None else [rr.GrpcSink(address)]
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_name(f"{file.name}{TEMPORARY_SUFFIX}")
+        temporary.touch()  # says at once, and as an OSError, when the folder cannot be written
+        sinks.append(rr.FileSink(temporary))
+    recording = rr.RecordingStream(f"dmbench {name}")
+    recording.set_log_time_enabled(False)
+    recording.set_log_tick_enabled(False)
+    try:
+        if sinks:
+            recording.set_sinks(*sinks, default_blueprint=blueprint)
+        recording.send_recording_name(name)
+        yield recording
+        recording.flush()
+        recording.disconnect()
+        if file is not None and temporary is not None:
+            temporary.replace(file)
+            sync_folder(file.parent)
+    except BaseException:
+        recording.disconnect()
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise

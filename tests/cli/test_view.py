@@ -1,0 +1,109 @@
+"""``dmbench view`` as a user types it."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import subprocess
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from dmbench_command import dmbench, finish, start_dmbench
+from pushed_squares import write_squares
+from rrd_contents import tabs_of
+
+from dmotion_bench.storage.dataset import Dataset
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("workspace")
+    write_squares(root / "data" / "squares-tiny")
+    return root
+
+
+@pytest.fixture(autouse=True)
+def _here(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(workspace))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+
+
+def test_save_writes_a_file_and_says_how_to_open_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "new folder" / "out.rrd"
+    said = dmbench(["view", "squares-tiny", "--save", str(file)], capsys, monkeypatch)
+    assert said.code == 0
+    assert said.out.splitlines()[0] == str(file)
+    assert f"rerun {file}" in said.out
+    assert tabs_of(file) == [f"Episode {number}" for number in range(4)]
+
+
+def test_episodes_and_splits_can_be_chosen(
+    workspace: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "out.rrd"
+    words = ["view", "squares-tiny", "--save", str(file)]
+    assert dmbench([*words, "--episode", "7", "--episode", "2"], capsys, monkeypatch).code == 0
+    assert tabs_of(file) == ["Episode 7", "Episode 2"]
+    assert dmbench([*words, "--split", "test"], capsys, monkeypatch).code == 0
+    test = Dataset.open(workspace / "data" / "squares-tiny").split("test")
+    assert tabs_of(file) == [f"Episode {number}" for number in test]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "sentence"),
+    [
+        (["sqares-tiny"], 2, "did you mean 'squares-tiny'"),
+        (["squares-tiny", "--split", "tset"], 2, "did you mean 'test'"),
+        (["squares-tiny", "--save", "out.mp4"], 2, "must end in .rrd"),
+        (["squares-tiny", "--save", "out.rrd", "--episode", "10"], 2, "it has 0 to 9"),
+        (["squares-tiny"], 1, "'--web'"),
+        (["squares-tiny", "--save", f"{__file__}/out.rrd"], 1, "cannot be written"),
+    ],
+)
+def test_mistakes_are_told_in_a_sentence(
+    words: list[str], code: int, sentence: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = dmbench(["view", *words], capsys, monkeypatch)
+    assert said.code == code
+    assert sentence in said.sentence()
+
+
+def test_a_file_that_cannot_grow_leaves_nothing(workspace: Path, tmp_path: Path) -> None:
+    file = tmp_path / "out.rrd"
+    process = start_dmbench(
+        ["view", "squares-tiny", "--save", str(file)],
+        workspace,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+    )
+    said = finish(process)
+    assert said.code == 1
+    assert said.err.splitlines()[-1].startswith(f"dmbench: {str(file)!r} could not be written")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign: signal.Signals) -> None:
+    process = start_dmbench(["view", "squares-tiny", "--web"], workspace, start_new_session=True)
+    assert process.stdout is not None
+    try:
+        url = process.stdout.readline().strip()
+        assert url.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(url, timeout=30) as answer:
+            assert answer.status == 200
+        process.send_signal(sign)
+        assert process.wait(timeout=20) == 0
+    finally:
+        process.kill()
+        process.communicate()
+    time.sleep(0.2)
+    with pytest.raises(OSError, match="refused"), urllib.request.urlopen(url, timeout=5):
+        pass
+    assert f"--web-viewer-port {url.split(':')[2].split('?')[0]}" not in subprocess.check_output(
+        ["ps", "ax"], text=True
+    )

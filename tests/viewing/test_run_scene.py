@@ -1,0 +1,170 @@
+"""What an .rrd of a run holds, compared with what its model predicts and with its metrics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+from pushed_squares import SPEC
+from rrd_contents import curve, read, static, tabs_of, values
+
+from dmotion_bench.errors import RunMissing
+from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.model import ForwardModel, Losses, TripletBatch
+from dmotion_bench.learning.run import Run
+from dmotion_bench.specs import Supervision
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.viewing.maps import brightest, tiles
+from dmotion_bench.viewing.run import AMPLIFIED, run_scene
+from dmotion_bench.viewing.scene import write_scene
+
+
+class Blind(ForwardModel[None]):
+    """Predicts as another model does, and shows nothing of what is inside."""
+
+    supervision: ClassVar[Supervision] = Supervision.NONE
+    paper: ClassVar[str] = "nobody"
+
+    def __init__(self, inner: ForwardModel[Any]) -> None:
+        super().__init__(None, inner.inputs)
+        self.inner = inner
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        raise NotImplementedError
+
+    def predict(self, previous: torch.Tensor, current: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return self.inner.predict(previous, current, action)
+
+
+@pytest.fixture(scope="module")
+def episode(dataset: Dataset) -> int:
+    return int(dataset.split("test")[0])
+
+
+@pytest.fixture(scope="module")
+def written(run: Run, dataset: Dataset, episode: int, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "scene.rrd"
+    write_scene(run_scene(run, dataset, [episode], {episode: "worst"}), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def predicted(run: Run, dataset: Dataset, episode: int) -> dict[str, np.ndarray]:
+    """Frames 2 ... 7, one by one and as a rollout, without the code that is tested."""
+    images = to_model(torch.from_numpy(dataset.video(episode)))
+    actions = torch.from_numpy(dataset.labels(episode).actions.astype(np.int64))
+    with torch.no_grad():
+        steps = [run.model.predict(images[t - 1 : t], images[t : t + 1], actions[t : t + 1]) for t in range(1, 7)]
+        imagined = run.model.rollout(images[:1], images[1:2], actions[None, 1:])[0]
+    return {"one_step": to_pixels(torch.cat(steps)).numpy(), "imagined": to_pixels(imagined).numpy()}
+
+
+def pictures(rrd: Path, entity: str) -> np.ndarray:
+    column = values(rrd, entity, "Image:buffer")
+    assert [frame for frame, _ in column] == list(range(8))
+    return np.array([buffer for _, (buffer,) in column], np.uint8).reshape(8, 64, 64, 3)
+
+
+@pytest.mark.parametrize("kind", ["one_step", "imagined"])
+def test_predictions_are_the_models(
+    written: Path, dataset: Dataset, episode: int, predicted: dict[str, np.ndarray], kind: str
+) -> None:
+    shown, truth = pictures(written, f"/episode_{episode}/{kind}/frame"), dataset.video(episode)
+    np.testing.assert_array_equal(shown[:2], truth[:2])  # given
+    assert np.abs(shown[2:].astype(int) - predicted[kind]).max() <= 1  # other batches round otherwise
+    errors = np.abs(shown.astype(int) - truth) * AMPLIFIED
+    np.testing.assert_array_equal(pictures(written, f"/episode_{episode}/{kind}/difference"), np.minimum(errors, 255))
+
+
+@pytest.mark.parametrize("kind", ["one_step", "imagined"])
+def test_the_plotted_error_is_that_of_the_frame_shown(written: Path, dataset: Dataset, episode: int, kind: str) -> None:
+    shown = pictures(written, f"/episode_{episode}/{kind}/frame").astype(float)
+    expected = ((shown - dataset.video(episode)) ** 2).mean((1, 2, 3))
+    points = curve(written, f"/episode_{episode}/mse/{kind}")
+    assert [frame for frame, _ in points] == list(range(2, 8))
+    np.testing.assert_allclose([value for _, value in points], expected[2:])
+
+
+def test_repeating_the_frame_before_stands_beside_them(written: Path, dataset: Dataset, episode: int) -> None:
+    truth = dataset.video(episode).astype(float)
+    expected = ((truth[2:] - truth[1:-1]) ** 2).mean((1, 2, 3))
+    np.testing.assert_allclose([value for _, value in curve(written, f"/episode_{episode}/mse/copied")], expected)
+
+
+def test_the_training_curves_are_the_metrics(written: Path) -> None:
+    assert curve(written, "/training/losses/loss") == [(2, 1.5), (4, 0.75)]
+    assert curve(written, "/training/losses/prediction") == [(2, 0.5), (4, 0.25)]
+    assert curve(written, "/training/losses/validation_loss") == [(4, 0.8)]
+    assert curve(written, "/training/learning_rate")[:2] == [(2, 0.003), (4, 0.001)]
+
+
+def test_the_chart_is_logarithmic(written: Path) -> None:
+    """0.5 -> 0.25 falls as far as 1.5 -> 0.75."""
+    falls = []
+    for name in ("loss", "prediction"):
+        (line,) = static(written, f"/training/chart/{name}", "LineStrips2D:strips")
+        falls.append(line[1][1] - line[0][1])
+    assert falls[0] == pytest.approx(falls[1])
+    assert falls[0] > 0  # downward is larger in a picture
+
+
+def test_maps_are_shown_before_and_after_they_move(written: Path, run: Run, dataset: Dataset, episode: int) -> None:
+    images = to_model(torch.from_numpy(dataset.video(episode)))
+    with torch.no_grad():
+        maps = run.model.feature_maps(images[:-1]).numpy()
+        moved = run.model.moved_maps(images[:-1], images[1:]).numpy()
+    white = brightest(maps, moved)
+    for name, expected in (("maps", tiles(maps, white)), ("moved_maps", tiles(moved, white))):
+        column = values(written, f"/episode_{episode}/{name}", "Image:buffer")
+        sheet = np.array([buffer for _, (buffer,) in column], int)
+        assert np.abs(sheet.reshape(expected.shape) - expected).max() <= 1
+    assert static(written, f"/episode_{episode}/maps/names", "Points2D:labels")[0] == "0, the agent's"
+
+
+def test_arrows_are_the_agents_true_motion_and_the_models(
+    written: Path, run: Run, dataset: Dataset, episode: int
+) -> None:
+    step = np.diff(dataset.labels(episode).agent.pixel[:, 0], axis=0)
+    true = [vectors[0] for _, vectors in values(written, f"/episode_{episode}/camera/true_motion", "Arrows2D:vectors")]
+    np.testing.assert_allclose(true, step)
+    seen = [vectors[0] for _, vectors in values(written, f"/episode_{episode}/camera/motion_seen", "Arrows2D:vectors")]
+    images = to_model(torch.from_numpy(dataset.video(episode)))
+    with torch.no_grad():
+        expected = run.model.pixel_shift(run.model.motion(images[:-1], images[1:])).numpy()
+    np.testing.assert_allclose(seen, expected, atol=1e-3)
+
+
+def test_the_text_names_model_data_and_labels(written: Path, run: Run, episode: int) -> None:
+    (text,) = static(written, f"/episode_{episode}/about", "TextDocument:text")
+    for word in (run.name, "dmotion", "squares-tiny", "one-shot (4 labels)", "test split"):
+        assert word in text
+
+
+def test_pages(written: Path, episode: int) -> None:
+    assert tabs_of(written) == [f"Episode {episode} (worst)", "Training"]
+
+
+def test_models_without_maps_or_motion_are_shown_too(run: Run, dataset: Dataset, episode: int, rrd: Path) -> None:
+    other = Run(run.path, run.manifest)
+    other.__dict__["model"] = Blind(run.model)
+    write_scene(run_scene(other, dataset, [episode]), rrd)
+    entities = {path.removeprefix(f"/episode_{episode}/") for path in read(rrd)}
+    assert {"camera", "one_step/frame", "imagined/frame", "mse/one_step"} <= entities
+    assert not {"maps", "moved_maps", "camera/motion_seen"} & entities
+
+
+def test_an_unfinished_run_says_so(run: Run, dataset: Dataset, episode: int) -> None:
+    unfinished = Run(run.path, {**run.manifest, "result": None})
+    with pytest.raises(RunMissing, match="not finished"):
+        run_scene(unfinished, dataset, [episode])
+
+
+def test_things_without_colour_have_no_position_error(run: Run, dataset: Dataset, episode: int, rrd: Path) -> None:
+    dataset = Dataset(dataset.path, dataset.manifest, dataset.rows)
+    dataset.spec = replace(SPEC, agent_has_color=False)
+    write_scene(run_scene(run, dataset, [episode]), rrd)
+    assert len(values(rrd, f"/episode_{episode}/camera/places", "Ellipses2D:centers")[0][1]) == 4  # two rings each

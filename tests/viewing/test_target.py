@@ -1,0 +1,64 @@
+"""What a path is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.learning.run import Run
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.viewing.episodes import choose_episodes
+from dmotion_bench.viewing.target import Target, find_target
+from dmotion_bench.workspace import Workspace
+
+
+def test_a_name_or_a_path(workspace: Workspace, dataset: Dataset, run: Run) -> None:
+    for given in (dataset.path, Path(dataset.name)):
+        assert find_target(given, workspace) == Target("data set", workspace.data / dataset.name)
+    for given in (run.path, Path(run.name)):
+        assert find_target(given, workspace) == Target("run", workspace.runs / run.name)
+
+
+def test_a_report_belongs_to_its_run(workspace: Workspace, run: Run) -> None:
+    report = run.path / "report"
+    report.mkdir()
+    (report / "report.json").write_text("{}")
+    try:
+        for given in (report, Path(run.name) / "report"):
+            assert find_target(given, workspace) == Target("report", run.path.resolve())
+    finally:
+        (report / "report.json").unlink()
+        report.rmdir()
+
+
+def test_a_saved_scene(workspace: Workspace, tmp_path: Path) -> None:
+    (tmp_path / "a.rrd").touch()
+    assert find_target(tmp_path / "a.rrd", workspace) == Target("recording", tmp_path / "a.rrd")
+
+
+def test_a_misspelt_name_gets_the_close_one(workspace: Workspace, dataset: Dataset, run: Run) -> None:
+    with pytest.raises(UnknownName, match="did you mean 'squares-tiny'"):
+        find_target(Path("sqares-tiny"), workspace)
+    with pytest.raises(UnknownName, match=f"did you mean '{run.name}'"):
+        find_target(Path(f"runs/{run.name}x"), workspace)
+
+
+def test_something_else_is_told_what_is_wanted(workspace: Workspace, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"dataset.json.*run.json.*report.json"):
+        find_target(tmp_path, workspace)
+
+
+def test_episodes_asked_for_are_shown_once_and_in_order(dataset: Dataset) -> None:
+    assert choose_episodes(dataset, [4, 2, 4], None) == [4, 2]
+    assert choose_episodes(dataset, [], None) == [0, 1, 2, 3]
+    assert choose_episodes(dataset, [], "test") == dataset.split("test").tolist()
+
+
+def test_an_episode_that_is_not_there(dataset: Dataset) -> None:
+    with pytest.raises(UsageError, match="has no episode 10; it has 0 to 9"):
+        choose_episodes(dataset, [10], None)
+    other = int(dataset.split("train")[0])
+    with pytest.raises(UsageError, match=f"episode {other} of squares-tiny is not in the test split"):
+        choose_episodes(dataset, [other], "test")

@@ -1,0 +1,145 @@
+"""Rerun's programs: what they listen on, and what is said when they cannot start."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from dmotion_bench.errors import ViewerError
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.viewing.dataset import dataset_scene
+from dmotion_bench.viewing.file_server import FileServer, serving
+from dmotion_bench.viewing.scene import write_scene
+from dmotion_bench.viewing.screenshot import camera, has_vulkan
+from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web
+
+
+def listening(process: psutil.Process) -> set[str]:
+    """The addresses that a process and its children listen on."""
+    found: set[str] = set()
+    for one in (process, *process.children(recursive=True)):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            found |= {link.laddr.ip for link in one.net_connections("inet") if link.status == psutil.CONN_LISTEN}
+    return found
+
+
+def is_open(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.settimeout(1)
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def fetch(url: str, **headers: str) -> tuple[int, bytes, dict[str, str]]:
+    """Status, content and headers."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=30) as answer:
+            return answer.status, answer.read(), dict(answer.headers)
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, b"", dict(error.headers)
+
+
+@pytest.fixture(scope="module")
+def scene(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("viewer") / "scene.rrd"
+    write_scene(dataset_scene(dataset, [0]), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def web(scene: Path) -> Iterator[WebViewer]:
+    with serve_web(scene) as viewer:
+        yield viewer
+
+
+def test_page_and_data_are_for_this_machine_alone(web: WebViewer) -> None:
+    assert listening(psutil.Process(web.process.pid)) == {"127.0.0.1"}
+    assert listening(psutil.Process()) <= {"127.0.0.1"}
+    assert is_open(web.page_port)
+    assert is_open(web.data_port)
+
+
+def test_the_page_is_reruns_and_finds_the_data(web: WebViewer, scene: Path) -> None:
+    status, page, _ = fetch(web.url)
+    assert status == 200
+    assert b"rerun" in page.lower()
+    (data,) = urllib.parse.parse_qs(urllib.parse.urlparse(web.url).query)["url"]
+    status, content, headers = fetch(data, Origin=f"http://127.0.0.1:{web.page_port}")
+    assert (status, content) == (200, scene.read_bytes())
+    assert headers["Access-Control-Allow-Origin"] == f"http://127.0.0.1:{web.page_port}"
+
+
+def test_it_all_ends_with_the_block(scene: Path) -> None:
+    with serve_web(scene) as viewer:
+        processes = [psutil.Process(viewer.process.pid)]
+        processes += processes[0].children(recursive=True)
+    psutil.wait_procs(processes, timeout=5)
+    assert not any(process.is_running() and process.status() != psutil.STATUS_ZOMBIE for process in processes)
+    assert not is_open(viewer.page_port)
+    assert not is_open(viewer.data_port)
+
+
+@pytest.fixture
+def server(scene: Path) -> Iterator[FileServer]:
+    with serving(scene, page_port=1234) as server:
+        yield server
+
+
+def test_the_file_server_gives_one_file_and_nothing_else(server: FileServer, scene: Path) -> None:
+    assert fetch(server.url)[:2] == (200, scene.read_bytes())
+    for path in ("/", "/scene.rrd/..", f"/{scene}", "/../../etc/passwd", "/%2e%2e/scene.rrd"):
+        assert fetch(f"http://127.0.0.1:{server.port}{path}")[0] == 404
+
+
+def test_other_pages_and_other_names_may_not_read_it(server: FileServer) -> None:
+    for origin in ("http://evil.example", "http://127.0.0.1:1", "null"):
+        assert "Access-Control-Allow-Origin" not in fetch(server.url, Origin=origin)[2]
+    assert fetch(server.url, Host=f"evil.example:{server.port}")[0] == 404  # a name that was bent to this address
+
+
+def test_without_a_display_the_other_ways_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(ViewerError, match=r"--web.*--save FILE.rrd"):
+        require_display()
+    monkeypatch.setenv("DISPLAY", ":0")
+    require_display()
+
+
+def test_a_program_that_does_not_start_says_why(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = subprocess.Popen
+
+    def broken(_command: list[str], **options: object) -> subprocess.Popen[bytes]:
+        return real([sys.executable, "-c", "raise SystemExit('no such thing')"], **options)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(subprocess, "Popen", broken)
+    with pytest.raises(ViewerError, match="no such thing"), serve_web(scene):
+        pass
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has_vulkan(), reason="no Vulkan driver: 'apt-get install mesa-vulkan-drivers'")
+def test_rerun_draws_the_scene(scene: Path, tmp_path: Path) -> None:
+    """The red and the blue square of the first page are seen in their own colours."""
+    from PIL import Image
+
+    picture = tmp_path / "picture.png"
+    with camera(scene, 640, 400, settle=0) as viewer:
+        viewer.take(picture, frame=1)
+        with pytest.raises(ViewerError, match="no tab named 'Episode 7'; there are: Episode 0"):
+            viewer.tab("Episode 7")
+    with Image.open(picture) as opened:
+        colors = {color: count for count, color in opened.convert("RGB").getcolors(640 * 400) or []}
+    for thing in ((230, 30, 30), (40, 80, 255)):
+        assert colors.get(thing, 0) > 100

@@ -26,7 +26,18 @@ from einops import rearrange, repeat
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from baselines.layers import CHANNELS, WIDTHS, FrameDecoder, block, check_size, output, pack, squared_error, unpack
+from baselines.layers import (
+    CHANNELS,
+    WIDTHS,
+    FrameDecoder,
+    block,
+    check_size,
+    conv,
+    linear,
+    pack,
+    squared_error,
+    unpack,
+)
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
@@ -60,23 +71,20 @@ class ContrastiveConfig:
 
 
 class SlotEncoder(nn.Module):
-    """Two packed frames to the states of K slots."""
+    """Two packed frames to the states of K slots.
+
+    The maps are centred, and the initial weights large enough that different frames get different states from the start:
+    the hinge's gradient vanishes where all states are one.
+    """
 
     def __init__(self, config: ContrastiveConfig, inputs: ModelInputs) -> None:
         super().__init__()
         c = WIDTHS[0]
         place = (inputs.height // 4) * (inputs.width // 4)
         self.extractor = nn.Sequential(
-            block(2 * CHANNELS, c, 1), block(c, c), block(c, c), output(c, config.slots), nn.Sigmoid()
+            block(2 * CHANNELS, c, 1), block(c, c), block(c, c), conv(c, config.slots, 1), nn.Tanh()
         )
-        self.state = nn.Sequential(
-            nn.Linear(place, config.hidden),
-            nn.ReLU(),
-            nn.Linear(config.hidden, config.hidden),
-            nn.LayerNorm(config.hidden),
-            nn.ReLU(),
-            nn.Linear(config.hidden, config.features),
-        )
+        self.state = _mlp(place, config.hidden, config.features)
 
     def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b k d"]:
         state: Tensor = self.state(rearrange(self.extractor(packed), "b k h w -> b k (h w)"))
@@ -90,7 +98,7 @@ class GraphTransition(nn.Module):
         super().__init__()
         self.actions = actions
         self.edge = _mlp(2 * config.features, config.hidden, config.hidden)
-        self.node = _mlp(config.features + config.hidden + actions, config.hidden, config.features)
+        self.node = _mlp(config.features + config.hidden + actions, config.hidden, config.features, gain=0.1)
 
     def forward(self, state: Float[Tensor, "b k d"], action: Int[Tensor, " b"]) -> Float[Tensor, "b k d"]:
         slots = state.shape[1]
@@ -102,14 +110,14 @@ class GraphTransition(nn.Module):
         return change.float()
 
 
-def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+def _mlp(inputs: int, hidden: int, outputs: int, gain: float = 1.0) -> nn.Sequential:
     return nn.Sequential(
-        nn.Linear(inputs, hidden),
+        linear(inputs, hidden, 2**0.5),
         nn.ReLU(),
-        nn.Linear(hidden, hidden),
+        linear(hidden, hidden, 2**0.5),
         nn.LayerNorm(hidden),
         nn.ReLU(),
-        nn.Linear(hidden, outputs),
+        linear(hidden, outputs, gain),
     )
 
 

@@ -130,7 +130,7 @@ class DMotion(ForwardModel[DMotionConfig]):
                 clip_norm=0.0,
             )
         return TrainingConfig(
-            epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 10}[preset],
+            epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 8}[preset],
             learning_rate=3e-3,
             optimizer="muon",
             schedule="linear",

@@ -5,9 +5,9 @@ What differs from ``dmotion_paper.py``, and what each difference bought, is meas
 - Everything runs on 4 x 4 patches of the frame as 48 channels, at 32 x 32 and below: wide convolutions on small maps
   keep the CPU's bfloat16 units busy, narrow ones on large maps wait for memory.
 - No normalisation: scaled initial weights and residual connections do without.
-- The motion encoder sums its features over the picture instead of flattening them: a sum knows what moved and how, not
-  where. And it is antisymmetric, phi(a, b) = -phi(b, a): going back undoes going there. Without the two, phi^0 becomes
-  a function of the agent's place, and one demonstration per action is not enough.
+- The object extractor cannot know where in the picture it looks: its convolutions go round the edges, and the motion
+  encoder sums its features instead of flattening them. And phi(a, b) = -phi(b, a): going back undoes going there.
+  Without this phi^0 becomes a function of the agent's place, and one demonstration per action is not enough.
 - The interaction learner is a U-Net whose output is blended into x_t by a gate per pixel: what does not move is copied.
 
 Frames are *packed*: ``Float[b 48 h/4 w/4]``, channels-last in memory.
@@ -39,8 +39,8 @@ class ImageEncoder(nn.Module):
         super().__init__()
         c, w, _ = WIDTHS
         self.stem = block(CHANNELS, c, 1)
-        self.context = nn.Sequential(block(c, w, stride=2), block(w, w), up(w, c))
-        self.head = nn.Sequential(block(c, c), conv(c, 4 * maps, 1, gain=OUTPUT_GAIN))
+        self.context = nn.Sequential(block(c, w, stride=2, edges=False), block(w, w, edges=False), up(w, c))
+        self.head = nn.Sequential(block(c, c, edges=False), conv(c, 4 * maps, 1, gain=OUTPUT_GAIN))
 
     def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b k hm wm"]:
         features = self.stem(packed)

@@ -61,9 +61,31 @@ def squared_error(predicted: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"])
     return (predicted.float() - true.float()).square().flatten(1).mean(1)
 
 
-def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: float = 1.0) -> nn.Conv2d:
+class RoundConv2d(nn.Conv2d):
+    """A 3 x 3 convolution on a picture without edges: beyond the last column lies the first.
+
+    Padding with zeros tells a network how far from the edge it is. Here it cannot know where in the picture it looks:
+    rolling the picture rolls the result (by whole strides). Concatenation keeps the memory channels-last.
+    """
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
+        super().__init__(inputs, outputs, 3, stride)
+
+    def forward(self, picture: Float[Tensor, "b c h w"]) -> Float[Tensor, "b o y x"]:
+        wide = torch.cat([picture[..., -1:], picture, picture[..., :1]], dim=-1)
+        tall = torch.cat([wide[..., -1:, :], wide, wide[..., :1, :]], dim=-2)
+        convolved: Tensor = super().forward(tall)
+        return convolved
+
+
+def conv(
+    inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: float = 1.0, *, edges: bool = True
+) -> nn.Conv2d:
     """A convolution with He's initial weights times ``gain``: without normalisation they alone keep the scale."""
-    layer = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2)
+    if edges or kernel == 1:
+        layer = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2)
+    else:
+        layer = RoundConv2d(inputs, outputs, stride)
     nn.init.kaiming_normal_(layer.weight, a=SLOPE)
     with torch.no_grad():
         layer.weight.mul_(gain)
@@ -78,9 +100,12 @@ def output(inputs: int, outputs: int) -> nn.Conv2d:
     return layer
 
 
-def block(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: float = 1.0) -> nn.Sequential:
+def block(
+    inputs: int, outputs: int, kernel: int = 3, stride: int = 1, gain: float = 1.0, *, edges: bool = True
+) -> nn.Sequential:
     """A convolution and its activation, together keeping the variance (times gain squared)."""
-    return nn.Sequential(conv(inputs, outputs, kernel, stride, gain), nn.LeakyReLU(SLOPE, inplace=True))
+    layer = conv(inputs, outputs, kernel, stride, gain, edges=edges)
+    return nn.Sequential(layer, nn.LeakyReLU(SLOPE, inplace=True))
 
 
 def up(inputs: int, outputs: int) -> nn.ConvTranspose2d:
@@ -222,7 +247,9 @@ class FrameDecoder(nn.Module):
 
 
 class MotionTrunk(nn.Module):
-    """Packed frames to a vector that knows what moved and how, but not where: features summed over the picture.
+    """Packed frames to a vector that knows what moved and how, but not where.
+
+    Features are summed over the picture, and the picture has no edges.
 
     Args:
         frames: How many frames, one behind the other in the channels.
@@ -235,10 +262,10 @@ class MotionTrunk(nn.Module):
         c, w, d = WIDTHS
         self.convolutions = nn.Sequential(
             block(CHANNELS * frames, c, 1),
-            block(c, w, stride=2),
-            block(w, w),
-            block(w, w, stride=2),
-            block(w, w),
+            block(c, w, stride=2, edges=False),
+            block(w, w, edges=False),
+            block(w, w, stride=2, edges=False),
+            block(w, w, edges=False),
         )
         self.hidden = block(w, d, 1)
 

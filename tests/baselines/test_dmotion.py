@@ -152,3 +152,20 @@ def test_noise_is_for_training_alone_and_ends_where_it_is_told() -> None:
 def test_sizes_that_it_cannot_take_are_said(height: int) -> None:
     with pytest.raises(InvalidSetting, match="multiple of 16"):
         DMotion(DMotionConfig(), ModelInputs(height=height, width=height, actions=4))
+
+
+def test_going_back_undoes_going_there() -> None:
+    model = _model().eval()
+    there, back = _images(3), _images(3, seed=1)
+    torch.testing.assert_close(model.motion(there, back), -model.motion(back, there))
+    torch.testing.assert_close(model.motion(there, there), torch.zeros(3, 2))
+
+
+def test_the_extractor_cannot_know_where_in_the_picture_it_looks() -> None:
+    """Or phi^0 becomes a function of the agent's place, and one demonstration of an action says nothing of others."""
+    model = _model(INPUTS).eval()
+    current, following = _images(2, 128), _images(2, 128, 1)
+    moved = [image.roll((48, 16), dims=(-2, -1)) for image in (current, following)]
+    torch.testing.assert_close(model.motion(*moved), model.motion(current, following), atol=1e-5, rtol=1e-4)
+    maps = model.feature_maps(current).roll((24, 8), dims=(-2, -1))
+    torch.testing.assert_close(model.feature_maps(moved[0]), maps, atol=1e-5, rtol=1e-4)

@@ -1,0 +1,77 @@
+"""CLASP: what its latent actions see, and what composing them means."""
+
+from __future__ import annotations
+
+import torch
+
+from baselines.clasp import Clasp
+from baselines.gaussian import Gaussian
+from dmotion_bench.learning.model import TripletBatch
+
+
+def _with(batch: TripletBatch, **frames: torch.Tensor) -> TripletBatch:
+    kept = {"previous": batch.previous, "current": batch.current, "next": batch.next}
+    return TripletBatch(**{**kept, **frames})
+
+
+def test_the_composed_step_knows_the_middle_frame_through_the_latent_actions_alone(build, video, monkeypatch) -> None:
+    model = build(Clasp).eval()
+    other = _with(video, current=video.current.flip(0))
+    assert model.losses(video).terms["composition"] != model.losses(other).terms["composition"]
+    fixed = Gaussian(torch.ones(6, 16), torch.zeros(6, 16))
+    monkeypatch.setattr(model, "compose", lambda earlier, later: fixed)
+    assert model.losses(video).terms["composition"] == model.losses(other).terms["composition"]
+
+
+def test_composition_trains_both_latent_actions_and_needs_both(build) -> None:
+    model = build(Clasp)
+    earlier, later = (torch.randn(3, 16, requires_grad=True) for _ in range(2))
+    model.compose(earlier, later).mean.sum().backward()
+    assert earlier.grad.abs().sum() > 0
+    assert later.grad.abs().sum() > 0
+    assert not torch.equal(model.compose(earlier, later).mean, model.compose(later, earlier).mean)
+
+
+def test_the_divergences_of_all_three_latent_actions_are_paid(build, video) -> None:
+    model = build(Clasp, beta=0.5).eval()
+    losses = model.losses(video)
+    first, second = (
+        model._infer(*_packed(video.previous, video.current)),
+        model._infer(*_packed(video.current, video.next)),
+    )
+    merged = model.compose(first.mean, second.mean)
+    paid = first.divergence() + second.divergence() + merged.divergence()
+    torch.testing.assert_close(losses.terms["divergence"], paid)
+    errors = losses.terms["prediction"] + losses.terms["composition"]
+    torch.testing.assert_close(losses.total, errors + 4 * 0.5 * paid)
+
+
+def _packed(*frames: torch.Tensor) -> list[torch.Tensor]:
+    from baselines.layers import pack
+
+    return [pack(frame) for frame in frames]
+
+
+def test_the_stepwise_loss_is_the_error_of_a_prediction_with_the_true_latent_action(build, video) -> None:
+    model = build(Clasp).eval()
+    with torch.no_grad():
+        losses = model.losses(video)
+        model.table.rows = model.latent_action(video.current, video.next)  # a row for each triplet
+        frames = model.predict(video.previous, video.current, torch.arange(6))
+    torch.testing.assert_close(losses.per_triplet, (frames - video.next).square().mean((1, 2, 3)))
+
+
+def test_the_predictor_remembers(build, batch, demonstrations) -> None:
+    model = build(Clasp).eval()
+    model.align(demonstrations)
+    with torch.no_grad():
+        frame, hidden, cell = model.begin(batch.previous, batch.current)
+        again = model.advance((frame, hidden, cell), batch.action)
+        forgetful = model.advance((frame, hidden * 0, cell * 0), batch.action)
+    assert not torch.equal(again[0], forgetful[0])
+
+
+def test_it_learns(build, step, video) -> None:
+    model = build(Clasp)
+    first = model.losses(video).total.item()
+    assert step(model, video, 25) < 0.8 * first

@@ -1,0 +1,87 @@
+"""C-SWM: its loss by hand, its graph network's symmetry, its figures against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from baselines.cswm import CONTRAST, DECODER, ContrastiveWorldModel, ranking
+
+
+def test_the_energy_by_hand(build) -> None:
+    model = build(ContrastiveWorldModel, slots=2, features=2, sigma=0.5)
+    one = torch.tensor([[[0.0, 0.0], [1.0, 1.0]]])
+    other = torch.tensor([[[1.0, 0.0], [1.0, 3.0]]])
+    # squared distances 1 and 4 of the two slots; their mean 2.5, times 1 / (2 * 0.25)
+    assert model.energy(one, other).tolist() == [5.0]
+
+
+def test_the_contrastive_loss_by_hand(build, batch, monkeypatch) -> None:
+    model = build(ContrastiveWorldModel).eval()
+    order = torch.tensor([2, 0, 1, 4, 5, 3])
+    monkeypatch.setattr(torch, "randperm", lambda count, device=None: order)
+    losses = model.losses(batch)
+    with torch.no_grad():
+        now = model.states(batch.previous, batch.current).numpy()
+        then = model.states(batch.current, batch.next).numpy()
+        change = model.transition(torch.from_numpy(now), batch.action).numpy()
+    near, far = [], []
+    for row in range(6):
+        near.append(np.mean([((now[row] + change[row] - then[row])[k] ** 2).sum() for k in range(6)]) * 2)
+        distance = np.mean([((now[row] - now[order[row]])[k] ** 2).sum() for k in range(6)]) * 2
+        far.append(max(0.0, 1 - distance))
+    np.testing.assert_allclose(losses.total.item(), np.mean(near) + np.mean(far), rtol=1e-5)
+    np.testing.assert_allclose(losses.terms["attraction"], np.mean(near), rtol=1e-5)
+
+
+def test_exchanging_slots_exchanges_their_changes(build) -> None:
+    transition = build(ContrastiveWorldModel).transition
+    state = torch.randn(3, 6, 4, generator=torch.Generator().manual_seed(0))
+    action, order = torch.tensor([0, 1, 2]), torch.tensor([3, 1, 5, 0, 2, 4])
+    with torch.no_grad():
+        torch.testing.assert_close(transition(state, action)[:, order], transition(state[:, order], action))
+
+
+def test_a_slots_change_depends_on_every_other_slot(build) -> None:
+    transition = build(ContrastiveWorldModel).transition
+    state = torch.randn(1, 6, 4, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    (slope,) = torch.autograd.grad(transition(state, torch.tensor([1]))[0, 2].sum(), state)
+    assert (slope[0].abs().sum(1) > 0).all()
+
+
+def test_the_decoder_learns_apart(build, step, batch, video) -> None:
+    model = build(ContrastiveWorldModel)
+    model.enter(CONTRAST)
+    model.losses(batch).total.backward()
+    assert all(parameter.grad is None for parameter in model.decoder.parameters())
+    before = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+    model.zero_grad()
+    model.enter(DECODER)
+    first = model.losses(video).total.item()
+    assert step(model, video, 30) < first
+    changed = {
+        name.split(".")[0] for name, tensor in model.state_dict().items() if not torch.equal(tensor, before[name])
+    }
+    assert changed == {"decoder"}
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 12))
+@settings(deadline=None, derandomize=True, max_examples=40)
+def test_hits_and_reciprocal_ranks_are_those_of_brute_force(seed: int, count: int) -> None:
+    generator = np.random.default_rng(seed)
+    predicted, true = generator.integers(-2, 3, (2, count, 2, 2)).astype(np.float32)  # whole numbers: many ties
+    ranks = []
+    for row in range(count):
+        distances = [((predicted[row] - true[other]) ** 2).sum() for other in range(count)]
+        ranks.append(1 + sum(distance < distances[row] for distance in distances))
+    found = ranking(torch.from_numpy(predicted), torch.from_numpy(true))
+    assert found.hits_at_1 == np.mean([rank == 1 for rank in ranks])
+    np.testing.assert_allclose(found.mean_reciprocal_rank, np.mean([1 / rank for rank in ranks]))
+
+
+def test_perfect_predictions_rank_first() -> None:
+    states = torch.randn(50, 3, 2, generator=torch.Generator().manual_seed(0))
+    assert ranking(states, states).hits_at_1 == 1
+    assert ranking(states.roll(1, 0), states).hits_at_1 < 0.1

@@ -1,0 +1,99 @@
+"""What holds for every model of the benchmark: the contract, exact resuming, and blindness to unpaid labels."""
+
+from __future__ import annotations
+
+import shutil
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+import torch
+from noise_world import noise_episode, noise_spec
+
+from dmotion_bench.learning.devices import launch
+from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training import Report, train
+from dmotion_bench.registry import MODELS, model_class
+from dmotion_bench.specs import DatasetRecipe, Preset, Supervision
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.testing import check_model
+from dmotion_bench.workspace import Workspace
+
+NAMES = sorted(point.name for point in entry_points(group=MODELS) if point.value.startswith("baselines."))
+UNSUPERVISED = [name for name in NAMES if model_class(name).supervision is Supervision.NONE]
+FRAMES = 5
+SETTINGS = ("batch_size=4", "epochs=1", "validations=3")
+
+
+class Stopped(Exception):
+    """Raised by a progress callback."""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path, spec = tmp_path_factory.mktemp("data") / "noise-tiny", noise_spec(height=32, width=32)
+    recipe = DatasetRecipe(environment="noise", episodes=13, frames=FRAMES, shard_episodes=13)
+    with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
+        writer.write_shard(0, (noise_episode(number, FRAMES, spec) for number in range(13)))
+        writer.finish()
+    return path
+
+
+def _train(name: str, data: Path, folder: Path, labels: str | None = None, stop_at: int | None = None) -> Run:
+    if labels is None and name not in UNSUPERVISED:
+        labels = "100%"
+    dataset = Dataset.open(data)
+    request = TrainingRequest(model=name, labels=labels, preset=Preset.TINY, settings=SETTINGS)
+    run = open_run(request, dataset, folder, Workspace(folder))
+
+    def on_step(report: Report) -> None:
+        if report.step == stop_at:
+            raise Stopped
+
+    train(run, training_data(run, dataset), launch("cpu"), on_step)
+    return Run.open(folder)
+
+
+def test_the_benchmarks_models_are_those_of_its_design() -> None:
+    assert set(NAMES) == {
+        *("dmotion", "dmotion-no-stn", "wm-ae", "wm-vae", "ed-cnn", "cswm", "clasp"),
+        *("lapo", "lam-vae", "jepa"),
+    }
+    assert set(UNSUPERVISED) == {"dmotion", "dmotion-no-stn", "clasp", "lapo", "lam-vae"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_contract_is_kept(name: str) -> None:
+    check_model(model_class(name), size=32)
+
+
+@pytest.mark.parametrize("name", sorted({*NAMES} - {"dmotion", "dmotion-no-stn"}))
+def test_a_killed_run_ends_with_the_same_bits(name, recorded, tmp_path, monkeypatch) -> None:
+    whole = _train(name, recorded, tmp_path / "whole")
+    monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
+    for stop_at in (2, whole.result["steps"] // 2 + 1):  # in the second phase of those that have one
+        with pytest.raises(Stopped):
+            _train(name, recorded, tmp_path / "killed", stop_at=stop_at)
+    assert _train(name, recorded, tmp_path / "killed").result["weights"] == whole.result["weights"]
+
+
+@pytest.mark.parametrize("name", sorted({*UNSUPERVISED} - {"dmotion"}))
+def test_without_the_labels_unsupervised_training_is_the_same_to_the_bit(name, recorded, tmp_path) -> None:
+    bare = tmp_path / "noise-tiny"
+    shutil.copytree(recorded, bare)
+    shutil.rmtree(bare / "labels")
+    told = _train(name, recorded, tmp_path / "told", labels="one-shot")
+    untold = _train(name, bare, tmp_path / "untold", labels="none")
+    assert (told.result["labels_total"], untold.result["labels_total"]) == (2, 0)
+    tables = {"table", "table.rows"}
+    weights, same = told.model.state_dict(), untold.model.state_dict()
+    assert [key for key in weights if not torch.equal(weights[key], same[key])] == [*(tables & {*weights})]
+
+
+@pytest.mark.parametrize("name", sorted({*NAMES} - {*UNSUPERVISED}))
+def test_a_tenth_of_the_labels_is_a_tenth(name, recorded, tmp_path) -> None:
+    run = _train(name, recorded, tmp_path / "run", labels="10%")
+    each = FRAMES - 2  # triplets of an episode: one of eleven, and one to validate with
+    assert run.result["labels"] == {"training": each, "validation": each}

@@ -1,0 +1,76 @@
+"""The latent world model: SIGReg against its definition, and a decoder that never reaches the embedding."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from baselines.jepa import DECODER, EMBEDDING, LatentWorldModel, sketched_gaussianity
+
+
+def test_sigreg_is_the_epps_pulley_statistic_along_each_direction() -> None:
+    generator = np.random.default_rng(0)
+    embeddings, directions = generator.normal(size=(2, 9, 3)) * 1.7 + 0.3, generator.normal(size=(3, 5))
+    knots = np.linspace(0, 3, 17)
+    statistics = []
+    for time in range(2):
+        for direction in directions.T:
+            along = embeddings[time] @ (direction / np.linalg.norm(direction))
+            empirical = np.exp(1j * knots[:, None] * along).mean(1)
+            gap = np.abs(empirical - np.exp(-(knots**2) / 2)) ** 2 * np.exp(-(knots**2) / 2)
+            statistics.append(9 * 2 * np.trapezoid(gap, knots))  # the integrand is even: twice the half line
+    found = sketched_gaussianity(torch.from_numpy(embeddings).float(), torch.from_numpy(directions).float())
+    np.testing.assert_allclose(found.item(), np.mean(statistics), rtol=1e-4)
+
+
+def test_sigreg_tells_a_gaussian_from_a_collapse() -> None:
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.randn(16, 64, generator=generator)
+    gaussian = torch.randn(1, 512, 16, generator=generator)
+    flat = gaussian * (torch.arange(16) < 4)  # twelve of sixteen directions are empty
+    good, partly, wholly = (sketched_gaussianity(x, directions) for x in (gaussian, flat, gaussian * 0))
+    assert 5 * good < partly < wholly
+
+
+def test_each_phase_changes_its_own_part(build, step, batch, video) -> None:
+    model = build(LatentWorldModel, projections=8)
+    for phase, given, own in (
+        (EMBEDDING, batch, {"encoder", "projector", "predictor"}),
+        (DECODER, video, {"decoder"}),
+    ):
+        before = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+        model.train().enter(phase)
+        step(model, given, 3)
+        changed = {
+            name.split(".")[0] for name, tensor in model.state_dict().items() if not torch.equal(tensor, before[name])
+        }
+        assert changed == own
+
+
+def test_gradients_reach_the_target_too(build, batch) -> None:
+    """There is no stop-gradient: SIGReg alone keeps the embedding from collapsing."""
+    model = build(LatentWorldModel, projections=8, regularisation=0.0, dropout=0.0)
+    seen = []
+    embed = model.embed
+    model.embed = lambda image: seen.append(embed(image)) or seen[-1]
+    loss = model.losses(batch).total
+    (slope,) = torch.autograd.grad(loss, seen[0])
+    assert (slope.reshape(3, 6, -1).abs().sum((1, 2)) > 0).all()  # previous, current, next
+
+
+def test_without_sigreg_the_embedding_shrinks(build, step, batch) -> None:
+    spread = []
+    for weight in (0.0, 0.5):
+        model = build(LatentWorldModel, regularisation=weight, projections=64, dropout=0.0)
+        step(model, batch, 40, rate=1e-3)
+        spread.append(model.embed(batch.current).std(0).mean())
+    assert spread[1] > 2 * spread[0]
+
+
+def test_actions_change_the_prediction_once_it_has_learned(build, step, batch) -> None:
+    model = build(LatentWorldModel, projections=8)
+    step(model, batch, 5)
+    model.eval()
+    with torch.no_grad():
+        frames = [model.predict(batch.previous, batch.current, torch.full((6,), action)) for action in range(2)]
+    assert not torch.equal(*frames)

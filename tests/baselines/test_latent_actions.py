@@ -1,0 +1,108 @@
+"""LAPO's quantiser, the latent-action VAE, and the table that both are aligned by."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from baselines.action_table import ActionTable
+from baselines.lapo import Lapo, LapoConfig, VectorQuantizer
+from baselines.latent_action_vae import LatentActionVAE
+
+CONFIG = LapoConfig(codebooks=2, latents=3, codes=5, length=4, decay=0.75)
+
+
+def _quantizer() -> VectorQuantizer:
+    torch.manual_seed(0)
+    quantizer = VectorQuantizer(CONFIG)
+    quantizer.codes.normal_()
+    return quantizer
+
+
+def test_every_part_becomes_its_nearest_code() -> None:
+    quantizer = _quantizer().eval()
+    latent = torch.randn(7, CONFIG.action_length)
+    quantised, commitment = quantizer(latent)
+    parts, result = (x.detach().reshape(7, 2, 3, 4).numpy() for x in (latent, quantised))
+    codes = quantizer.codes.numpy()
+    error = []
+    for row, book, place in np.ndindex(7, 2, 3):
+        distances = [((parts[row, book, place] - code) ** 2).sum() for code in codes[book]]
+        nearest = codes[book][int(np.argmin(distances))]
+        np.testing.assert_allclose(result[row, book, place], nearest, atol=1e-6)
+        error.append((parts[row, book, place] - nearest) ** 2)
+    np.testing.assert_allclose(commitment.item(), CONFIG.commitment * np.mean(error), rtol=1e-5)
+
+
+def test_gradients_pass_straight_through() -> None:
+    latent = torch.randn(7, CONFIG.action_length, requires_grad=True)
+    weight = torch.randn(7, CONFIG.action_length)
+    quantised, _ = _quantizer().eval()(latent)
+    (slope,) = torch.autograd.grad((quantised * weight).sum(), latent)
+    torch.testing.assert_close(slope, weight)
+
+
+def test_codes_follow_the_parts_that_choose_them_in_training_alone() -> None:
+    quantizer = _quantizer()
+    latent = torch.randn(7, CONFIG.action_length)
+    before = quantizer.codes.clone()
+    quantizer.eval()(latent)
+    assert torch.equal(quantizer.codes, before)
+    counts, sums = quantizer.counts.clone(), quantizer.sums.clone()
+    parts = latent.reshape(7, 2, 3, 4)
+    chosen = quantizer.nearest(parts.permute(1, 0, 2, 3).reshape(2, 21, 4)).reshape(2, 7, 3)
+    quantizer.train()(latent)
+    for book in range(2):
+        for code in range(5):
+            mine = parts[:, book][chosen[book] == code]
+            count = 0.75 * counts[book, code] + 0.25 * len(mine)
+            total = 0.75 * sums[book, code] + 0.25 * mine.sum(0)
+            torch.testing.assert_close(quantizer.codes[book, code], total / count)
+
+
+def test_the_future_reaches_the_prediction_through_the_codes_alone(build, video) -> None:
+    model = build(Lapo).eval()
+    with torch.no_grad():
+        losses = model.losses(video)
+        model.table.rows = model.latent_action(video.previous, video.current, video.next)
+        frames = model.predict(video.previous, video.current, torch.arange(6))
+    torch.testing.assert_close(losses.per_triplet, (frames - video.next).square().mean((1, 2, 3)))
+
+
+def test_the_table_holds_means_and_keeps_what_was_not_shown() -> None:
+    table = ActionTable(3, 2)
+    table.fill(torch.tensor([[1.0, 2.0], [3.0, 6.0], [7.0, 7.0]]), torch.tensor([0, 0, 2]))
+    assert table(torch.tensor([2, 0, 1])).tolist() == [[7, 7], [2, 4], [0, 0]]
+    table.fill(torch.tensor([[5.0, 5.0]]), torch.tensor([1]))
+    assert table.rows.tolist() == [[2, 4], [5, 5], [7, 7]]
+
+
+def test_one_demonstration_of_each_action_decides_what_it_does(build, batch, demonstrations) -> None:
+    for kind in (Lapo, LatentActionVAE):
+        model = build(kind).eval()
+        with torch.no_grad():
+            model.align(demonstrations)
+            frames = [model.predict(batch.previous, batch.current, torch.full((6,), action)) for action in range(4)]
+        for one in range(4):
+            for other in range(one):
+                assert not torch.equal(frames[one], frames[other])
+
+
+def test_draws_are_for_training_alone(build, video) -> None:
+    model = build(LatentActionVAE)
+    assert model.losses(video).total != model.losses(video).total
+    model.eval()
+    assert model.losses(video).total == model.losses(video).total
+
+
+def test_beta_is_paid_in_units_of_images_between_0_and_1(build, video) -> None:
+    losses = build(LatentActionVAE, beta=0.25).eval().losses(video)
+    in_unit_range = losses.terms["prediction"] / 4
+    torch.testing.assert_close(losses.total / 4, in_unit_range + 0.25 * losses.terms["divergence"])
+
+
+def test_both_learn(build, step, video) -> None:
+    for kind in (Lapo, LatentActionVAE):
+        model = build(kind)
+        first = model.losses(video).total.item()
+        assert step(model, video, 40) < 0.8 * first

@@ -61,20 +61,47 @@ def squared_error(predicted: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"])
     return (predicted.float() - true.float()).square().flatten(1).mean(1)
 
 
+class _Wrap(torch.autograd.Function):
+    """One more row and column on each side, from the opposite one; one copy each way, channels-last throughout.
+
+    ``torch.cat`` and circular ``F.pad`` take as long as the convolution that follows them (DECISIONS.md).
+    """
+
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, picture: Tensor) -> Tensor:
+        inner = picture.permute(0, 2, 3, 1)
+        b, h, w, c = inner.shape
+        wide = inner.new_empty(b, h + 2, w + 2, c)
+        wide[:, 1:-1, 1:-1] = inner
+        wide[:, 0, 1:-1], wide[:, -1, 1:-1] = inner[:, -1], inner[:, 0]
+        wide[:, :, 0], wide[:, :, -1] = wide[:, :, -2], wide[:, :, 1]
+        return wide.permute(0, 3, 1, 2)
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> Tensor:
+        wide = gradients[0].permute(0, 2, 3, 1)
+        inner = wide[:, 1:-1, 1:-1].clone(memory_format=torch.contiguous_format)
+        inner[:, :, 0] += wide[:, 1:-1, -1]
+        inner[:, :, -1] += wide[:, 1:-1, 0]
+        inner[:, 0] += wide[:, -1, 1:-1]
+        inner[:, -1] += wide[:, 0, 1:-1]
+        for row, column in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
+            inner[:, row, column] += wide[:, -1 - row, -1 - column]
+        return inner.permute(0, 3, 1, 2)
+
+
 class RoundConv2d(nn.Conv2d):
     """A 3 x 3 convolution on a picture without edges: beyond the last column lies the first.
 
     Padding with zeros tells a network how far from the edge it is. Here it cannot know where in the picture it looks:
-    rolling the picture rolls the result (by whole strides). Concatenation keeps the memory channels-last.
+    rolling the picture rolls the result (by whole strides).
     """
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
         super().__init__(inputs, outputs, 3, stride)
 
     def forward(self, picture: Float[Tensor, "b c h w"]) -> Float[Tensor, "b o y x"]:
-        wide = torch.cat([picture[..., -1:], picture, picture[..., :1]], dim=-1)
-        tall = torch.cat([wide[..., -1:, :], wide, wide[..., :1, :]], dim=-2)
-        convolved: Tensor = super().forward(tall)
+        convolved: Tensor = super().forward(_Wrap.apply(picture))  # type: ignore[no-untyped-call]
         return convolved
 
 

@@ -12,7 +12,7 @@ import typer
 ENVIRONMENT = "grid_world"
 MODEL = "dmotion"
 EPISODES = 200
-EPOCHS = 5
+EPOCHS = 8
 
 
 def register(app: typer.Typer) -> None:

@@ -89,8 +89,8 @@ class ControlResult:
 
     tasks: tuple[int, ...]
     episodes: tuple[int, ...]
-    distance: Float[np.ndarray, "n t+1"]
-    lost: Int[np.ndarray, "n t+1"]
+    distance: Float[np.ndarray, "n moments"]
+    lost: Int[np.ndarray, "n moments"]
     actions: Int[np.ndarray, "n t"]
     frames: int
     seconds: float
@@ -233,9 +233,7 @@ class _Gaze:
         self._previous = np.where(still, self._previous, self._current)
         self._current = frames
 
-    def seen(
-        self, worlds: Sequence[World], step: int, seed: int, memory: Int[np.ndarray, "b n t"] | None
-    ) -> Seen:
+    def seen(self, worlds: Sequence[World], step: int, seed: int, memory: Int[np.ndarray, "b n t"] | None) -> Seen:
         """What a controller is told."""
         return Seen(
             previous=self._previous,

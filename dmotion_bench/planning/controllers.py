@@ -112,7 +112,7 @@ class ModelController:
                 "plan on the data set that it was trained on."
             )
         self.device = device or torch.device("cpu")
-        self.model = model.to(self.device, memory_format=torch.channels_last).eval()
+        self.model = model.to(self.device).eval()
         self.spec, self.planner, self.cost, self.bf16 = spec, planner, cost, bf16
 
     def futures(self, seen: Seen) -> ModelFutures:

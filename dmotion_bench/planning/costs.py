@@ -107,9 +107,7 @@ def features_of(model: ForwardModel[Any], state: State) -> Float[Tensor, "b d"]:
     return torch.cat([part.flatten(1).float() for part in parts], dim=1)
 
 
-def make_cost(
-    name: str | None, model: ForwardModel[Any], spec: EnvSpec, goals: UInt8[Tensor, "b h w 3"]
-) -> Cost:
+def make_cost(name: str | None, model: ForwardModel[Any], spec: EnvSpec, goals: UInt8[Tensor, "b h w 3"]) -> Cost:
     """A cost by its name; None is the paper's for models of pixels, else features.
 
     Raises:

@@ -98,7 +98,8 @@ class CrossEntropyPlanner:
         """A sequence's cost from those of its steps."""
         if self.haste:
             costs = costs * (1 + self.haste * np.arange(costs.shape[2]))
-        return costs.min(axis=2)
+        lowest: Float[np.ndarray, "b s"] = costs.min(axis=2)
+        return lowest
 
 
 def draw(
@@ -115,7 +116,7 @@ def draw(
     allowed = chance[0] * first
     rows = np.concatenate([(allowed if allowed.any() else np.asarray(first, float))[None], chance[1:]])
     bounds = rows.cumsum(axis=1)
-    fresh = (generator.random((count, len(rows), 1)) * bounds[:, -1:] >= bounds).sum(axis=2)
+    fresh: Int[np.ndarray, "s t"] = (generator.random((count, len(rows), 1)) * bounds[:, -1:] >= bounds).sum(axis=2)
     if not stickiness:
         return fresh
     repeats = generator.random(fresh.shape) < stickiness

@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Int
@@ -62,7 +62,7 @@ class Journal:
             self._read(path)
 
     @classmethod
-    def nowhere(cls) -> Self:
+    def nowhere(cls) -> Journal:
         """A journal that keeps nothing."""
         return cls(None, {})
 
@@ -80,9 +80,7 @@ class Journal:
             return None
         return np.array(found, np.int64)
 
-    def write(
-        self, records: Mapping[int, TaskRecord], memory: Int[np.ndarray, "b n t"] | None, *, last: bool
-    ) -> None:
+    def write(self, records: Mapping[int, TaskRecord], memory: Int[np.ndarray, "b n t"] | None, *, last: bool) -> None:
         """Keep these records; on disk every few seconds and after a group's last step."""
         self._records.update(records)
         self._memory = {}

@@ -82,6 +82,9 @@ def best_first(
     return np.stack(chosen), np.stack(prices)
 
 
+DEFAULT_PLANNER = "cem"
+
+
 def _planners() -> Mapping[str, Callable[[], Planner]]:
     from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
     from dmotion_bench.planning.exhaustive import ExhaustivePlanner

@@ -144,6 +144,15 @@ def task_environment(recipe: DatasetRecipe) -> Environment:
     return make_environment(environment_class(recipe.environment), recipe)
 
 
+@runtime_checkable
+class Moving(Protocol):
+    """An environment that says where its actions lead."""
+
+    @property
+    def moves(self) -> Float[np.ndarray, "a 2"]:
+        """Where each action takes the agent [m]."""
+
+
 class World:
     """A simulator in which one problem is being solved.
 
@@ -154,11 +163,13 @@ class World:
     Attributes:
         actions: Taken since the start.
         frame: What is seen now.
+        walls: Places [m] that the agent was found to be kept from.
     """
 
     def __init__(self, env: Environment, problem: Problem) -> None:
         self.env, self.problem = env, problem
         self.actions: list[int] = []
+        self.walls: list[Float[np.ndarray, "2"]] = []
         self.frame = start(env, problem)
         if not np.array_equal(self.frame, problem.start_frame):
             raise DatasetError(
@@ -166,11 +177,18 @@ class World:
                 "machine does not repeat what was recorded (another version of its package?). Record the data set "
                 "again with 'dmbench record'."
             )
+        self._look_for_walls()
 
     def step(self, action: int) -> None:
         """Take an action."""
         self.frame = self.env.step(action)[0]
         self.actions.append(action)
+        self._look_for_walls()
+
+    def _look_for_walls(self) -> None:
+        if isinstance(self.env, Moving):
+            barred = ~self.env.legal_actions()
+            self.walls += list(self.env.agent().position[0, :2] + self.env.moves[barred])
 
     @property
     def distance(self) -> float:

@@ -85,9 +85,7 @@ class Simulation:
             known = self._now = _place(self.env, (*place.actions, action), self._price(frame))
             self._after[place.name, action] = known
         if known.actions[:-1] != place.actions:  # the same place, reached on another way
-            known = Place(
-                actions=(*place.actions, action), snapshot=known.snapshot, name=known.name, cost=known.cost
-            )
+            known = Place(actions=(*place.actions, action), snapshot=known.snapshot, name=known.name, cost=known.cost)
         return known
 
     def _go(self, place: Place) -> None:

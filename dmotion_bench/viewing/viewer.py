@@ -117,7 +117,8 @@ def open_live(*, web: bool) -> Iterator[LiveViewer]:
     if not web:
         require_display()
     port = _free_port(LIVE_PORT)
-    address, ports, page = f"rerun+http://{LOOPBACK}:{port}/proxy", (port,), None
+    address, page = f"rerun+http://{LOOPBACK}:{port}/proxy", None
+    ports: tuple[int, ...] = (port,)
     options = ["--bind", LOOPBACK, "--port", str(port)]
     if web:
         page_port = _free_port(WEB_PORT)

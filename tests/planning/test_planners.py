@@ -141,9 +141,9 @@ def test_sequences_are_drawn_with_the_chances_given() -> None:
 
 
 def test_sticky_sequences_repeat_themselves() -> None:
-    chance = np.full((6, 4), 0.25)
+    chance, every = np.full((6, 4), 0.25), np.ones(4, np.bool_)
     repeated = {
-        stickiness: (np.diff(draw(np.random.default_rng(0), chance, np.ones(4, np.bool_), 5000, stickiness)) == 0).mean()
+        stickiness: (np.diff(draw(np.random.default_rng(0), chance, every, 5000, stickiness)) == 0).mean()
         for stickiness in (0.0, 0.6)
     }
     assert repeated[0.0] == pytest.approx(0.25, abs=0.02)

@@ -1,0 +1,56 @@
+"""A model's imagination driven step by step: one picture to begin with, then nothing but actions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from jaxtyping import Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.model import ForwardModel
+
+
+class Drive:
+    """What a model believes happens.
+
+    Args:
+        model: Aligned, in evaluation mode.
+        start: What is seen at first; given to the model twice, as its last two frames.
+
+    Attributes:
+        actions: Taken since the start.
+    """
+
+    def __init__(self, model: ForwardModel[Any], start: UInt8[Tensor, "h w 3"]) -> None:
+        self._model, self._start = model, start
+        self.restart()
+
+    def restart(self) -> None:
+        """Back to the first picture."""
+        self.actions: list[int] = []
+        self.frame = self._start
+        image = to_model(self._start[None])
+        with torch.inference_mode():
+            self._state = self._model.begin(image, image)
+
+    def step(self, action: int) -> UInt8[Tensor, "h w 3"]:
+        """Take an action; what the model sees then."""
+        with torch.inference_mode():
+            self._state = self._model.advance(self._state, torch.tensor([action]))
+            self.frame = to_pixels(self._model.frame(self._state))[0]
+        self.actions.append(action)
+        return self.frame
+
+
+def imagined(
+    model: ForwardModel[Any],
+    previous: UInt8[Tensor, "h w 3"],
+    current: UInt8[Tensor, "h w 3"],
+    sequences: Int[Tensor, "m t"],
+) -> UInt8[Tensor, "m t h w 3"]:
+    """What a model believes that some sequences of actions lead to."""
+    before, now = (to_model(image[None]).expand(len(sequences), -1, -1, -1) for image in (previous, current))
+    with torch.inference_mode():
+        return to_pixels(model.rollout(before, now, sequences))

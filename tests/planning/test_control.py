@@ -1,0 +1,306 @@
+"""The control loop in Grid World, where a model that knows the rules can be had without training."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from planning.worlds import PerfectGridModel
+
+from dmotion_bench.environment import Environment
+from dmotion_bench.errors import DatasetError, ModelContractBroken, UnknownName
+from dmotion_bench.planning.control import ControlProgress, ControlResult, ControlSettings, Scene, control
+from dmotion_bench.planning.controllers import (
+    NO_ACTION,
+    Decision,
+    IdleController,
+    ModelController,
+    OracleController,
+    RandomController,
+    Seen,
+    make_reference,
+)
+from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
+from dmotion_bench.planning.exhaustive import ExhaustivePlanner
+from dmotion_bench.planning.journal import Journal
+from dmotion_bench.planning.problems import Problem, load_problems, start, task_environment
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.control import control_figures, score_control
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+from recorders.grid_world import FACTS, GridWorld
+
+SMALL = CrossEntropyPlanner(samples=12, horizon=4, iterations=2, elites=4)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("data") / "grid"
+    record_dataset(folder, DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=6))
+    return Dataset.open(folder)
+
+
+@pytest.fixture(scope="module")
+def problems(dataset: Dataset) -> list[Problem]:
+    return load_problems(dataset)
+
+
+def solve(controller: Any, problems: list[Problem], **settings: Any) -> ControlResult:
+    return control(controller, problems, GridWorld, ControlSettings(**settings))
+
+
+def test_a_problem_starts_where_it_was_recorded(dataset: Dataset, problems: list[Problem]) -> None:
+    assert len(problems) == 6
+    for problem in problems:
+        labels, video = dataset.labels(problem.task.episode), dataset.video(problem.task.episode)
+        env = GridWorld()
+        np.testing.assert_array_equal(start(env, problem), video[problem.task.start])
+        np.testing.assert_array_equal(env.objects().position, labels.objects.position[problem.task.start])
+        np.testing.assert_array_equal(problem.goal_frame, video[problem.task.goal])
+        recorded = labels.actions[problem.task.start : problem.task.goal].tolist()
+        np.testing.assert_array_equal(start(env, problem, recorded), problem.goal_frame)
+        assert problem.distance(env.objects().position) == 0
+
+
+def test_the_distance_is_a_share_of_the_initial_one_and_a_lost_object_costs_one(problems: list[Problem]) -> None:
+    problem = problems[0]
+    assert problem.distance(problem.start_positions) == pytest.approx(1)
+    assert problem.distance(problem.goal_positions) == 0
+    halfway = (problem.start_positions + problem.goal_positions) / 2
+    assert problem.distance(halfway) == pytest.approx(0.5)
+    there = int(np.flatnonzero(~np.isnan(problem.goal_positions[:, 0]))[0])
+    gone = problem.goal_positions.copy()
+    gone[there] = np.nan
+    assert (problem.distance(gone), problem.lost(gone)) == (1, 1)
+
+
+def test_doing_nothing_stays_at_one(problems: list[Problem]) -> None:
+    result = solve(IdleController(), problems, steps=5)
+    np.testing.assert_array_equal(result.distance, 1)
+    np.testing.assert_array_equal(result.actions, NO_ACTION)
+    assert control_figures(result)["control_distance[5]"].mean == 1
+
+
+def test_a_perfect_model_solves_what_random_actions_do_not(problems: list[Problem]) -> None:
+    planner = CrossEntropyPlanner(samples=20, horizon=5, iterations=2, elites=5)
+    solved = solve(ModelController(PerfectGridModel(), FACTS, planner, bf16=False), problems, steps=15)
+    lucky = solve(RandomController(), problems, steps=15)
+    assert solved.distance.shape == (6, 16)
+    assert solved.distance[:, -1].mean() < 0.6 < lucky.distance[:, -1].mean()
+    assert solved.lost.sum() <= lucky.lost.sum()
+
+
+def test_a_perfect_model_and_the_oracle_do_the_same(problems: list[Problem]) -> None:
+    """The oracle looks into the simulator what the model draws: the same frames, so the same plans."""
+    imagined = solve(ModelController(PerfectGridModel(), FACTS, SMALL, bf16=False), problems[:3], steps=8)
+    true = solve(OracleController(FACTS, SMALL, GridWorld), problems[:3], steps=8)
+    np.testing.assert_array_equal(imagined.actions, true.actions)
+    np.testing.assert_array_equal(imagined.distance, true.distance)
+    assert imagined.frames == true.frames
+
+
+@pytest.mark.parametrize("group", [1, 4])
+def test_tasks_side_by_side_are_the_same_as_one_by_one(problems: list[Problem], group: int) -> None:
+    together = solve(ModelController(PerfectGridModel(), FACTS, SMALL, bf16=False), problems, steps=6, group=6)
+    grouped = solve(ModelController(PerfectGridModel(), FACTS, SMALL, bf16=False), problems, steps=6, group=group)
+    np.testing.assert_array_equal(together.actions, grouped.actions)
+    np.testing.assert_array_equal(together.distance, grouped.distance)
+    assert together.frames == grouped.frames
+
+
+def test_the_seed_decides(problems: list[Problem]) -> None:
+    first, again, other = (solve(RandomController(), problems[:2], steps=10, seed=seed).actions for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+
+
+class Masquerade(GridWorld):
+    """Grid World as always, until the task begins; then another state behind the very same pictures.
+
+    From then on the frames are those of a film, and everything that could be asked of the simulator is a lie.
+    """
+
+    def __init__(self, film: list[np.ndarray], opening: int) -> None:
+        super().__init__()
+        self.film, self.opening, self.taken = film, opening, 0
+
+    def reset(self, **options: Any) -> Any:
+        self.taken = 0
+        return super().reset(**options)
+
+    def step(self, action: int) -> Any:
+        self.taken += 1
+        result = super().step(action)
+        if self.taken <= self.opening:
+            return result
+        self._cells = np.roll(self._cells, 1, axis=0)  # not at all where the picture has them
+        return (self.film[self.taken - self.opening - 1], *result[1:])
+
+
+def test_a_model_sees_images_and_nothing_else(problems: list[Problem]) -> None:
+    problem = problems[0]
+    controller = ModelController(PerfectGridModel(), FACTS, SMALL, bf16=False)
+    film: list[np.ndarray] = []
+    honest = control(
+        controller,
+        [problem],
+        GridWorld,
+        ControlSettings(steps=6),
+        watch=lambda scene: film.append(scene.worlds[0].frame) if scene.seen.step else None,
+    )
+    film.append(film[-1])
+    masked = control(
+        controller,
+        [problem],
+        lambda: Masquerade(film, len(problem.opening)),
+        ControlSettings(steps=6),
+    )
+    np.testing.assert_array_equal(honest.actions, masked.actions)
+    assert (honest.distance[:, 1:] != masked.distance[:, 1:]).any()  # the simulator's state was another
+
+
+def test_the_first_image_is_given_twice_and_only_changes_count(problems: list[Problem]) -> None:
+    seen: list[Seen] = []
+
+    class Into(RandomController):
+        """Down, until the wall and on."""
+
+        def act(self, one: Seen) -> Decision:
+            seen.append(one)
+            return Decision(action=np.array([1]))
+
+    solve(Into(), problems[:1], steps=8)
+    np.testing.assert_array_equal(seen[0].previous, seen[0].current)
+    np.testing.assert_array_equal(seen[0].current[0], problems[0].start_frame)
+    at_the_wall = seen[-1]
+    assert at_the_wall.blocked.tolist() == [[False, True, False, False]]
+    assert (at_the_wall.previous != at_the_wall.current).any()
+    for before, after in itertools.pairwise(seen):
+        if (before.current != after.current).any():
+            np.testing.assert_array_equal(after.previous, before.current)
+            assert not after.blocked.any()
+
+
+class Killed(Exception):
+    """The process is gone."""
+
+
+@pytest.mark.parametrize("dies_at", [1, 5, 8, 11])
+def test_a_killed_run_goes_on_with_the_same_result(
+    problems: list[Problem], tmp_path: Path, dies_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
+    planner = CrossEntropyPlanner(samples=8, horizon=4, iterations=1, elites=3, kept=3)
+    settings = ControlSettings(steps=6, group=2)
+
+    def run(watch: Callable[[Scene], None] = lambda _: None) -> ControlResult:
+        controller = ModelController(PerfectGridModel(), FACTS, planner, bf16=False)
+        journal = Journal(tmp_path / "journal.json", {"who": "me"})
+        return control(controller, problems[:4], GridWorld, settings, journal=journal, watch=watch)
+
+    whole = control(ModelController(PerfectGridModel(), FACTS, planner, bf16=False), problems[:4], GridWorld, settings)
+    steps: Iterator[int] = iter(range(100))
+
+    def die(_: Scene) -> None:
+        if next(steps) == dies_at:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run(die)
+    begun = run()
+    for field in ("actions", "distance", "lost"):
+        np.testing.assert_array_equal(getattr(begun, field), getattr(whole, field))
+    assert begun.frames == whole.frames
+    assert begun.planned == 24 - 2 * dies_at
+    assert run().planned == 0
+
+
+def test_progress_of_something_else_is_not_taken_up(dataset: Dataset, tmp_path: Path) -> None:
+    file = tmp_path / "control.json"
+    first = score_control("random", dataset, tasks=2, steps=4, checkpoint=file)
+    assert score_control("random", dataset, tasks=2, steps=4, checkpoint=file).planned == 0
+    assert score_control("random", dataset, tasks=2, steps=4, seed=1, checkpoint=file).planned == 8
+    for spoilt in ("", "[]", '{"format": "dmbench-control/1"}', file.read_text().replace("distance", "distant")):
+        file.write_text(spoilt)
+        again = score_control("random", dataset, tasks=2, steps=4, checkpoint=file)
+        assert again.planned == 8
+        np.testing.assert_array_equal(again.actions, first.actions)
+
+
+def test_figures_are_means_over_tasks(dataset: Dataset) -> None:
+    reports: list[ControlProgress] = []
+    result = score_control("random", dataset, steps=12, progress=reports.append)
+    figures = control_figures(result)
+    assert list(figures) == [
+        "control_distance[10]",
+        "control_distance[12]",
+        "control_success",
+        "control_success[0.1]",
+        "control_success[0.2]",
+        "control_success[0.5]",
+        "control_lost",
+    ]
+    assert figures["control_distance[12]"].mean == pytest.approx(result.distance[:, 12].mean())
+    assert figures["control_distance[12]"].std == pytest.approx(result.distance[:, 12].std())
+    assert figures["control_success[0.5]"].mean == (result.distance[:, 12] <= 0.5).mean()
+    assert all(figure.n == 6 for figure in figures.values())
+    assert reports[-1].steps == reports[-1].total == 72
+    assert reports[-1].distance == pytest.approx(result.distance[:, -1].mean())
+
+
+def test_mistakes_get_sentences(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(UnknownName, match=r"no reference named 'orakel'; did you mean 'oracle'\?"):
+        make_reference("orakel", FACTS, GridWorld)
+    with pytest.raises(UnknownName, match="no task named '6'; known: 0 to 5"):
+        load_problems(dataset, [6])
+    with pytest.raises(UnknownName, match="no planner named 'cen'; did you mean 'cem'"):
+        score_control("random", dataset, planner="cen")
+    record_dataset(tmp_path / "none", DatasetRecipe(environment="grid_world", episodes=2, frames=4))
+    with pytest.raises(DatasetError, match="'dmbench record grid_world --tasks 20'"):
+        load_problems(Dataset.open(tmp_path / "none"))
+    model = PerfectGridModel()
+    model.inputs = type(model.inputs)(height=128, width=128, actions=2)
+    with pytest.raises(ModelContractBroken, match="made for 2 actions, and 'grid_world' has 4"):
+        ModelController(model, FACTS, SMALL)
+
+
+def test_a_simulator_that_does_not_repeat_the_recording_is_noticed(problems: list[Problem]) -> None:
+    class OtherVersion(GridWorld):
+        def reset(self, **options: Any) -> Any:
+            return super().reset(seed=options["seed"] + 1)
+
+    with pytest.raises(DatasetError, match="does not repeat what was recorded"):
+        control(IdleController(), problems[:1], OtherVersion)
+
+
+def test_the_oracle_tries_things_out_in_a_simulator_of_its_own(problems: list[Problem]) -> None:
+    made: list[Environment] = []
+
+    def make() -> Environment:
+        made.append(GridWorld())
+        return made[-1]
+
+    controller = OracleController(FACTS, ExhaustivePlanner(horizon=2), make)
+    scenes: list[bytes] = []
+    control(
+        controller,
+        problems[:1],
+        make,
+        ControlSettings(steps=3),
+        watch=lambda scene: scenes.append(scene.worlds[0].frame.tobytes()),
+    )
+    assert len(made) == 2
+    replayed = [problems[0].start_frame.tobytes()]
+    assert scenes[0] == replayed[0]
+    assert torch.get_num_threads() >= 1
+
+
+def test_task_environment_is_the_recorded_one(dataset: Dataset) -> None:
+    assert isinstance(task_environment(dataset.recipe), GridWorld)
+    assert json.loads(json.dumps(dataset.recipe.parameters)) == {}

@@ -32,6 +32,7 @@ def bench(
         return
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -46,5 +47,5 @@ def bench(
     for result in results:
         share = f"{100 * result.value / result.limit:.0f}%" if result.limit else ""
         bound = f"{result.limit:,.0f} ({result.limit_name})" if result.limit else ""
-        table.add_row(result.name, f"{result.value:,.1f}", result.unit, share, bound)
+        table.add_row(escape(result.name), f"{result.value:,.1f}", result.unit, share, bound)
     Console().print(table)

@@ -249,9 +249,7 @@ def _ranked(rows: list[Row]) -> list[Row]:
     if not ranked:
         return rows
     best = min(ranked, key=lambda row: row.figures[RANKED_BY].mean)
-    return [
-        replace(row, is_best=True) if row is best else replace(row, behind=_difference(row, best)) for row in rows
-    ]
+    return [replace(row, is_best=True) if row is best else replace(row, behind=_difference(row, best)) for row in rows]
 
 
 def _difference(row: Row, best: Row) -> Estimate | None:

@@ -117,8 +117,14 @@ def entry_of_run(path: Path, *, earlier: Path | None = None) -> Entry:
     """
     report, samples = scored(path)
     run = Run.open(path)
-    if run.result is None or run.result["weights"] != report.weights or run.spec.fingerprint != report.dataset["fingerprint"]:
-        raise EntryInvalid(f"the report of {str(path)!r} is of an earlier training; score it with 'dmbench score {path}'.")
+    if (
+        run.result is None
+        or run.result["weights"] != report.weights
+        or run.spec.fingerprint != report.dataset["fingerprint"]
+    ):
+        raise EntryInvalid(
+            f"the report of {str(path)!r} is of an earlier training; score it with 'dmbench score {path}'."
+        )
     stored = json.loads((path / REPORT_FOLDER / REPORT_FILE).read_text())
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
     content |= {name: stored[name] for name in REPORT_FIELDS}

@@ -117,9 +117,7 @@ class _Scale:
         return self.start + (place - low) / (high - low) * (self.stop - self.start)
 
 
-def line_chart(
-    title: str, x: Axis, y: Axis, series: Sequence[Series], guides: Sequence[Guide] = ()
-) -> Markup:
+def line_chart(title: str, x: Axis, y: Axis, series: Sequence[Series], guides: Sequence[Guide] = ()) -> Markup:
     """A chart of some series; ``title`` is what a screen reader says of it. Values that a log axis cannot show are left out."""
     series = [_drawable(one, x, y) for one in series]
     across = _scale(x, [point.x for one in series for point in one.points], LEFT, WIDTH - RIGHT)
@@ -159,7 +157,9 @@ def key(style: Style, *, dash: str = "solid", hollow: bool = False) -> Markup:
 
 def _drawable(one: Series, x: Axis, y: Axis) -> Series:
     points = [
-        point for point in one.points if math.isfinite(point.y) and not (y.log and point.y <= 0 or x.log and point.x <= 0)
+        point
+        for point in one.points
+        if math.isfinite(point.y) and not ((y.log and point.y <= 0) or (x.log and point.x <= 0))
     ]
     return Series(name=one.name, points=points, style=one.style, dash=one.dash, hollow=one.hollow, marked=one.marked)
 

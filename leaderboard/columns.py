@@ -28,7 +28,9 @@ class Column:
 
 
 _SINGLE: Final = (
-    Column(figure="mse", heading="MSE", meaning="Mean squared error of pixel values 0-255 over all pixels and channels."),
+    Column(
+        figure="mse", heading="MSE", meaning="Mean squared error of pixel values 0-255 over all pixels and channels."
+    ),
     Column(figure="mse_push", heading="MSE, pushes", meaning="The same over the steps at which an object is moved."),
     Column(figure="psnr", heading="PSNR", unit="dB", meaning="Mean of the frames' PSNRs.", higher=True),
     Column(figure="ssim", heading="SSIM", meaning="Structural similarity, 1 for identical frames.", higher=True),
@@ -112,10 +114,17 @@ def number(value: float | int | None) -> str:
     elif size >= 1:
         text = f"{size:.2f}"
     elif size >= 1e-4:
-        text = f"{size:.3g}"
+        text = f"{size:#.3g}"
     else:
         text = "0"
     return f"\u2212{text}" if value < 0 and text != "0" else text
+
+
+def interval(low: float | None, high: float | None, *, sign: bool = False) -> str:
+    """From one number to another; nothing where there is no interval."""
+    if low is None or high is None:
+        return ""
+    return f"{signed(low)} to {signed(high)}" if sign else f"{number(low)} \u2013 {number(high)}"
 
 
 def count(value: float) -> str:

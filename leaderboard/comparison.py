@@ -160,17 +160,17 @@ def sums_by_episode(samples: pa.Table) -> dict[str, dict[str, list[Any]]]:
     return found
 
 
-def difference_by_episode(
-    first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]
-) -> Estimate | None:
+def difference_by_episode(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> Estimate | None:
     """The paired difference first - second of two models, each the mean over its seeds, from sums over episodes.
 
     The same as ``paired_difference`` of the samples; ``std`` is that over episodes' means. None where the sums are
     not over the same samples.
     """
     everything = [*first, *second]
-    if not first or not second or any(
-        (one["episode"], one["n"]) != (everything[0]["episode"], everything[0]["n"]) for one in everything
+    if (
+        not first
+        or not second
+        or any((one["episode"], one["n"]) != (everything[0]["episode"], everything[0]["n"]) for one in everything)
     ):
         return None
     count = np.asarray(everything[0]["n"], np.float64)

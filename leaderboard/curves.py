@@ -60,6 +60,7 @@ def charts(board: Board, styles: Styles) -> Markup:
             "position error [px]",
             "steps ahead",
             f"Position error over the rollout: {where}",
+            log=True,
         ),
         _ahead(
             board,
@@ -104,7 +105,10 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
     rows = sorted((row for own in groups.values() for row in own), key=lambda row: (row.label_count or 0, row.title))
     numbers = _numbers(
         ("model", "labels", words),
-        [(row.title, f"{row.labels} ({count(row.label_count or 0)})", number(row.figures[figure].mean)) for row in rows],
+        [
+            (row.title, f"{row.labels} ({count(row.label_count or 0)})", number(row.figures[figure].mean))
+            for row in rows
+        ],
     )
     return _figure(chart, title, numbers)
 
@@ -141,7 +145,9 @@ def _ahead(
         if row.kind == "reference" and len(points := _steps(row, base)) > 1 and base != "control_distance"
     ]
     ticks = sorted(step for step in marked) if len(marked) < 12 else ()
-    chart = line_chart(title, Axis(label=along, ticks=ticks), Axis(label=words, log=log, zero=True), [*series, *still], guides)
+    chart = line_chart(
+        title, Axis(label=along, ticks=ticks), Axis(label=words, log=log, zero=True), [*series, *still], guides
+    )
     shown = sorted(marked)
     numbers = _numbers(
         ("model", "labels", *(f"{step:g}" for step in shown)),
@@ -180,10 +186,9 @@ def _point(x: float, row: Row, figure: str) -> Point:
 
 
 def _steps(row: Row, base: str) -> list[Point]:
-    places = [
-        (int(found[2]), name) for name in row.figures if (found := _AHEAD.fullmatch(name)) and found[1] == base
-    ]
-    return [_point(float(step), row, name) for step, name in sorted(places)]
+    places = [(int(found[2]), name) for name in row.figures if (found := _AHEAD.fullmatch(name)) and found[1] == base]
+    start = [Point(x=0.0, y=1.0)] if base == "control_distance" and places and min(places)[0] > 0 else []
+    return start + [_point(float(step), row, name) for step, name in sorted(places)]
 
 
 def _guides(board: Board, figure: str) -> list[Guide]:

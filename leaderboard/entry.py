@@ -159,12 +159,8 @@ def read_entry(path: Path) -> Entry:
         EntryInvalid: There is none, or it is no entry; says why.
     """
     try:
-        with path.open("rb") as file:
-            raw = file.read(LARGEST + 1)
-        if len(raw) > LARGEST:
-            raise ValueError(f"it is larger than {LARGEST} bytes")
         content = json.loads(
-            raw, object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_whole, parse_float=_real
+            _read(path), object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_whole, parse_float=_real
         )
         return Entry(content)
     except (OSError, ValueError, RecursionError, EntryInvalid) as error:
@@ -173,6 +169,14 @@ def read_entry(path: Path) -> Entry:
             f"{str(path)!r} is no entry of the leaderboard: {said}. "
             "Entries are written by 'dmbench leaderboard build'; what they hold is in leaderboard/schema.json."
         ) from None
+
+
+def _read(path: Path) -> bytes:
+    with path.open("rb") as file:
+        raw = file.read(LARGEST + 1)
+    if len(raw) > LARGEST:
+        raise ValueError(f"it is larger than {LARGEST} bytes")
+    return raw
 
 
 def read_entries(folder: Path) -> list[Entry]:

@@ -41,7 +41,8 @@ def gallery(board: Board, steps: int) -> Markup | None:
         element("h3", "What the models predict"),
         element(
             "p",
-            "The same held-out steps for every model, chosen by the data set alone. Of several seeds the first is shown.",
+            "The same held-out steps for every model, chosen by the data set alone. "
+            "Of several seeds the first is shown.",
             class_="note",
         ),
         joined(steps_shown),
@@ -100,4 +101,3 @@ def _pictured(board: Board) -> list[Row]:
 def _of(entry: Entry, chosen: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | None]:
     own = {identity(picture): picture for picture in entry.pictures}
     return [own.get(identity(picture)) for picture in chosen]
-

@@ -20,6 +20,7 @@ KINDS: Mapping[str, tuple[type, ...]] = {
     "boolean": (bool,),
     "null": (type(None),),
 }
+INFINITE = float("inf")
 ANNOTATIONS = frozenset({"$schema", "$id", "$defs", "title", "description"})
 KNOWN = ANNOTATIONS | {
     *("type", "const", "enum", "$ref", "if", "then", "else"),
@@ -33,7 +34,7 @@ def violations(value: object, schema: Mapping[str, Any]) -> list[str]:
     return list(_violations(value, schema, schema, "the entry"))
 
 
-def _violations(value: object, rule: Mapping[str, Any], root: Mapping[str, Any], place: str) -> Iterator[str]:
+def _violations(value: Any, rule: Mapping[str, Any], root: Mapping[str, Any], place: str) -> Iterator[str]:
     unknown = set(rule) - KNOWN
     if unknown:
         raise ValueError(f"the schema uses {', '.join(sorted(unknown))}, which is not known here")
@@ -55,9 +56,8 @@ def _violations(value: object, rule: Mapping[str, Any], root: Mapping[str, Any],
         yield from _of_object(value, rule, root, place)
     elif isinstance(value, list):
         yield from _of_array(value, rule, root, place)
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        if not rule.get("minimum", -float("inf")) <= value <= rule.get("maximum", float("inf")):
-            yield f"{place} is {value}, which cannot be"
+    elif _is_kind(value, "number") and not rule.get("minimum", -INFINITE) <= value <= rule.get("maximum", INFINITE):
+        yield f"{place} is {value}, which cannot be"
 
 
 def _of_text(value: str, rule: Mapping[str, Any], place: str) -> Iterator[str]:

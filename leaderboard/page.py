@@ -69,7 +69,10 @@ def _hash(text: str) -> str:
 def _header(entries: Sequence[Entry], boards: Sequence[Board]) -> Markup:
     measured = [entry for entry in entries if entry.is_measured]
     links = [
-        element("li", element("a", f"{board.title}{f', {board.dataset}' if board.dataset else ''}", href=f"#{_anchor(place)}"))
+        element(
+            "li",
+            element("a", f"{board.title}{f', {board.dataset}' if board.dataset else ''}", href=f"#{_anchor(place)}"),
+        )
         for place, board in enumerate(boards)
     ]
     return element(
@@ -97,14 +100,14 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board]) -> Markup:
                 ),
                 element(
                     "li",
-                    "\u201cMSE above the best\u201d is the paired difference on the same test episodes. Rows in bold are "
-                    "the best and those that cannot be told from it: their interval reaches zero. It speaks of these "
-                    "trained models, not of other seeds.",
+                    "\u201cMSE above the best\u201d is the paired difference on the same test episodes. Rows in bold "
+                    "are the best and those that cannot be told from it: their interval reaches zero. It speaks of "
+                    "these trained models, not of other seeds.",
                 ),
                 element(
                     "li",
-                    "\u201cLabels\u201d counts every action label that a model was handed, for training, validation and "
-                    "alignment.",
+                    "\u201cLabels\u201d counts every action label that a model was handed, for training, validation "
+                    "and alignment.",
                 ),
                 element("li", "Errors over a rollout feed on the model's own predictions."),
                 element("li", "A model's name leads to where its numbers come from."),

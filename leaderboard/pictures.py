@@ -7,7 +7,6 @@ which nothing is, spread evenly. Nobody picks the ones that look well.
 from __future__ import annotations
 
 import base64
-import binascii
 import io
 import struct
 import zlib
@@ -54,7 +53,9 @@ def choose_steps(samples: pa.Table) -> list[Step]:
     chosen: list[Step] = []
     for wanted, count in ((True, PUSHES), (False, OTHERS)):
         places = order[pushed[order] == wanted]
-        spread = np.unique(((np.arange(count) + 0.5) / count * len(places)).astype(np.int64)) if len(places) else []
+        if not len(places):
+            continue
+        spread = np.unique(((np.arange(count) + 0.5) / count * len(places)).astype(np.int64))
         chosen += [
             Step(episode=int(episode[row]), step=int(step[row]), action=int(action[row]), pushed=wanted)
             for row in places[spread].tolist()
@@ -70,7 +71,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
     frames = np.stack([dataset.video(one.episode)[one.step - 1 : one.step + 2] for one in steps])
     images = to_model(torch.from_numpy(frames))
     action = torch.tensor([one.action for one in steps])
-    model = run.model.to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    model = run.model.to(device="cpu", memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
     with predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
     return [
@@ -102,16 +103,21 @@ def from_png(text: str) -> UInt8[np.ndarray, "h w 3"]:
     """
     try:
         raw = base64.b64decode(text, validate=True)
-        if raw[:8] != _SIGNATURE or raw[12:16] != b"IHDR":
-            raise ValueError("it is no PNG")
-        width, height = struct.unpack(">II", raw[16:24])
-        if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
-            raise ValueError(f"it is {width} x {height} pixels; a side has at most {LARGEST_SIDE}")
+        _check_head(raw)
         with Image.open(io.BytesIO(raw), formats=["PNG"]) as image:
             frame: UInt8[np.ndarray, "h w 3"] = np.asarray(image.convert("RGB"))
-    except (ValueError, OSError, SyntaxError, EOFError, struct.error, binascii.Error, zlib.error) as error:
+    except (ValueError, OSError, SyntaxError, EOFError, struct.error, zlib.error) as error:
         raise EntryInvalid(f"a picture of the entry cannot be read: {error}.") from None
     return frame
+
+
+def _check_head(raw: bytes) -> None:
+    """Whether a file begins as a PNG of a frame's size does; before a decoder sees it."""
+    if raw[:8] != _SIGNATURE or raw[12:16] != b"IHDR":
+        raise ValueError("it is no PNG")
+    width, height = struct.unpack(">II", raw[16:24])
+    if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
+        raise ValueError(f"it is {width} x {height} pixels; a side has at most {LARGEST_SIDE}")
 
 
 def shown(text: str) -> str:

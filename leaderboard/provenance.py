@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from leaderboard.board import Board
-from leaderboard.columns import count, number
+from leaderboard.columns import count, interval, number
 from leaderboard.entry import Entry
 from leaderboard.markup import Markup, element, joined
 
@@ -82,7 +82,7 @@ def _figures(entry: Entry) -> Markup:
             element("th", name, scope="row"),
             element("td", number(figure["mean"])),
             element("td", number(figure["std"])),
-            element("td", _interval(figure)),
+            element("td", interval(figure["low"], figure["high"])),
             element("td", "" if figure["n"] is None else count(figure["n"])),
         )
         for name, figure in entry.figures.items()
@@ -90,10 +90,6 @@ def _figures(entry: Entry) -> Markup:
     ]
     table = element("table", element("thead", head), element("tbody", joined(body)), class_="figures")
     return element("div", table, class_="scroll", tabindex=0, role="region", aria_label=f"Every figure of {entry.name}")
-
-
-def _interval(figure: Mapping[str, Any]) -> str:
-    return "" if figure["low"] is None else f"{number(figure['low'])} \u2013 {number(figure['high'])}"
 
 
 def _listed(facts: Mapping[str, Any]) -> str:

@@ -37,7 +37,9 @@ class LeaderboardServer(ThreadingHTTPServer):
 
     def __init__(self, folder: Path, port: int = 0) -> None:
         if not (folder / PAGE).is_file():
-            raise UsageError(f"no leaderboard in {str(folder)!r}; make one with 'dmbench leaderboard build --out {folder}'.")
+            raise UsageError(
+                f"no leaderboard in {str(folder)!r}; make one with 'dmbench leaderboard build --out {folder}'."
+            )
         self.folder = folder
         try:
             super().__init__((LOOPBACK, port), _Handler)

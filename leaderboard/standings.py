@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from leaderboard.board import Board, Row, Value
-from leaderboard.columns import Column, columns_for, count, number, signed
+from leaderboard.columns import Column, columns_for, count, interval, number, signed
 from leaderboard.markup import Markup, element, joined
 
 SHOWN_SEPARATELY = "as published"
@@ -86,7 +86,7 @@ def _value(row: Row, value: Value | None, *, strong: bool) -> Markup:
     if value is None:
         return element("td", "")
     if value.seeds > 1 or row.kind != "published":
-        between = "" if value.low is None else f"{number(value.low)} \u2013 {number(value.high)}"
+        between = interval(value.low, value.high)
     else:
         between = "" if value.std is None else f"\u00b1 {number(value.std)}"
     mean = element("b", number(value.mean)) if strong else number(value.mean)
@@ -99,9 +99,7 @@ def _behind(row: Row) -> Markup:
     if row.behind is None:
         return element("td", "")
     difference = row.behind
-    between = (
-        "" if difference.low is None else f"{signed(difference.low)} \u2013 {signed(difference.high or 0.0)}"
-    )
+    between = interval(difference.low, difference.high, sign=True)
     text = f"tie ({signed(difference.mean)})" if row.ties else signed(difference.mean)
     return element("td", text, element("small", between) if between else None, data_value=repr(difference.mean))
 

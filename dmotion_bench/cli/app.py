@@ -25,7 +25,20 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
-COMMANDS = ("demo", "record", "data", "train", "score", "plan", "play", "view", "list_names", "bench", "info")
+COMMANDS = (
+    "demo",
+    "record",
+    "data",
+    "train",
+    "score",
+    "plan",
+    "play",
+    "view",
+    "leaderboard",
+    "list_names",
+    "bench",
+    "info",
+)
 """Modules of this package, in the order of ``dmbench --help``; each has ``register(app)``."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -82,6 +82,33 @@ def show_overview(reports: Sequence[Report]) -> None:
             if name in here[0].reference:
                 table.add_row(name, "", *_row(here[0].reference[name], shown))
         console.print(table)
+
+
+def show_differences(differences: Sequence[Any], first: str, second: str, *, everything: bool = False) -> None:
+    """Two runs' figures side by side, their paired difference, and who is better where its interval says so."""
+    console = _console()
+    table = Table(
+        title=f"{first} against {second}, on the same held-out frames",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    table.add_column("figure", no_wrap=True)
+    for heading in ("first", "second", "first - second", "95% interval"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("better", no_wrap=True)
+    for one in differences:
+        if everything or _is_shown(one.figure):
+            estimate = one.difference.to_json()
+            table.add_row(
+                _words(one.figure),
+                _number(one.first),
+                _number(one.second),
+                _number(estimate["mean"]),
+                _interval(estimate),
+                one.better or "cannot be told",
+            )
+    console.print(table)
 
 
 def _console() -> Console:

@@ -1,0 +1,171 @@
+"""``dmbench leaderboard``: compare runs, build the page, check entries, serve it.
+
+The core knows no leaderboard: what the commands call comes through entry points of the group
+``dmbench.leaderboard``.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+GROUP = "dmbench.leaderboard"
+FOLDER = "leaderboard"
+
+group = typer.Typer(help="Compare runs, build the leaderboard's page, check entries.", no_args_is_help=True)
+
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group of commands."""
+    app.add_typer(group, name="leaderboard")
+
+
+@group.command()
+def build(
+    runs: Annotated[
+        list[Path] | None, typer.Argument(metavar="RUN", help="Scored runs; all of the workspace if left out.")
+    ] = None,
+    entries: Annotated[
+        list[Path] | None, typer.Option(metavar="PATH", help="Others' entries: a file or a folder; may be repeated.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where to; reports/leaderboard of the workspace if left out.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a static page of all scored runs, beside the published tables."""
+    from dmotion_bench.cli.progress import progress_bar
+    from dmotion_bench.workspace import Workspace
+
+    workspace = Workspace.current()
+    paths = [workspace.run(run) for run in runs] if runs else workspace.all_runs()
+    with progress_bar() as bar:
+        task = bar.add_task("building", total=None, status="")
+
+        def show(what: str, done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total, status=what)
+
+        built = _part("build")(paths, entries or [], out or workspace.reports / FOLDER, on_progress=show)
+    if as_json:
+        typer.echo(json.dumps(built.to_json()))
+        return
+    for name, why in built.left_out.items():
+        typer.echo(f"left out {name}: {why}", err=True)
+    typer.echo(f"{built.page}: {built.measured} measured and {built.published} published results")
+
+
+@group.command()
+def check(
+    paths: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="PATH", help="Entries, folders of them, or runs; what 'build' wrote if left out."),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Hold figures against the stored samples; score nothing anew.")
+    ] = False,
+    differing: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of samples that may differ, on another kind of processor.")
+    ] = 0.0,
+    as_json: AsJson = False,
+) -> None:
+    """Score entries again from their weights and data, and say whether their figures hold."""
+    from dmotion_bench.cli.progress import progress_bar
+    from dmotion_bench.errors import RunError
+    from dmotion_bench.workspace import Workspace
+
+    workspace = Workspace.current()
+    asked = paths or [workspace.reports / FOLDER / "entries"]
+    with progress_bar() as bar:
+        task = bar.add_task("checking", total=None, status="")
+
+        def show(what: str, done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total, status=what)
+
+        verdicts = _part("check")(asked, workspace, quick=quick, differing=differing, on_progress=show)
+    if as_json:
+        typer.echo(json.dumps({"verdicts": [verdict.to_json() for verdict in verdicts]}))
+    else:
+        for verdict in verdicts:
+            _show_verdict(verdict)
+    failed = sum(not verdict.holds for verdict in verdicts)
+    if failed:
+        raise RunError(f"{failed} of {len(verdicts)} entries do not hold.")
+
+
+@group.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="RUN", help="A scored run.")],
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same data set.")],
+    everything: Annotated[bool, typer.Option("--all", help="Every figure, not only the main ones.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say of two runs which is better, from the same triplets, where the interval allows it."""
+    from dmotion_bench.workspace import Workspace
+
+    workspace = Workspace.current()
+    one, other = (workspace.run(run) for run in (first, second))
+    differences = _part("compare")(one, other)
+    if as_json:
+        typer.echo(json.dumps({"first": str(one), "second": str(other), "differences": list(map(_plain, differences))}))
+        return
+    from dmotion_bench.cli.report_table import show_differences
+
+    show_differences(differences, one.name, other.name, everything=everything)
+
+
+@group.command()
+def serve(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[DIR]", help="What 'build' wrote.", show_default=False)
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of this machine; 0 for a free one.")] = 8000,
+) -> None:
+    """Serve the page to this machine alone."""
+    from dmotion_bench.cli.progress import note
+    from dmotion_bench.workspace import Workspace
+
+    with _part("serve")(folder or Workspace.current().reports / FOLDER, port) as server:
+        typer.echo(server.url)
+        note(f"Open it in a browser on this machine, from another one after 'ssh -L {port}:127.0.0.1:{port} HOST'.")
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            return
+
+
+def _part(name: str) -> Any:
+    """A function of the leaderboard's package."""
+    from dmotion_bench.errors import DmbenchError
+
+    for point in entry_points(group=GROUP):
+        if point.name == name:
+            return point.load()
+    raise DmbenchError(
+        f"no installed package has the leaderboard's {name!r} (entry points {GROUP!r}); "
+        "install dmbench again: 'pip install --editable .' in its folder."
+    )
+
+
+def _show_verdict(verdict: Any) -> None:
+    held = f"{verdict.figures} figures, {verdict.samples} samples" if verdict.samples else f"{verdict.figures} figures"
+    typer.echo(f"{'holds        ' if verdict.holds else 'DOES NOT HOLD'}  {verdict.entry} ({held})")
+    for finding in verdict.findings:
+        typer.echo(f"    {finding}")
+    for remark in verdict.remarks:
+        typer.echo(f"    ({remark})")
+
+
+def _plain(difference: Any) -> dict[str, Any]:
+    return {
+        "figure": difference.figure,
+        "first": difference.first,
+        "second": difference.second,
+        "difference": difference.difference.to_json(),
+        "better": difference.better,
+    }

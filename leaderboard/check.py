@@ -1,0 +1,326 @@
+"""Do the figures of an entry hold? Everything it says is held against the run, the data set, and a new scoring.
+
+In this order:
+
+1. the run of this workspace whose weights have the entry's hash, and what it says of itself (``sources.py``);
+2. the data set that has the entry's fingerprint: every file's hash, and the frame cache against the video;
+3. the run's stored samples: their hash; the figures and the sums by episode, computed from them once more;
+4. the weights' own hash, and the held-out episodes scored anew: sample by sample, then figure by figure;
+5. the pictures, predicted anew.
+
+What cannot be shown so: that the training used the seed and the labels that it says, how long it took, and which
+packages were installed. That takes training again; a run is reproducible from its ``run.json`` and its data set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from jaxtyping import Bool
+
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.learning.run import Run
+from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
+from dmotion_bench.scoring.references import published_results
+from dmotion_bench.scoring.report import REPORT_FOLDER, SAMPLES_FILE
+from dmotion_bench.scoring.samples import FIGURE_COLUMNS, column, read_samples
+from dmotion_bench.scoring.score import METRICS, ReferenceScores, Scores, ScoreSettings, code_version, score_model
+from dmotion_bench.storage.shard import file_facts
+from dmotion_bench.storage.split import SPLIT_NAMES
+from dmotion_bench.workspace import RUN_MANIFEST, Workspace
+from leaderboard.build import entry_of_run
+from leaderboard.comparison import sums_by_episode
+from leaderboard.entry import Entry, published_entry, read_entry
+from leaderboard.paper import label_count
+from leaderboard.pictures import from_png, identity, take_pictures
+from leaderboard.sources import against_run, find_dataset, find_run
+from leaderboard.verdict import SAME, SHOWN, Findings, Verdict, short
+
+ROUNDING: Final = 1e-3
+"""Relative; between the figures of two scorings."""
+
+SAMPLE_ROUNDING: Final = 1e-2
+"""Relative and absolute; between two scorings of one sample."""
+
+PICTURE_ROUNDING: Final = 3  # pixel values
+MOST_RESAMPLES: Final = 100_000
+_KEY: Final = ("episode", "step", "ahead")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckSettings:
+    """How an entry is checked.
+
+    Attributes:
+        score: Whether to score anew; without, figures are held against the stored samples only.
+        differing: Share of the samples that may differ, for another kind of processor.
+    """
+
+    score: bool = True
+    differing: float = 0.0
+
+
+def check_entry(
+    entry: Entry,
+    workspace: Workspace,
+    settings: CheckSettings | None = None,
+    *,
+    how: Execution | None = None,
+    references: ReferenceScores | None = None,
+) -> Verdict:
+    """Check an entry against the runs and data sets of a workspace.
+
+    Args:
+        entry: To be checked.
+        workspace: Where its run and data set are looked for, by their hashes.
+        settings: How strictly.
+        how: Batch size, device and progress of the new scoring.
+        references: Keeps the references' samples for the next entry of this process.
+    """
+    check, settings = Findings(entry=entry), settings or CheckSettings()
+    if not entry.is_measured:
+        _against_tables(check)
+        return check.verdict()
+    if entry.content["code"] != code_version():
+        check.wrong.append(
+            f"code: the entry was scored by {short(entry.content['code'])}, this is {code_version()!r}; "
+            "score the run again, or check with the dmbench that scored it"
+        )
+    run, dataset, asked = find_run(check, workspace), find_dataset(check, workspace), _settings(check)
+    if run is None or dataset is None:
+        return check.verdict()
+    against_run(check, run, dataset)
+    samples = _stored_samples(check, run)
+    if asked is None:
+        return check.verdict()
+    if samples is not None:
+        _against_samples(check, samples, asked)
+    if not settings.score:
+        check.remarks.append("not scored anew")
+        return check.verdict()
+    metrics = tuple(metric for metric in METRICS if metric in entry.content["settings"]["metrics"])
+    try:
+        scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, references=references)
+        _same_scores(check, scores)
+        if samples is not None:
+            _same_samples(check, samples, scores.samples, settings.differing)
+            _same_pictures(check, take_pictures(run, dataset, scores.samples))
+    except DmbenchError as error:
+        check.wrong.append(f"scoring anew fails: {error}")
+    return check.verdict()
+
+
+def check_paths(
+    paths: Sequence[Path],
+    workspace: Workspace,
+    *,
+    quick: bool = False,
+    differing: float = 0.0,
+    on_progress: Progress = silent,
+) -> list[Verdict]:
+    """Check entries' files, folders of them, and runs as the entries that they would be.
+
+    Args:
+        paths: Of files, folders or runs.
+        workspace: Where runs and data sets are.
+        quick: Score nothing anew.
+        differing: See ``CheckSettings``.
+        on_progress: Told how far the scoring is.
+
+    Raises:
+        UnknownName: A path stands for nothing.
+    """
+    settings, references = CheckSettings(score=not quick, differing=differing), ReferenceScores()
+    verdicts: list[Verdict] = []
+    for path in (one for given in paths for one in _meant(given, workspace)):
+        try:
+            entry = read_entry(path) if path.is_file() else entry_of_run(path)
+        except DmbenchError as error:
+            verdicts.append(Verdict(entry=path.name, findings=(str(error),)))
+            continue
+        how = Execution(progress=on_progress)
+        verdicts.append(check_entry(entry, workspace, settings, how=how, references=references))
+    return verdicts
+
+
+def _meant(path: Path, workspace: Workspace) -> list[Path]:
+    """The entries' files and runs that a path stands for."""
+    if path.is_file():
+        return [path]
+    if path.is_dir() and not (path / RUN_MANIFEST).is_file() and (found := sorted(path.glob("*.json"))):
+        return found
+    return [workspace.run(path)]
+
+
+def _against_tables(check: Findings) -> None:
+    """A published row can only be held against our copy of its table."""
+    entry = check.entry
+    wanted = (entry.model, entry.environment, entry.labels)
+    for row in published_results():
+        if (row.model, row.environment, row.labels) != wanted:
+            continue
+        ours = published_entry(row, label_count(row.environment, row.labels))
+        check.expect_figures("as published", entry.figures, ours.figures)
+        for name in ("labels", "source", "note"):
+            check.expect(name, entry.content[name], ours.content[name])
+        check.figures = len(ours.figures)
+        check.remarks.append("published: held against the table, not scored")
+        return
+    check.remarks.append("published elsewhere: there is nothing to hold it against")
+
+
+def _settings(check: Findings) -> ScoreSettings | None:
+    """What the new scoring is told; None where the entry's settings cannot be."""
+    given = dict(check.entry.content["settings"])
+    known = {one.name for one in fields(ScoreSettings)}
+    allowed = {
+        "split": given["split"] in SPLIT_NAMES,
+        "protocol": given["protocol"] in ("episode", "paper"),
+        "precision": given["precision"] in ("float32", "bf16"),
+        "resamples": type(given.get("resamples")) is int and 1 <= given["resamples"] <= MOST_RESAMPLES,
+        "metrics": isinstance(given["metrics"], list),
+    }
+    wrong = [
+        f"settings.{name} is {short(given.get(name))}, which cannot be" for name, fine in allowed.items() if not fine
+    ]
+    check.wrong += wrong
+    return None if wrong else ScoreSettings(**{name: value for name, value in given.items() if name in known})
+
+
+def _stored_samples(check: Findings, run: Run) -> pa.Table | None:
+    """The samples beside the run's report."""
+    said, path = check.entry.content["samples"], run.path / REPORT_FOLDER / SAMPLES_FILE
+    if not path.is_file():
+        check.wrong.append(f"samples: there is no {str(path)!r} to hold the figures against")
+        return None
+    check.expect("samples.file", said["file"], SAMPLES_FILE)
+    check.expect("samples.sha256", said["sha256"], file_facts(path).sha256)
+    try:
+        samples = read_samples(path)
+    except (pa.ArrowException, OSError) as error:
+        check.wrong.append(f"samples: {str(path)!r} cannot be read: {error}")
+        return None
+    check.expect("samples.rows", said["rows"], len(samples))
+    return samples
+
+
+def _against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings) -> None:
+    """Every figure, computed from the stored samples."""
+    content = check.entry.content
+    for predictor, said in {MODEL: content["figures"], **content["reference"]}.items():
+        if predictor == "paper":
+            continue
+        found = figures_of(samples, predictor, resamples=settings.resamples)
+        mine = {name: one.to_json() for name, one in found.items()}
+        where = "figures" if predictor == MODEL else f"reference.{predictor}"
+        check.expect_figures(f"{where}, from the samples", _without_control(said, mine), mine)
+    said, ours = content["by_episode"], sums_by_episode(samples)
+    if said.keys() != ours.keys() or not all(_same_sums(said[name], ours[name]) for name in ours):
+        check.wrong.append("by_episode: other sums than those of the samples")
+
+
+def _same_sums(said: Mapping[str, Any], found: Mapping[str, Any]) -> bool:
+    same = (said["episode"], said["n"]) == (found["episode"], found["n"])
+    return same and np.allclose(said["sum"], found["sum"], rtol=SAME, atol=SAME)
+
+
+def _same_scores(check: Findings, scores: Scores) -> None:
+    """Every figure, scored anew; intervals follow from the samples and were held against them."""
+    content = check.entry.content
+    everything = {"figures": (content["figures"], scores.figures)}
+    for name, figures in scores.reference.items():
+        everything[f"reference.{name}"] = (content["reference"].get(name, {}), figures)
+    for where, (said, figures) in everything.items():
+        mine = {name: one.to_json() for name, one in figures.items()}
+        kept = _without_control(said, mine)
+        check.expect_figures(f"{where}, scored anew", kept, mine, ROUNDING, means_only=True)
+        if len(kept) < len(said):
+            check.remarks.append(f"{where}: {len(said) - len(kept)} figures of control are not scored anew")
+    check.figures = len(scores.figures)
+
+
+def _without_control(said: Mapping[str, Any], mine: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures but for those of control, which take a simulator and minutes."""
+    return {name: figure for name, figure in said.items() if name in mine or not name.startswith("control_")}
+
+
+def _same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing: float) -> None:
+    """Row by row; what another processor rounds otherwise is let pass, up to the share that is allowed."""
+    predictors = np.unique(np.concatenate([column(table, "predictor") for table in (stored, scored)]).astype(str))
+    wrong = list[str]()
+    for predictor in predictors.tolist():
+        for metric in ("prediction", "rollout"):
+            one, other = (_part(table, predictor, metric) for table in (stored, scored))
+            keys, others = (np.stack([column(table, name) for name in _KEY], axis=1) for table in (one, other))
+            if not np.array_equal(keys, others):
+                check.wrong.append(f"samples: the stored {metric} of {predictor} are of other frames")
+                continue
+            check.samples += len(one)
+            rows = keys[_apart(one, other)].tolist()
+            wrong += [f"{metric} of {predictor}, episode {episode}, step {step}" for episode, step, _ in rows]
+    if wrong:
+        told = f"{len(wrong)} of {check.samples} differ from the new scoring"
+        if len(wrong) > differing * check.samples:
+            check.wrong.append(f"samples: {told}: {'; '.join(wrong[:SHOWN])}")
+        else:
+            check.remarks.append(f"samples: {told}")
+
+
+def _part(table: pa.Table, predictor: str, metric: str) -> pa.Table:
+    rows = (column(table, "predictor") == predictor) & (column(table, "metric") == metric)
+    part = table.filter(pa.array(rows))
+    order = np.lexsort(tuple(column(part, name) for name in reversed(_KEY)))
+    return part.take(pa.array(order))
+
+
+def _apart(stored: pa.Table, scored: pa.Table) -> Bool[np.ndarray, " n"]:
+    """Which rows differ by more than rounding."""
+    wrong: Bool[np.ndarray, " n"] = np.zeros(len(stored), np.bool_)
+    for name in (*FIGURE_COLUMNS, "action", "pushed"):
+        wrong |= _far(*(column(table, name).astype(np.float64) for table in (stored, scored)))
+    for name in ("distance", "found", "found_truth", "motion"):
+        sizes, others = (
+            pc.fill_null(pc.list_value_length(table[name]), 0).to_numpy().astype(np.int64) for table in (stored, scored)
+        )
+        wrong |= sizes != others
+        if np.array_equal(sizes, others):
+            left, right = (_flat(table, name) for table in (stored, scored))
+            wrong[np.repeat(np.arange(len(sizes)), sizes)[_far(left, right)]] = True
+    return wrong
+
+
+def _flat(table: pa.Table, name: str) -> Any:
+    values = table[name].combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    return values.astype(np.float64)
+
+
+def _far(left: Any, right: Any) -> Bool[np.ndarray, " n"]:
+    far: Bool[np.ndarray, " n"] = ~np.isclose(left, right, rtol=SAMPLE_ROUNDING, atol=SAMPLE_ROUNDING, equal_nan=True)
+    return far
+
+
+def _same_pictures(check: Findings, mine: list[dict[str, Any]]) -> None:
+    said = {identity(picture): picture for picture in check.entry.pictures}
+    if not said:
+        if mine:
+            check.remarks.append("the entry has no pictures")
+        return
+    if said.keys() != {identity(picture) for picture in mine}:
+        check.wrong.append("pictures: of other steps than the data set's")
+        return
+    for picture in mine:
+        one = said[identity(picture)]
+        where = f"pictures, episode {picture['episode']}, step {picture['step']}"
+        for name in ("action", "pushed"):
+            check.expect(f"{where}, {name}", one[name], picture[name])
+        for name, rounding in (("current", 0), ("truth", 0), ("predicted", PICTURE_ROUNDING)):
+            left, right = (from_png(taken[name]).astype(np.int16) for taken in (one, picture))
+            if left.shape != right.shape or np.abs(left - right).max() > rounding:
+                check.wrong.append(f"{where}: the frame {name!r} is another")

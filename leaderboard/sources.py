@@ -1,0 +1,102 @@
+"""Where an entry comes from: the run and the data set that have its hashes, and whether they say what it says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.learning.run import Run
+from dmotion_bench.scoring.references import published_for
+from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.shard import LABELS, VIDEO, file_facts, shard_path
+from dmotion_bench.workspace import Workspace
+from leaderboard.verdict import Findings
+
+
+def find_run(check: Findings, workspace: Workspace) -> Run | None:
+    """The run with the entry's weights; of several the one with the entry's name."""
+    wanted, found = check.entry.content["weights"], list[Run]()
+    for path in workspace.all_runs():
+        try:
+            run = Run.open(path)
+        except DmbenchError:
+            continue
+        if run.result is not None and run.result["weights"] == wanted:
+            found.append(run)
+        elif run.name == check.entry.name and run.result is not None:
+            check.remarks.append(f"the run {str(path)!r} has other weights: {run.result['weights'][:12]}")
+    if not found:
+        check.wrong.append(f"weights: no run in {str(workspace.runs)!r} has the hash {wanted[:12]}")
+        return None
+    return next((run for run in found if run.name == check.entry.name), found[0])
+
+
+def find_dataset(check: Findings, workspace: Workspace) -> Dataset | None:
+    """The data set with the entry's fingerprint, its files as they were recorded."""
+    wanted = check.entry.content["dataset"]["fingerprint"]
+    for path in workspace.datasets():
+        try:
+            dataset = Dataset.open(path)
+        except DmbenchError:
+            continue
+        if dataset.fingerprint == wanted:
+            check.wrong += [f"data set: {path.name}/{damage}" for damage in _damages(dataset)]
+            return dataset
+    check.wrong.append(f"data set: none in {str(workspace.data)!r} has the fingerprint {wanted[:12]}")
+    return None
+
+
+def _damages(dataset: Dataset) -> Iterator[str]:
+    """What is not as the fingerprint says: the files, and the frames that scoring reads in place of them."""
+    for index, shard in enumerate(dataset.manifest.shards):
+        for kind, facts in ((VIDEO, shard.video), (LABELS, shard.labels)):
+            file = shard_path(dataset.path, kind, index)
+            if facts is not None and (not file.is_file() or file_facts(file) != facts):
+                yield f"{kind}/{file.name} is not what was recorded"
+                return
+    cache = dataset.cache()
+    for episode in range(len(dataset)):
+        if not np.array_equal(cache.episode(episode), dataset.video(episode)):
+            yield "cache/ holds other frames than the video; delete it"
+            return
+
+
+def against_run(check: Findings, run: Run, dataset: Dataset) -> None:
+    """What the run says of itself, and the data set."""
+    content, spec, result = check.entry.content, run.spec, run.result or {}
+    for name in ("model", "arch", "preset", "seed"):
+        check.expect(name, content[name], getattr(spec, name))
+    check.expect("run", content["run"], run.name)
+    check.expect("labels.asked", content["labels"]["asked"], spec.labels)
+    check.expect("labels.given", content["labels"]["given"], result.get("labels", {}))
+    check.expect("labels.total", content["labels"]["total"], result.get("labels_total", 0))
+    check.expect("settings.protocol", content["settings"]["protocol"], spec.protocol)
+    for name, value in content["training"].items():
+        check.expect(f"training.{name}", value, result.get(name))
+    check.expect("data set of the run", content["dataset"]["fingerprint"], spec.fingerprint)
+    check.expect("dataset.name", content["dataset"]["name"], dataset.name)
+    check.expect("dataset.environment", check.entry.environment, dataset.recipe.environment)
+    published = published_for(spec.model, check.entry.environment, spec.labels)
+    ours = {} if published is None else {name: one.to_json() for name, one in published.figures.items()}
+    check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
+    if content["settings"]["split"] != "test":
+        check.remarks.append(f"scored on the {content['settings']['split']} episodes, not on the test's")
+    _against_report(check, run.path / REPORT_FOLDER)
+
+
+def _against_report(check: Findings, folder: Path) -> None:
+    """What only the report on disk can be asked: it is as much in its owner's hands as the entry."""
+    try:
+        report = read_report(folder)
+    except DmbenchError as error:
+        check.wrong.append(f"report: {error}")
+        return
+    if report is None:
+        check.wrong.append(f"report: there is none of this protocol in {str(folder)!r}")
+        return
+    for name in ("versions", "remarks"):
+        check.expect(name, check.entry.content[name], getattr(report, name))

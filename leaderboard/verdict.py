@@ -1,0 +1,102 @@
+"""What is found while an entry is checked, and the verdict that comes of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Final
+
+from leaderboard.entry import Entry
+
+SAME: Final = 1e-9
+"""Relative; between figures of the same samples."""
+
+SHOWN: Final = 4
+"""Findings of a kind that are spelt out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What came of checking an entry.
+
+    Attributes:
+        entry: Its name.
+        findings: What does not hold; empty for a sound entry.
+        remarks: What could not be checked, or is to be borne in mind.
+        figures, samples: How many were held against a new scoring.
+    """
+
+    entry: str
+    findings: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+    figures: int = 0
+    samples: int = 0
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    def to_json(self) -> dict[str, Any]:
+        """What ``dmbench leaderboard check --json`` prints."""
+        return {"holds": self.holds} | {one.name: getattr(self, one.name) for one in fields(self)}
+
+
+@dataclass(kw_only=True)
+class Findings:
+    """What has been found so far of one entry."""
+
+    entry: Entry
+    wrong: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    figures: int = 0
+    samples: int = 0
+
+    def expect(self, what: str, said: object, found: object) -> None:
+        """Note where the entry says something else than what was found."""
+        if said != found:
+            self.wrong.append(f"{what}: the entry says {short(said)}, it is {short(found)}")
+
+    def expect_figures(
+        self,
+        where: str,
+        said: Mapping[str, Any],
+        found: Mapping[str, Any],
+        rounding: float = SAME,
+        *,
+        means_only: bool = False,
+    ) -> None:
+        """Note which figures are not the same; of many the first few."""
+        wrong = [f"{name} is missing" for name in found if name not in said]
+        wrong += [f"{name} is nobody's" for name in said if name not in found]
+        for name in (name for name in said if name in found):
+            for part in ("mean", "n") if means_only else ("mean", "std", "low", "high", "n"):
+                left, right = said[name][part], found[name][part]
+                if not _close(left, right, rounding):
+                    wrong.append(f"{name}.{part} is said to be {left} and is {right}")
+        self.wrong += [f"{where}: {one}" for one in wrong[:SHOWN]]
+        if len(wrong) > SHOWN:
+            self.wrong.append(f"{where}: and {len(wrong) - SHOWN} more")
+
+    def verdict(self) -> Verdict:
+        """The verdict."""
+        return Verdict(
+            entry=self.entry.name,
+            findings=tuple(self.wrong),
+            remarks=tuple(self.remarks),
+            figures=self.figures,
+            samples=self.samples,
+        )
+
+
+def short(value: object) -> str:
+    """A value for a sentence."""
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def _close(left: float | None, right: float | None, rounding: float) -> bool:
+    if left is None or right is None:
+        return left is right
+    return math.isclose(left, right, rel_tol=rounding, abs_tol=rounding * 1e-3)

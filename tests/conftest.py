@@ -13,6 +13,7 @@ _hook = install_import_hook(
         "dmotion_bench.positions",
         "dmotion_bench.scoring",
         "dmotion_bench.planning",
+        *(f"dmotion_bench.storage.{name}" for name in ("frame_cache", "messages", "shard", "split", "tables", "tasks")),
         "dmotion_bench.viewing",
         "baselines",
     ],

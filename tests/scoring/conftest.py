@@ -126,6 +126,7 @@ def make_run(grid: Dataset, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ru
         }
         spec = RunSpec(**(asked | changes))
         run = Run.create_or_open(path, spec, dataset_path=grid.path, versions={})
+        run.write()
         if finished:
             weights = {"offset": torch.tensor([offset])}
             checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})

@@ -73,8 +73,8 @@ class ContrastiveConfig:
 class SlotEncoder(nn.Module):
     """Two packed frames to the states of K slots.
 
-    The maps are centred, and the initial weights large enough that different frames get different states from the start:
-    the hinge's gradient vanishes where all states are one.
+    The maps are centred and the initial weights large enough that different frames get different states from the
+    start: the hinge's gradient vanishes where all states are one.
     """
 
     def __init__(self, config: ContrastiveConfig, inputs: ModelInputs) -> None:

@@ -60,8 +60,8 @@ def train(
     workspace = Workspace.current()
     if everything:
         own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}
-        if given := [name for name, value in own.items() if value]:
-            raise UsageError(f"--all trains every model its own way; leave {' and '.join(given)} away.")
+        if extra := [name for name, value in own.items() if value]:
+            raise UsageError(f"--all trains every model its own way; leave {' and '.join(extra)} away.")
         _train_all(workspace, data, preset, seed, split, device, as_json)
         return
     if model is None:

@@ -1,0 +1,307 @@
+"""check_model: a sound model passes, and each breach of the contract is said in its own words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import pytest
+import torch
+from torch import nn
+
+from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.learning.model import ForwardModel, Losses, Phase, TrainingConfig
+from dmotion_bench.specs import Supervision
+from dmotion_bench.testing import check_model
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoundConfig:
+    width: int = 4
+
+
+class Sound(ForwardModel[SoundConfig]):
+    """A supervised model of one convolution."""
+
+    supervision: ClassVar[Supervision] = Supervision.ACTIONS
+    paper: ClassVar[str] = "Nobody: Nothing, 2026"
+    Config: ClassVar[type] = SoundConfig
+
+    def __init__(self, config, inputs) -> None:
+        super().__init__(config, inputs)
+        self.layer = nn.Conv2d(6 + inputs.actions, 3, 3, padding=1)
+
+    def losses(self, batch):
+        error = (self._next(batch.previous, batch.current, batch.action) - batch.next).square().mean((1, 2, 3))
+        return Losses(total=error.mean(), terms={"error": error.mean().detach()}, per_triplet=error.detach())
+
+    def predict(self, previous, current, action):
+        return self._next(previous, current, action)
+
+    def _next(self, previous, current, action):
+        chosen = nn.functional.one_hot(action, self.inputs.actions).float()[..., None, None]
+        return self.layer(torch.cat([previous, current, chosen.expand(-1, -1, *current.shape[2:])], dim=1)).float()
+
+
+class SoundVideo(Sound):
+    """A model of video alone, aligned by a table."""
+
+    supervision = Supervision.NONE
+
+    def __init__(self, config, inputs) -> None:
+        super().__init__(config, inputs)
+        self.register_buffer("table", torch.zeros(inputs.actions, 3))
+        self.code = nn.Linear(3, inputs.actions)
+
+    def losses(self, batch):
+        error = self._coded(batch.previous, batch.current, self._code(batch.current, batch.next)) - batch.next
+        return Losses(total=error.square().mean())
+
+    def align(self, demonstrations):
+        for action, code in zip(
+            demonstrations.action, self._code(demonstrations.current, demonstrations.next), strict=True
+        ):
+            self.table[action] = code
+
+    def predict(self, previous, current, action):
+        return self._coded(previous, current, self.table[action])
+
+    def _code(self, current, following):
+        return (following - current).mean((2, 3))
+
+    def _coded(self, previous, current, code):
+        tiled = self.code(code)[..., None, None].expand(-1, -1, *current.shape[2:])
+        return self.layer(torch.cat([previous, current, tiled], dim=1)).float()
+
+
+@pytest.mark.parametrize("kind", [Sound, SoundVideo])
+def test_a_sound_model_passes(kind: type) -> None:
+    check_model(kind, size=16)
+
+
+def _breaks(base: type, **changes: Any) -> type:
+    return type("Broken", (base,), changes)
+
+
+def _raises(self: Any, *_: Any) -> None:
+    raise ZeroDivisionError("by hand")
+
+
+def _init(extra: Callable[[Any], None]) -> Callable[..., None]:
+    def init(self: Any, config: Any, inputs: Any) -> None:
+        Sound.__init__(self, config, inputs)
+        extra(self)
+
+    return init
+
+
+def _share(self: Any) -> None:
+    self.register_buffer("other", self.layer.weight.detach())
+
+
+def _losses(change: Callable[..., Losses], base: type = Sound) -> Callable[..., Losses]:
+    return lambda self, batch: change(self, batch, base.losses(self, batch))
+
+
+def _spoil(batch: Any) -> None:
+    batch.current.mul_(0)
+
+
+def _holding(losses: Losses, **values: torch.Tensor) -> Losses:
+    """Values that the shape checker, at work in these tests alone, would refuse."""
+    for name, value in values.items():
+        object.__setattr__(losses, name, value)
+    return losses
+
+
+BREACHES: dict[str, tuple[Any, str]] = {
+    "no class": (Sound.losses, r"is no subclass of .*ForwardModel"),
+    "another class": (nn.Linear, r"is no subclass of .*ForwardModel"),
+    "abstract": (type("Broken", (ForwardModel,), {}), r"does not define losses"),
+    "no supervision": (_breaks(Sound, supervision="none"), r"supervision is not set"),
+    "no paper": (_breaks(Sound, paper=""), r"paper says no authors"),
+    "thawed config": (_breaks(Sound, Config=dataclass(type("Loose", (), {}))), r"Config is no @dataclass\(frozen"),
+    "architectures": (_breaks(Sound, architectures="compact"), r"architectures is 'compact', not a tuple"),
+    "no prediction": (
+        _breaks(ForwardModel, supervision=Supervision.NONE, paper="x", Config=SoundConfig, losses=Sound.losses),
+        r"neither predict nor all of begin, advance and frame",
+    ),
+    "other config": (
+        _breaks(Sound, configure=classmethod(lambda kind, arch: SimpleNamespace(width=1))),
+        r"configure\('compact'\) gave a SimpleNamespace, not its Config",
+    ),
+    "no training config": (
+        _breaks(Sound, training_defaults=classmethod(lambda kind, preset, arch: {"epochs": 1})),
+        r"training_defaults\('tiny', 'compact'\) gave a dict",
+    ),
+    "wrong training config": (
+        _breaks(Sound, training_defaults=classmethod(lambda kind, preset, arch: TrainingConfig(epochs=0))),
+        r"training_defaults\('tiny', 'compact'\) raised InvalidSetting: epochs is 0",
+    ),
+    "constructor": (_breaks(Sound, __init__=_raises), r"__init__\(config, inputs\) raised ZeroDivisionError: by hand"),
+    "no super": (
+        _breaks(Sound, __init__=lambda self, config, inputs: nn.Module.__init__(self)),
+        r"__init__ does not call super\(\).__init__",
+    ),
+    "no parameters": (_breaks(Sound, __init__=ForwardModel.__init__), r"it has no parameters"),
+    "shared memory": (_breaks(Sound, __init__=_init(_share)), r"other and layer.weight share memory"),
+    "own randomness": (
+        _breaks(
+            Sound, __init__=_init(lambda self: self.layer.bias.data.copy_(torch.rand(3, generator=torch.Generator())))
+        ),
+        "",  # a generator with a fixed seed is sound
+    ),
+    "unseeded": (
+        _breaks(
+            Sound,
+            __init__=_init(lambda self: self.layer.bias.data.copy_(torch.rand(3, generator=_restless()))),
+        ),
+        r"two models built after the same torch.manual_seed differ in layer.bias",
+    ),
+    "no phase": (_breaks(Sound, phases=lambda self: ()), r"phases\(\) gave \(\), not a tuple of one Phase"),
+    "same phase": (
+        _breaks(Sound, phases=lambda self: (Phase(fraction=0.5), Phase(fraction=0.5))),
+        r"two phases have one name",
+    ),
+    "fractions": (_breaks(Sound, phases=lambda self: (Phase(fraction=0.9),)), r"fractions of its phases sum to 0.9"),
+    "greedy": (
+        _breaks(SoundVideo, phases=lambda self: (Phase(needs_actions=True),)),
+        r"supervision is NONE but the phase \['train'\] needs actions",
+    ),
+    "modest": (_breaks(Sound, phases=lambda self: (Phase(),)), r"supervision is ACTIONS but no phase needs actions"),
+    "enter": (_breaks(Sound, enter=_raises), r"enter\('train'\) raised ZeroDivisionError"),
+    "progress": (_breaks(Sound, progress=_raises), r"progress\(0.0\) raised ZeroDivisionError"),
+    "losses": (_breaks(Sound, losses=_raises), r"losses\(batch\) raised ZeroDivisionError"),
+    "bare tensor": (
+        _breaks(Sound, losses=_losses(lambda s, b, given: given.total)),
+        r"losses\(batch\) gave a Tensor, not Losses",
+    ),
+    "vector": (
+        _breaks(Sound, losses=_losses(lambda s, b, given: _holding(given, total=given.total[None]))),
+        r"total has the shape \(1,\); it is to be one number",
+    ),
+    "nan": (_breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total * torch.nan))), r"total is nan"),
+    "attached term": (
+        _breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total, terms={"a": given.total}))),
+        r"the term 'a' of its losses is no detached number",
+    ),
+    "hardness": (
+        _breaks(Sound, losses=_losses(lambda s, b, given: _holding(given, per_triplet=given.total.detach()))),
+        r"per_triplet has the shape \(\); it is one detached number per triplet",
+    ),
+    "spoilt batch": (
+        _breaks(Sound, losses=lambda self, batch: (Sound.losses(self, batch), _spoil(batch))[0]),
+        r"losses\(batch\) changes the batch in place",
+    ),
+    "no gradient": (
+        _breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total.detach()))),
+        r"total has no gradient in the phase 'train'",
+    ),
+    "gradient of nothing": (
+        _breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total * 0))),
+        r"no parameter gets a gradient in the phase 'train'",
+    ),
+    "infinite gradient": (
+        _breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=(s.layer.bias * 0).abs().sqrt().sum()))),
+        r"a gradient is not finite",
+    ),
+    "peeping": (
+        _breaks(
+            SoundVideo,
+            losses=_losses(
+                lambda s, b, given: Losses(total=given.total if b.action is None else given.total * 2), base=SoundVideo
+            ),
+        ),
+        r"supervision is NONE but losses\(batch\) depends on batch.action",
+    ),
+    "restless validation": (
+        _breaks(
+            Sound, losses=_losses(lambda s, b, given: Losses(total=given.total + torch.rand((), generator=_restless())))
+        ),
+        r"in evaluation mode differ from one call to the next",
+    ),
+    "validation that trains": (
+        _breaks(Sound, losses=_losses(lambda s, b, given: given if s.training else _moved(s, given))),
+        r"losses\(batch\) changes table in evaluation mode",
+    ),
+    "align": (_breaks(SoundVideo, align=_raises), r"align\(demonstrations\) raised ZeroDivisionError"),
+    "align does nothing": (
+        _breaks(SoundVideo, align=lambda self, demonstrations: None),
+        r"align\(demonstrations\) leaves the same state whichever actions are shown",
+    ),
+    "align forgets": (
+        _breaks(
+            SoundVideo,
+            align=lambda self, shown: (SoundVideo.align(self, shown), setattr(self, "scale", 2.0))[0],
+            predict=lambda self, *given: SoundVideo.predict(self, *given) * getattr(self, "scale", 1.0),
+        ),
+        r"what align\(demonstrations\) learned is lost when the weights are saved",
+    ),
+    "predict": (_breaks(Sound, predict=_raises), r"predict\(previous, current, action\) raised ZeroDivisionError"),
+    "shape": (
+        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a)[..., :8]),
+        r"gave the shape \(3, 3, 16, 8\), not frames of the shape \(3, 3, 16, 16\)",
+    ),
+    "half": (
+        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a).bfloat16()),
+        r"gave torch.bfloat16, not torch.float32",
+    ),
+    "infinite": (
+        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a) / 0),
+        r"gave frames that are not finite",
+    ),
+    "in place": (
+        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c.mul_(0.5), a)),
+        r"predict changes its arguments in place",
+    ),
+    "noisy": (
+        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a) + torch.randn(1)),
+        r"predict differs from one call to the next",
+    ),
+    "batch": (
+        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c - c.mean(0), a)),
+        r"depends on the other frames of the batch",
+    ),
+    "state": (
+        _breaks(
+            Sound,
+            begin=lambda self, p, c: (p, c, 0),
+            advance=lambda self, s, a: (s[1], self.predict(s[0], s[1], a), s[2] + 1),
+        ),
+        r"a state is no tensor or tuple of tensors",
+    ),
+    "rollout": (
+        _breaks(Sound, rollout=lambda self, p, c, a: ForwardModel.rollout(self, p, c, a) * 0.5),
+        r"rollout differs from begin, advance and frame",
+    ),
+    "first frame": (
+        _breaks(Sound, advance=lambda self, s, a: (s[1], self.predict(s[0], s[1], a) * 0.5)),
+        r"the first frame of rollout differs from predict",
+    ),
+}
+
+
+def _restless() -> torch.Generator:
+    generator = torch.Generator()
+    generator.seed()
+    return generator
+
+
+def _moved(self: Any, losses: Losses) -> Losses:
+    self.table.add_(1)
+    return losses
+
+
+@pytest.mark.parametrize("name", BREACHES)
+def test_every_breach_is_said(name: str) -> None:
+    kind, sentence = BREACHES[name]
+    if name == "validation that trains":
+        kind = type("Broken", (kind,), {"__init__": _init(lambda self: self.register_buffer("table", torch.zeros(1)))})
+    if not sentence:
+        check_model(kind, size=16)
+        return
+    with pytest.raises(ModelContractBroken, match=sentence) as raised:
+        check_model(kind, size=16)
+    assert "contract" in str(raised.value) or "ForwardModel" in str(raised.value)

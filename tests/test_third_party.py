@@ -1,0 +1,78 @@
+"""Anyone's model: the guide's package is built, installed, found, checked, trained and asked for frames."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from noise_world import noise_episode, noise_spec
+
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.writer import DatasetWriter
+
+GUIDE = Path(__file__).parents[1] / "docs" / "your_model.md"
+COMMAND = "from dmotion_bench.cli import main; main()"
+ASK = """
+import sys, torch
+from pathlib import Path
+from dmotion_bench.learning.run import Run
+
+model = Run.open(Path(sys.argv[1])).model
+frames = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0)) * 2 - 1
+with torch.no_grad():
+    one, other = (model.predict(frames, frames, torch.full((2,), action)) for action in range(2))
+print(type(model).__module__, tuple(one.shape), torch.equal(one, other))
+"""
+
+
+def _blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+
+
+@pytest.fixture
+def shell(tmp_path: Path):
+    """Runs Python with the installed package on its path and a workspace of its own."""
+    package, site = tmp_path / "package", tmp_path / "site"
+    (package / "tiny_latents").mkdir(parents=True)
+    (package / "tiny_latents" / "__init__.py").write_text(_blocks("python")[0])
+    (package / "pyproject.toml").write_text(_blocks("toml")[0])
+    (tmp_path / "test_tiny.py").write_text(_blocks("python")[1])
+    places = os.pathsep.join([str(site), *(path for path in sys.path if path)])
+    environment = os.environ | {"PYTHONPATH": places, "DMBENCH_WORKSPACE": str(tmp_path), "OMP_NUM_THREADS": "1"}
+
+    def run(*arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    pip = ("-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index")
+    run(*pip, "--disable-pip-version-check", "--target", str(site), str(package))
+    return run
+
+
+def test_the_guides_model_works_from_its_own_package(shell, tmp_path: Path) -> None:
+    spec = noise_spec(height=32, width=32)
+    data = tmp_path / "data" / "noise-tiny"
+    recipe = DatasetRecipe(environment="noise", episodes=12, frames=5, shard_episodes=12)
+    with DatasetWriter.create_or_resume(data, recipe, spec) as writer:
+        writer.write_shard(0, (noise_episode(number, 5, spec) for number in range(12)))
+        writer.finish()
+
+    listed = shell("-c", "from dmotion_bench.registry import model_names; print(*model_names())")
+    assert "tiny-latents" in listed.split()
+    shell("-c", "import test_tiny; test_tiny.test_the_contract_is_kept()")
+    trained = shell("-c", COMMAND, "train", "tiny-latents", "--set", "epochs=1", "--set", "width=8")
+    folder = Path(trained.splitlines()[0])
+    assert "labels used: 2 of 48" in trained
+    assert shell("-c", ASK, str(folder)).split() == ["tiny_latents", "(2,", "3,", "32,", "32)", "False"]
+
+
+def test_the_guides_code_is_short() -> None:
+    lines = [line for line in _blocks("python")[0].splitlines() if line and not line.startswith(("from", "import"))]
+    assert len(lines) <= 31

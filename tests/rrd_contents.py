@@ -70,7 +70,7 @@ def tabs_of(rrd: Path) -> list[str]:
         parts["ContainerBlueprint:contents"]
         for parts in layout.values()
         if parts.get("ContainerBlueprint:container_kind") == [1]
-        and any("container" in page for page in parts["ContainerBlueprint:contents"])
+        and all("container" in page for page in parts["ContainerBlueprint:contents"])
     )
     return [layout[f"/{page}"]["ContainerBlueprint:display_name"][0] for page in pages]
 

@@ -6,6 +6,7 @@
     scene.py       a scene: what is logged and how it is laid out, and writing it as one .rrd
     tracks.py      arrays -> Rerun's columns on the timeline ``frame``
     labels.py      what the labels of an episode look like
+    eye.py         from where the world is looked at
     dataset.py     the scene of a data set
     imagination.py what a model makes of an episode, as arrays
     maps.py        the feature maps of a model, as pictures
@@ -13,6 +14,8 @@
     episodes.py    which episodes are shown
     report.py      the figures of a run, and its worst and best episodes
     run.py         the scene of a run
+    control.py     a control task, watched live; drive.py: an imagination that somebody drives
+    live.py        recordings that are watched while they are made
     file_server.py one file over HTTP, for the web page
     viewer.py      Rerun's programs: a window, a web page, a headless one
     screenshot.py  an .rrd -> a picture

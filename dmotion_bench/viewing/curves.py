@@ -52,14 +52,12 @@ def training_tab(curves: Mapping[str, Curve], text: str) -> Tab:
     """
     layout = rrb.Horizontal(
         picture_view(f"{ROOT}/chart", "Losses (logarithmic)", round(WIDTH), round(HEIGHT)),
-        rrb.Vertical(
+        rrb.Tabs(
             rrb.TextDocumentView(origin=f"{ROOT}/about", name="What you see"),
-            rrb.Tabs(
-                rrb.TimeSeriesView(origin=f"{ROOT}/losses", name="Losses over 'step'"),
-                rrb.TimeSeriesView(origin=f"{ROOT}/learning_rate", name="Learning rate"),
-                rrb.TimeSeriesView(origin=f"{ROOT}/triplets_per_s", name="Triplets/s"),
-            ),
-            row_shares=[1.3, 1],
+            rrb.TimeSeriesView(origin=f"{ROOT}/losses", name="Losses"),
+            rrb.TimeSeriesView(origin=f"{ROOT}/learning_rate", name="Learning rate"),
+            rrb.TimeSeriesView(origin=f"{ROOT}/triplets_per_s", name="Triplets/s"),
+            active_tab=0,
         ),
         column_shares=[2, 1],
         name="Training",

@@ -12,7 +12,8 @@ from jaxtyping import Int, UInt8
 
 from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
-from dmotion_bench.viewing.labels import log_labels, log_legend, plain
+from dmotion_bench.viewing.eye import eye_of_camera
+from dmotion_bench.viewing.labels import events_view, log_labels, log_legend, plain
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import log_images
 
@@ -69,19 +70,19 @@ def _tab(dataset: ViewableDataset, episode: int) -> Tab:
         text = _explanation(dataset, episode, len(frames), labels)
         recording.log(f"{root}/about", rr.TextDocument(text, media_type="text/markdown"), static=True)
 
-    return Tab(name=f"Episode {episode}", layout=_layout(dataset.spec, episode, labels is not None), log=log)
+    return Tab(name=f"Episode {episode}", layout=_layout(dataset.spec, episode, labels), log=log)
 
 
-def _layout(spec: EnvSpec, episode: int, labelled: bool) -> rrb.Container:
+def _layout(spec: EnvSpec, episode: int, labels: EpisodeLabels | None) -> rrb.Container:
     root = f"/episode_{episode}"
     about = rrb.TextDocumentView(origin=f"{root}/about", name="What you see")
     camera = picture_view(f"{root}/camera", "Camera", spec.width, spec.height)
     name = f"Episode {episode}"
-    if not labelled:
+    if labels is None:
         return rrb.Horizontal(camera, about, column_shares=[3, 1], name=name)
     masks = picture_view(f"{root}/masks", "Which pixel shows what", spec.width, spec.height)
-    world = rrb.Spatial3DView(origin=f"{root}/world", name="Where things are [m]")
-    events = rrb.StateTimelineView(origin=root, contents=["$origin/action", "$origin/pushed/**"], name="What happens")
+    world = rrb.Spatial3DView(origin=f"{root}/world", name="Where things are [m]", eye_controls=_eye(labels))
+    events = events_view(root, ("action", "pushed/**"), len(labels.masks))
     return rrb.Horizontal(
         rrb.Vertical(rrb.Horizontal(camera, masks), events, row_shares=[2, 1]),
         rrb.Vertical(world, about),
@@ -90,12 +91,21 @@ def _layout(spec: EnvSpec, episode: int, labelled: bool) -> rrb.Container:
     )
 
 
+def _eye(labels: EpisodeLabels) -> rrb.EyeControls3D | None:
+    states = (labels.objects, labels.agent)
+    position = np.concatenate([each.position.reshape(-1, 3) for each in states])
+    eye = eye_of_camera(position, np.concatenate([each.pixel.reshape(-1, 2) for each in states]))
+    if eye is None:
+        return None
+    return rrb.EyeControls3D(position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0))
+
+
 def _explanation(dataset: ViewableDataset, episode: int, frames: int, labels: EpisodeLabels | None) -> str:
     recipe, spec = dataset.recipe, dataset.spec
     seconds = frames * spec.step_ns / 1e9
     part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
     lines = [
-        f"### {dataset.name}, episode {episode}",
+        f"**{dataset.name}, episode {episode}**",
         "",
         f"{frames} frames of {spec.width} x {spec.height} pixels, {seconds:.1f} s at {1e9 / spec.step_ns:g} frames/s. "
         f"One of {len(dataset)} episodes of *{plain(recipe.environment)}*, policy *{plain(recipe.policy)}*, "

@@ -41,12 +41,14 @@ class Prediction:
         mse: Of each, over pixels and channels, 0-255.
         places: Where the things are that are found in them [px]; NaN where one is not found.
         position_error: Mean distance of the things that are found in both frames [px]; NaN where none is.
+        missed: Share of the things in the true frame that are not found in the predicted one.
     """
 
     frames: UInt8[np.ndarray, "s h w 3"]
     mse: Float[np.ndarray, " s"]
     places: Float[np.ndarray, "s k 2"] | None
     position_error: Float[np.ndarray, " s"] | None
+    missed: Float[np.ndarray, " s"] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +123,7 @@ class _Judge:
             mse=mean_squared_error(predicted, self._truth).numpy(),
             places=None if places is None else places.centre.numpy(),
             position_error=None if errors is None else errors.position_error.numpy(),
+            missed=None if errors is None else errors.miss_rate.numpy(),
         )
 
 

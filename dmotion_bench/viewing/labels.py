@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from jaxtyping import Bool, Float, UInt8
 
 from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, EpisodeLabels
@@ -20,6 +23,7 @@ ACTION_COLORS: tuple[Color, ...] = (
 """Okabe and Ito's palette, told apart by colour-blind people too; taken in turn."""
 
 GONE: Color = (90, 90, 90)
+SEVERAL: Color = (150, 150, 150)
 BACKGROUND: Color = (30, 30, 34)
 
 
@@ -68,6 +72,25 @@ def log_events(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: 
             pushed = frame < len(moved) and moved[frame, number]
             lane.append("pushed" if pushed else "gone" if gone[frame, number] else None)
         log_states(recording, f"{root}/pushed/{it.name}", lane, {"pushed": it.color, "gone": GONE})
+    together = [_named(spec, row) for row in moved]
+    colors = {name: SEVERAL for name in together if name} | {plain(it.name): it.color for it in spec.objects}
+    log_states(recording, f"{root}/moved", [*together, None], colors)
+
+
+def events_view(root: str, lanes: Sequence[str], frames: int) -> rrb.StateTimelineView:
+    """The lanes of an episode, from its first frame to its last."""
+    whole = rr.TimeRangeBoundary.absolute
+    return rrb.StateTimelineView(
+        origin=root,
+        contents=[f"$origin/{lane}" for lane in lanes],
+        name="What happens",
+        time_view=rrb.TimeAxis(view_range=rr.TimeRange(start=whole(seq=0), end=whole(seq=frames - 1))),
+    )
+
+
+def _named(spec: EnvSpec, moved: Bool[np.ndarray, " k"]) -> str | None:
+    """The objects that are moved in a step; None where none is."""
+    return " + ".join(plain(it.name) for it, now in zip(spec.objects, moved, strict=True) if now) or None
 
 
 def pushes(spec: EnvSpec, labels: EpisodeLabels) -> tuple[Bool[np.ndarray, "s k"], Bool[np.ndarray, "t k"]]:

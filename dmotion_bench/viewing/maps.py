@@ -1,4 +1,4 @@
-"""The feature maps of a model as pictures: tiles in one frame, all in the same unit."""
+"""The feature maps of a model as pictures: tiles in one frame."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ GAP = 3
 
 GAP_LEVEL = 70
 BRIGHTEST = 99.9
-"""Percentile of |m| over everything shown that is drawn white; what is above is white, too."""
+"""Percentile of a map's |m| that is drawn white; what is above is white, too."""
+
+LEAST = 0.03
+"""Of the brightest map's white: the least that another map's white can be."""
 
 
 @runtime_checkable
@@ -31,17 +34,23 @@ class MapModel(Protocol):
         """The same maps, each moved as the model sees it move until the next frame."""
 
 
-def brightest(*maps: Float[np.ndarray, "t m y x"]) -> float:
-    """The value that is drawn white, the same for all these maps."""
-    return max(max(float(np.percentile(np.abs(each), BRIGHTEST)) for each in maps), 1e-12)
+def brightest(*sheets: Float[np.ndarray, "t m y x"]) -> Float[np.ndarray, " m"]:
+    """The value that is drawn white, one for each map, the same at all times and in all these sheets.
+
+    The scale of a map means nothing, as what reads it may multiply by anything; but maps that are next to nothing
+    beside the others are left dark.
+    """
+    of_each = np.max([np.percentile(np.abs(maps), BRIGHTEST, axis=(0, 2, 3)) for maps in sheets], axis=0)
+    white: Float[np.ndarray, " m"] = np.maximum(of_each, max(float(of_each.max()) * LEAST, 1e-12))
+    return white
 
 
-def tiles(maps: Float[np.ndarray, "t m y x"], white: float) -> UInt8[np.ndarray, "t h w"]:
+def tiles(maps: Float[np.ndarray, "t m y x"], white: Float[np.ndarray, " m"]) -> UInt8[np.ndarray, "t h w"]:
     """|m| of every map, ``COLUMNS`` side by side, with lines between them."""
     frames, count, height, width = maps.shape
     rows = math.ceil(count / COLUMNS)
     sheet = np.full((frames, rows * (height + GAP) + GAP, COLUMNS * (width + GAP) + GAP), GAP_LEVEL, np.uint8)
-    levels = np.clip(np.abs(maps) * (255 / white), 0, 255).astype(np.uint8)
+    levels = np.clip(np.abs(maps) * (255 / white)[:, None, None], 0, 255).astype(np.uint8)
     for number, (top, left) in enumerate(tile_corners(count, height, width)):
         sheet[:, top : top + height, left : left + width] = levels[:, number]
     return sheet

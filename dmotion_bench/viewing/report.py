@@ -104,7 +104,7 @@ def rollout_curves(report: Report) -> dict[str, Curve]:
 def _figures(report: Report) -> str:
     beside = [name for name in ("paper", "copy_last") if name in report.reference]
     lines = [
-        f"### {report.run}",
+        f"**{report.run}**",
         "",
         f"*{report.dataset['name']}*, {report.settings['split']} episodes, labels used: **{report.labels['asked']} "
         f"({report.labels['total']})**, protocol {report.protocol}.",

@@ -14,7 +14,7 @@ from dmotion_bench.specs import EpisodeLabels
 from dmotion_bench.viewing.curves import read_curves, training_tab
 from dmotion_bench.viewing.dataset import ViewableDataset
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, imagine
-from dmotion_bench.viewing.labels import log_events, log_legend, plain
+from dmotion_bench.viewing.labels import events_view, log_events, log_legend, plain
 from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
 from dmotion_bench.viewing.report import report_tab
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
@@ -88,10 +88,10 @@ def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -
     def picture(path: str, title: str) -> rrb.Spatial2DView:
         return picture_view(f"{root}/{path}", title, width, height)
 
-    events = rrb.StateTimelineView(origin=root, contents=["$origin/action", "$origin/pushed/**"], name="What happens")
+    events = events_view(root, ("action", "moved"), len(seen.frames))
     beside_imagined: rrb.Container | rrb.View = events
     if seen.maps is not None:
-        sheet_height, sheet_width = tiles(seen.maps[:1], 1.0).shape[1:]
+        sheet_height, sheet_width = tiles(seen.maps[:1], brightest(seen.maps[:1])).shape[1:]
         beside_imagined = rrb.Vertical(
             picture_view(f"{root}/maps", "Feature maps of this frame", sheet_width, sheet_height),
             picture_view(f"{root}/moved_maps", "The same, each moved by its motion", sheet_width, sheet_height),
@@ -114,7 +114,7 @@ def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -
         rrb.Vertical(
             rrb.TextDocumentView(origin=f"{root}/about", name="What you see"),
             *plots,
-            row_shares=[1.6, *(1.0 for _ in plots)],
+            row_shares=[1.8, *(1.0 for _ in plots[:-1]), 0.8],
         ),
         column_shares=[2.2, 1],
         name=name,
@@ -131,8 +131,8 @@ def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labe
         log_rings(recording, f"{root}/camera/places", seen.places)
     if seen.shift is not None:
         agent = labels.agent.pixel[:, 0]
-        log_arrows(recording, f"{root}/camera/true_motion", agent[:-1], np.diff(agent, axis=0), TRUE_MOTION, 1.6)
-        log_arrows(recording, f"{root}/camera/motion_seen", agent[:-1], seen.shift, SEEN_MOTION, 0.8)
+        log_arrows(recording, f"{root}/camera/true_motion", agent[:-1], np.diff(agent, axis=0), TRUE_MOTION, 1.2, 40)
+        log_arrows(recording, f"{root}/camera/motion_seen", agent[:-1], seen.shift, SEEN_MOTION, 0.7, 50)
 
 
 def _log_prediction(recording: rr.RecordingStream, path: str, seen: Imagination, prediction: Prediction) -> None:
@@ -184,15 +184,16 @@ def _of_episode(run: Run, dataset: ViewableDataset, episode: int, seen: Imaginat
     part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
     seen_before = "" if part == "test" else ": *not held out*"
     lines = [
-        f"### {run.name}",
+        f"**{run.name}**",
         "",
         f"**{spec.model}** ({spec.arch}) on *{spec.dataset}*, labels: **{_labels_used(run)}**, seed {spec.seed}. "
         f"Episode {episode}, {part} split{seen_before}.",
         "",
-        "| mean of this episode | MSE | position error |",
-        "|---|---|---|",
+        "| mean of this episode | MSE | position error | missed |",
+        "|---|---|---|---|",
         *(
-            f"| {name} | {_mean(prediction.mse)} | {_mean(prediction.position_error)} |"
+            f"| {name} | {_mean(prediction.mse)} | {_mean(prediction.position_error)} "
+            f"| {_mean(prediction.missed, 100)} % |"
             for name, prediction in (
                 ("one step", seen.one_step),
                 ("imagined", seen.imagined),
@@ -211,8 +212,8 @@ def _of_episode(run: Run, dataset: ViewableDataset, episode: int, seen: Imaginat
     if seen.maps is not None:
         lines += [
             "",
-            "**Feature maps**: |m| of each, all in one unit. Map 0 should show the agent alone; moved, it is "
-            "where the agent is next.",
+            "**Feature maps**: |m| of each, in its own unit, the same before and after. Map 0 should show the agent "
+            "alone; moved, it is where the agent is next.",
         ]
     lines += ["", f"*frame before* repeats the last frame: the least that one can do. {plain(dataset.spec.id)}."]
     return "\n".join(lines)
@@ -220,7 +221,7 @@ def _of_episode(run: Run, dataset: ViewableDataset, episode: int, seen: Imaginat
 
 def _of_training(run: Run) -> str:
     result = run.result or {}
-    lines = ["### Training", "", "| | |", "|---|---|"]
+    lines = ["**Training**", "", "| | |", "|---|---|"]
     facts = {
         "model": f"{run.spec.model} ({run.spec.arch}), {result.get('parameters', 0) / 1e6:.2f} M parameters",
         "data set": run.spec.dataset,
@@ -236,8 +237,8 @@ def _of_training(run: Run) -> str:
         "",
         "The chart shows every loss, dimmed: in training, bright: in validation.",
         "",
-        "The plots below can be read off and zoomed. They run over another timeline: click **frame** at the bottom "
-        "left and choose **step**; choose *frame* again for the episodes.",
+        "The plots on the tabs above can be read off and zoomed. They run over another timeline and are empty until "
+        "you click **frame** at the bottom left and choose **step**; choose *frame* again for the episodes.",
     ]
     return "\n".join(lines)
 
@@ -247,7 +248,7 @@ def _labels_used(run: Run) -> str:
     return run.spec.labels if total is None else f"{run.spec.labels} ({total} labels)"
 
 
-def _mean(values: Float[np.ndarray, " s"] | None) -> str:
+def _mean(values: Float[np.ndarray, " s"] | None, factor: float = 1.0) -> str:
     if values is None or not np.isfinite(values).any():
         return "-"
-    return f"{np.nanmean(values):.3g}"
+    return f"{np.nanmean(values) * factor:.3g}"

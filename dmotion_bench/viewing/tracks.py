@@ -127,8 +127,10 @@ def log_arrows(
     vectors: Float[np.ndarray, "t 2"],
     color: Color,
     radius: float,
+    draw_order: float,
 ) -> None:
     """An arrow a frame [px], with a black border."""
+    recording.log(path, rr.Arrows2D.from_fields(draw_order=draw_order), static=True)
     there = np.isfinite(np.concatenate([origins, vectors], axis=1)).all(1)
     count = int(there.sum())
     columns = rr.Arrows2D.columns(

@@ -40,7 +40,7 @@ def test_save_writes_a_file_and_says_how_to_open_it(
     assert said.code == 0
     assert said.out.splitlines()[0] == str(file)
     assert f"rerun {file}" in said.out
-    assert tabs_of(file) == [f"Episode {number}" for number in range(4)]
+    assert tabs_of(file) == [f"Episode {number}" for number in range(3)]
 
 
 def test_episodes_and_splits_can_be_chosen(

@@ -139,7 +139,9 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """Settled on validation (docs/baselines.md); the original's rate is 5e-4 with batches of 1024."""
-        return dataclasses.replace(compact_recipe(preset), optimizer="adamw", learning_rate=1e-3, hard_share=0.0)
+        return dataclasses.replace(
+            compact_recipe(preset, passes=2.5), optimizer="adamw", learning_rate=1e-3, hard_share=0.0
+        )
 
     def phases(self) -> tuple[Phase, ...]:
         """States and their dynamics first, from what is labelled; then the decoder, from all video."""

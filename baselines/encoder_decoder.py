@@ -50,7 +50,7 @@ class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """As DMotion's."""
-        return compact_recipe(preset)
+        return compact_recipe(preset, passes=2)
 
     def losses(self, batch: TripletBatch) -> Losses:
         """Squared error in [-1, 1] units, averaged over pixels and channels."""

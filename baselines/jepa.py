@@ -147,7 +147,7 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """Batches of 128, as the authors': SIGReg judges a batch's distribution."""
-        return dataclasses.replace(compact_recipe(preset), batch_size=128)
+        return dataclasses.replace(compact_recipe(preset, passes=2.5), batch_size=128)
 
     def phases(self) -> tuple[Phase, ...]:
         """Embeddings and their dynamics first, from what is labelled; then the decoder, from all video."""

@@ -128,7 +128,7 @@ class Lapo(ForwardModel[LapoConfig]):
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """As DMotion's."""
-        return compact_recipe(preset)
+        return compact_recipe(preset, passes=1.5)
 
     def losses(self, batch: TripletBatch) -> Losses:
         """Squared error of x_{t+1} in [-1, 1] units, and the commitment."""

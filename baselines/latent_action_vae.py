@@ -72,7 +72,7 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """As DMotion's."""
-        return compact_recipe(preset)
+        return compact_recipe(preset, passes=1.5)
 
     def losses(self, batch: TripletBatch) -> Losses:
         """Squared error of x_{t+1} in [-1, 1] units (four times that in [0, 1]) and the weighted divergence."""

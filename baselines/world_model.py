@@ -78,7 +78,7 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """As DMotion's."""
-        return compact_recipe(preset)
+        return compact_recipe(preset, passes=3)
 
     def phases(self) -> tuple[Phase, ...]:
         """The code first, from all video; then its dynamics, from what is labelled."""

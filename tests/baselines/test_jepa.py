@@ -58,13 +58,16 @@ def test_gradients_reach_the_target_too(build, batch) -> None:
     assert (slope.reshape(3, 6, -1).abs().sum((1, 2)) > 0).all()  # previous, current, next
 
 
-def test_without_sigreg_the_embedding_shrinks(build, step, batch) -> None:
-    spread = []
-    for weight in (0.0, 0.5):
-        model = build(LatentWorldModel, regularisation=weight, projections=64, dropout=0.0)
-        step(model, batch, 40, rate=1e-3)
-        spread.append(model.embed(batch.current).std(0).mean())
-    assert spread[1] > 2 * spread[0]
+def test_sigreg_spreads_what_is_too_narrow_and_gathers_what_is_too_wide() -> None:
+    generator = torch.Generator().manual_seed(1)
+    directions, gaussian = torch.randn(8, 64, generator=generator), torch.randn(1, 512, 8, generator=generator)
+    slopes = []
+    for size in (0.05, 0.5, 2.0):
+        scale = torch.tensor(size, requires_grad=True)
+        slopes += torch.autograd.grad(sketched_gaussianity(scale * gaussian, directions), scale)
+    assert slopes[0] < 0
+    assert slopes[1] < 0
+    assert slopes[2] > 0
 
 
 def test_actions_change_the_prediction_once_it_has_learned(build, step, batch) -> None:

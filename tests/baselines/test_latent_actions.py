@@ -105,4 +105,4 @@ def test_both_learn(build, step, video) -> None:
     for kind in (Lapo, LatentActionVAE):
         model = build(kind)
         first = model.losses(video).total.item()
-        assert step(model, video, 40) < 0.8 * first
+        assert step(model, video, 25) < 0.9 * first

@@ -1,0 +1,71 @@
+"""The whole table: a row for every model and budget, and none that stops the others."""
+
+from __future__ import annotations
+
+import pytest
+from noise_world import noise_episode, noise_spec
+
+from dmotion_bench.errors import RunError, StorageFull
+from dmotion_bench.learning import table
+from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.start import TrainingRequest
+from dmotion_bench.learning.table import Row, budgets, rows, train_table
+from dmotion_bench.registry import model_class, model_names
+from dmotion_bench.specs import DatasetRecipe, Preset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.workspace import Workspace
+
+REQUEST = TrainingRequest(model="", preset=Preset.TINY, seed=3)
+
+
+@pytest.fixture
+def dataset(tmp_path) -> Dataset:
+    path, spec = tmp_path / "data" / "noise-tiny", noise_spec(height=32, width=32)
+    recipe = DatasetRecipe(environment="noise", episodes=12, frames=5, shard_episodes=12)
+    with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
+        writer.write_shard(0, (noise_episode(number, 5, spec) for number in range(12)))
+        writer.finish()
+    return Dataset.open(path)
+
+
+def test_every_model_has_a_row_for_each_of_its_budgets() -> None:
+    found = list(rows())
+    assert {row.model for row in found} == {*model_names()}
+    assert Row(model="dmotion", labels="one-shot") in found
+    assert [row.labels for row in found if row.model == "ed-cnn"] == ["100%", "10%"]
+
+
+def test_a_model_may_name_its_own_budgets() -> None:
+    own = type("Own", (model_class("lapo"),), {"budgets": ("one-shot", "20-shot")})
+    assert budgets(own) == ("one-shot", "20-shot")
+
+
+def test_a_row_that_fails_does_not_stop_the_others(dataset, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(table, "model_names", lambda: ["cswm", "ed-cnm", "lapo"])
+    trained: list[str] = []
+
+    def train(run: Run) -> None:
+        if run.spec.labels == "10%":
+            raise ZeroDivisionError("by hand")
+        if run.spec.model == "lapo":
+            raise RunError("training diverged.")
+        trained.append(run.path.name)
+
+    outcomes = list(train_table(REQUEST, dataset, Workspace(tmp_path), train))
+    assert [(outcome.row.model, outcome.row.labels, outcome.error) for outcome in outcomes] == [
+        ("cswm", "100%", None),
+        ("cswm", "10%", "ZeroDivisionError: by hand"),
+        ("ed-cnm", "", outcomes[2].error),
+        ("lapo", "one-shot", "training diverged."),
+    ]
+    assert "did you mean 'ed-cnn'?" in (outcomes[2].error or "")
+    assert trained == ["cswm-noise-tiny-s3"]
+
+
+def test_a_full_disk_stops_the_table(dataset, tmp_path) -> None:
+    def train(run: Run) -> None:
+        raise StorageFull("no space left.")
+
+    with pytest.raises(StorageFull):
+        list(train_table(REQUEST, dataset, Workspace(tmp_path), train))

@@ -75,10 +75,10 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Te
         parameter, _, key = name.partition("/")
         state.setdefault(int(parameter), {})[key] = tensor
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-    for parameter, values in optimizer.state.items():  # in the parameter's memory order, which fused steps rely on
-        for key, value in values.items():
-            if torch.is_tensor(value) and value.shape == parameter.shape:
-                values[key] = torch.empty_like(parameter, dtype=value.dtype).copy_(value)
+    for weights, kept in optimizer.state.items():  # in the weights' memory order, which fused steps rely on
+        for key, value in kept.items():
+            if torch.is_tensor(value) and value.shape == weights.shape:
+                kept[key] = torch.empty_like(weights, dtype=value.dtype).copy_(value)
 
 
 def weights_hash(tensors: Mapping[str, Tensor]) -> str:

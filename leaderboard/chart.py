@@ -118,7 +118,14 @@ class _Scale:
 
 
 def line_chart(title: str, x: Axis, y: Axis, series: Sequence[Series], guides: Sequence[Guide] = ()) -> Markup:
-    """A chart of some series; ``title`` is what a screen reader says of it. Values that a log axis cannot show are left out."""
+    """A chart of some series; what a logarithmic axis cannot show is left out.
+
+    Args:
+        title: What a screen reader says of it.
+        x, y: The axes.
+        series: Drawn in their order.
+        guides: Horizontal lines to measure by.
+    """
     series = [_drawable(one, x, y) for one in series]
     across = _scale(x, [point.x for one in series for point in one.points], LEFT, WIDTH - RIGHT)
     heights = [value for one in series for point in one.points for value in (point.y, point.low, point.high)]

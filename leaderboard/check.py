@@ -28,7 +28,7 @@ from dmotion_bench.errors import DmbenchError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
-from dmotion_bench.scoring.references import published_results
+from dmotion_bench.scoring.references import REFERENCES, published_results
 from dmotion_bench.scoring.report import REPORT_FOLDER, SAMPLES_FILE
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, column, read_samples
 from dmotion_bench.scoring.score import METRICS, ReferenceScores, Scores, ScoreSettings, code_version, score_model
@@ -214,7 +214,8 @@ def _stored_samples(check: Findings, run: Run) -> pa.Table | None:
 def _against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings) -> None:
     """Every figure, computed from the stored samples."""
     content = check.entry.content
-    for predictor, said in {MODEL: content["figures"], **content["reference"]}.items():
+    everything = {MODEL: content["figures"], **{key: {} for key in REFERENCES}, **content["reference"]}
+    for predictor, said in everything.items():
         if predictor == "paper":
             continue
         found = figures_of(samples, predictor, resamples=settings.resamples)

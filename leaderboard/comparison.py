@@ -91,8 +91,8 @@ def compare_runs(first: Path, second: Path) -> list[Difference]:
     ):
         if left != right:
             raise RunMismatch(
-                f"{one.run!r} and {other.run!r} were not scored on the same triplets: the {what} is {left!r} of the first "
-                f"and {right!r} of the second; differences are paired or not at all."
+                f"{one.run!r} and {other.run!r} were not scored on the same triplets: the {what} is {left!r} of the "
+                f"first and {right!r} of the second; differences are paired or not at all."
             )
     return list(_differences(_of_model(one_samples), _of_model(other_samples)))
 

@@ -176,6 +176,11 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE, 3), np.uint8)
         self._place(starting_cells(np.random.default_rng(0)), np.ones(1 + OBJECTS, np.bool_))
 
+    @property
+    def moves(self) -> Float[np.ndarray, "a 2"]:
+        """Where each action takes the agent, in cells."""
+        return MOVES.astype(np.float64)
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.viewing.scene import picture_view
 
-MOMENT = "moment"
+STEP = "step"
 
 
 def drive_blueprint(spec: EnvSpec, simulator: bool) -> rrb.Blueprint:
@@ -22,7 +22,7 @@ def drive_blueprint(spec: EnvSpec, simulator: bool) -> rrb.Blueprint:
         rrb.Horizontal(*views),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=MOMENT),
+        rrb.TimePanel(state="collapsed", timeline=STEP),
         auto_layout=False,
         auto_views=False,
     )
@@ -35,7 +35,7 @@ def log_drive(
     simulator: UInt8[np.ndarray, "h w 3"] | None,
 ) -> None:
     """What the model imagines after a key was pressed, and what truly happens."""
-    recording.set_time(MOMENT, sequence=moment)
+    recording.set_time(STEP, sequence=moment)
     recording.log("imagined", rr.Image(imagined))
     if simulator is not None:
         recording.log("simulator", rr.Image(simulator))

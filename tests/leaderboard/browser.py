@@ -8,22 +8,11 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
-
-_AT_3_AND_4 = """
-import fcntl, os, sys
-hears, says = (fcntl.fcntl(int(number), fcntl.F_DUPFD, 10) for number in sys.argv[1:3])
-os.dup2(hears, 3)
-os.dup2(says, 4)
-os.execv(sys.argv[3], sys.argv[3:])
-"""
-"""Puts the pipe where Chromium looks for it; the copies are out of the way of 3 and 4 themselves."""
 
 
 class Browser:
@@ -113,8 +102,8 @@ def browsing(profile: Path) -> Iterator[Browser]:
     (hears, to), (back, says) = os.pipe(), os.pipe()
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars"]
     command = [CHROMIUM, *options, f"--user-data-dir={profile}", "--remote-debugging-pipe", "about:blank"]
-    process = subprocess.Popen(
-        [sys.executable, "-I", "-c", _AT_3_AND_4, str(hears), str(says), *command],
+    process = subprocess.Popen(  # the pipe is expected at the file descriptors 3 and 4
+        ["sh", "-c", f'exec "$@" 3<&{hears} 4>&{says}', "sh", *command],
         pass_fds=(hears, says),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

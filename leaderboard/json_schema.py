@@ -40,9 +40,6 @@ def _violations(value: Any, rule: Mapping[str, Any], root: Mapping[str, Any], pl
         raise ValueError(f"the schema uses {', '.join(sorted(unknown))}, which is not known here")
     if "$ref" in rule:
         yield from _violations(value, root["$defs"][rule["$ref"].removeprefix("#/$defs/")], root, place)
-    if "if" in rule:
-        holds = not any(_violations(value, rule["if"], root, place))
-        yield from _violations(value, rule.get("then" if holds else "else", {}), root, place)
     if "type" in rule and not _is_kind(value, rule["type"]):
         yield f"{place} is {_short(value)}, not of the type {_either(rule['type'])}"
         return
@@ -58,6 +55,9 @@ def _violations(value: Any, rule: Mapping[str, Any], root: Mapping[str, Any], pl
         yield from _of_array(value, rule, root, place)
     elif _is_kind(value, "number") and not rule.get("minimum", -INFINITE) <= value <= rule.get("maximum", INFINITE):
         yield f"{place} is {value}, which cannot be"
+    if "if" in rule:
+        holds = not any(_violations(value, rule["if"], root, place))
+        yield from _violations(value, rule.get("then" if holds else "else", {}), root, place)
 
 
 def _of_text(value: str, rule: Mapping[str, Any], place: str) -> Iterator[str]:

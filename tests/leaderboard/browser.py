@@ -6,13 +6,33 @@ import base64
 import contextlib
 import json
 import os
+import select
 import shutil
+import signal
 import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+ANSWER_SECONDS = 60.0
+"""How long a command may take on a busy machine; a test never waits longer."""
+
+_AT_3_AND_4 = """
+import fcntl, os, sys
+given = [int(number) for number in sys.argv[1:3]]
+hears, says = (fcntl.fcntl(number, fcntl.F_DUPFD_CLOEXEC, 10) for number in given)
+for number in given:
+    os.close(number)
+os.dup2(hears, 3)
+os.dup2(says, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+"""Puts the pipe where Chromium looks for it; the copies are out of the way of 3 and 4 themselves."""
 
 
 class Browser:
@@ -40,8 +60,9 @@ class Browser:
         if self._session:
             message["sessionId"] = self._session
         os.write(self._to, json.dumps(message).encode() + b"\0")
+        end = time.monotonic() + ANSWER_SECONDS
         while True:
-            answer = self._read()
+            answer = self._read(end)
             if answer.get("id") == self._number:
                 assert "error" not in answer, answer
                 result: dict[str, Any] = answer["result"]
@@ -54,8 +75,10 @@ class Browser:
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.call("Page.navigate", url="about:blank")
         self.call("Page.navigate", url=page.resolve().as_uri() + fragment)
+        end = time.monotonic() + ANSWER_SECONDS
         while self.ask("document.readyState + location.protocol") != "completefile:":
-            pass
+            assert time.monotonic() < end, f"{page} was not shown within {ANSWER_SECONDS:.0f} s"
+            time.sleep(0.01)
 
     def ask(self, expression: str) -> Any:
         """The value of a JavaScript expression in the page."""
@@ -74,8 +97,10 @@ class Browser:
         shot = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         path.write_bytes(base64.b64decode(shot["data"]))
 
-    def _read(self) -> dict[str, Any]:
+    def _read(self, end: float) -> dict[str, Any]:
         while b"\0" not in self._waiting:
+            ready, _, _ = select.select([self._back], [], [], max(end - time.monotonic(), 0.0))
+            assert ready, f"Chromium did not answer within {ANSWER_SECONDS:.0f} s"
             piece = os.read(self._back, 1 << 16)
             assert piece, "Chromium has ended"
             self._waiting += piece
@@ -102,18 +127,20 @@ def browsing(profile: Path) -> Iterator[Browser]:
     (hears, to), (back, says) = os.pipe(), os.pipe()
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars"]
     command = [CHROMIUM, *options, f"--user-data-dir={profile}", "--remote-debugging-pipe", "about:blank"]
-    process = subprocess.Popen(  # the pipe is expected at the file descriptors 3 and 4
-        ["sh", "-c", f'exec "$@" 3<&{hears} 4>&{says}', "sh", *command],
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-c", _AT_3_AND_4, str(hears), str(says), *command],
         pass_fds=(hears, says),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     os.close(hears)
     os.close(says)
     try:
         yield Browser(to, back)
     finally:
-        process.kill()
-        process.wait()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)  # its helpers hold the pipe and the profile, too
+        process.wait(timeout=ANSWER_SECONDS)
         os.close(to)
         os.close(back)

@@ -1,0 +1,148 @@
+"""``dmbench leaderboard``: what it prints, what it passes on, what it refuses."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from click.testing import Result
+from typer.testing import CliRunner
+
+from dmotion_bench.cli import leaderboard as command
+from dmotion_bench.errors import DmbenchError, RunError, UnknownName
+from dmotion_bench.scoring.statistics import Estimate
+from leaderboard.build import Built
+from leaderboard.comparison import Difference
+from leaderboard.verdict import Verdict
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass
+class Parts:
+    """Stands in for the leaderboard's package; keeps what it was asked."""
+
+    asked: list[tuple[Any, ...]] = field(default_factory=list)
+
+    def build(self, runs: list[Path], entries: list[Path], out: Path, *, on_progress: Any) -> Built:
+        self.asked.append((runs, entries, out))
+        return Built(page=out / "index.html", measured=2, published=22, left_out={"a": "it is not scored"})
+
+    def check(
+        self, paths: list[Path], workspace: Any, *, quick: bool, differing: float, on_progress: Any
+    ) -> list[Verdict]:
+        self.asked.append((paths, quick, differing))
+        return [
+            Verdict(entry="good", findings=(), remarks=("old",), figures=5, samples=70),
+            Verdict(entry="bad", findings=("mse.mean is said to be 1 and is 2",)),
+        ][: 1 if quick else 2]
+
+    def compare(self, first: Path, second: Path) -> list[Difference]:
+        self.asked.append((first, second))
+        clear = Estimate(mean=-2.0, std=1.0, low=-3.0, high=-1.0, n=70)
+        unclear = Estimate(mean=0.1, std=1.0, low=-1.0, high=1.2, n=70)
+        return [
+            Difference(figure="mse", first=10.0, second=12.0, difference=clear),
+            Difference(figure="position_error", first=1.1, second=1.0, difference=unclear),
+            Difference(figure="miss_rate_objects", first=0.1, second=0.1, difference=unclear),
+        ]
+
+
+@pytest.fixture
+def parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Parts:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    for name in ("a", "b"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "run.json").write_text("{}")
+    parts = Parts()
+    monkeypatch.setattr(command, "_part", lambda name: getattr(parts, name))
+    return parts
+
+
+@pytest.fixture
+def run() -> Callable[..., Result]:
+    app = typer.Typer()
+    app.callback()(lambda: None)
+    command.register(app)
+    return lambda *words: CliRunner().invoke(app, ["leaderboard", *words])
+
+
+def test_build_takes_all_runs_and_says_what_it_left_out(
+    run: Callable[..., Result], parts: Parts, tmp_path: Path
+) -> None:
+    result = run("build")
+
+    assert parts.asked == [([tmp_path / "runs/a", tmp_path / "runs/b"], [], tmp_path / "reports/leaderboard")]
+    assert result.stdout.endswith("index.html: 2 measured and 22 published results\n")
+    assert result.stderr == "left out a: it is not scored\n"
+
+
+def test_build_takes_named_runs_and_others_entries(run: Callable[..., Result], parts: Parts, tmp_path: Path) -> None:
+    result = run("build", "b", "--entries", "x.json", "--entries", "y", "--out", "site", "--json")
+
+    assert parts.asked == [([tmp_path / "runs/b"], [Path("x.json"), Path("y")], Path("site"))]
+    assert json.loads(result.stdout)["measured"] == 2
+    assert isinstance(run("build", "c").exception, UnknownName)
+
+
+def test_check_tells_what_does_not_hold_and_fails(run: Callable[..., Result], parts: Parts, tmp_path: Path) -> None:
+    result = run("check")
+
+    assert parts.asked == [([tmp_path / "reports/leaderboard/entries"], False, 0.0)]
+    assert "holds          good (5 figures, 70 samples)" in result.stdout
+    assert "DOES NOT HOLD  bad" in result.stdout
+    assert "    mse.mean is said to be 1 and is 2" in result.stdout
+    assert isinstance(result.exception, RunError)
+    assert "1 of 2 entries do not hold" in str(result.exception)
+
+
+def test_check_is_silent_about_sound_entries(run: Callable[..., Result], parts: Parts) -> None:
+    result = run("check", "e.json", "--quick", "--differing", "0.01", "--json")
+
+    assert parts.asked == [([Path("e.json")], True, 0.01)]
+    assert result.exit_code == 0
+    (verdict,) = json.loads(result.stdout)["verdicts"]
+    assert verdict == {"holds": True, "entry": "good", "findings": [], "remarks": ["old"], "figures": 5, "samples": 70}
+
+
+def test_compare_says_better_only_where_the_interval_does(run: Callable[..., Result], parts: Parts) -> None:
+    lines = [line.strip() for line in run("compare", "a", "b").stdout.splitlines()]
+
+    (mse,) = (line.split() for line in lines if line.startswith("MSE"))
+    (position,) = (line.split() for line in lines if line.startswith("position error"))
+    assert mse == ["MSE", "10.0", "12.0", "-2", "-3", "to", "-1", "first"]
+    assert position[-3:] == ["cannot", "be", "told"]
+    assert not any("objects" in line for line in lines)
+    assert any("miss_rate_objects" in line for line in run("compare", "a", "b", "--all").stdout.splitlines())
+
+
+def test_compare_as_json(run: Callable[..., Result], parts: Parts) -> None:
+    found = json.loads(run("compare", "a", "b", "--json").stdout)
+
+    assert [one["better"] for one in found["differences"]] == ["first", None, None]
+    assert set(found["differences"][0]["difference"]) == {"mean", "std", "low", "high", "n"}
+
+
+def test_every_part_is_an_entry_point_that_exists() -> None:
+    points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][command.GROUP]
+
+    assert set(points) == {"build", "check", "compare", "serve"}
+    for value in points.values():
+        module, _, attribute = value.partition(":")
+        assert callable(getattr(import_module(module), attribute))
+
+
+def test_a_missing_package_is_said(run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "entry_points", lambda group: [])
+
+    result = run("serve")
+
+    assert isinstance(result.exception, DmbenchError)
+    assert "pip install" in str(result.exception)

@@ -1,0 +1,148 @@
+"""A workspace with a recorded Grid World of 30 short episodes and three scored runs of models that learn nothing."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+import torch
+from torch import Tensor
+
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
+from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.recording.rollout import record_episodes
+from dmotion_bench.scoring.prediction import Execution
+from dmotion_bench.scoring.score import ReferenceScores, ScoreSettings, score_run
+from dmotion_bench.specs import DatasetRecipe, Supervision
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.workspace import Workspace
+from leaderboard.build import entry_of_run
+from leaderboard.entry import Entry
+from recorders.grid_world import FACTS, GridWorld
+
+SETTINGS = ScoreSettings(horizon=3, resamples=200)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoConfig:
+    """There is nothing to choose."""
+
+
+class Brighter(ForwardModel[NoConfig]):
+    """Predicts the current frame, brightened by ``offset``."""
+
+    supervision: ClassVar[Supervision] = Supervision.NONE
+    paper: ClassVar[str] = "nobody, nowhere"
+    Config: ClassVar[type] = NoConfig
+    offset: Tensor
+
+    def __init__(self, config: NoConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        self.register_buffer("offset", torch.zeros(1))
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        return Losses(total=torch.zeros(()))
+
+    def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
+        return current + self.offset
+
+
+def write_run(workspace: Workspace, dataset: Dataset, name: str, *, offset: float, **changes: Any) -> Run:
+    asked: dict[str, Any] = {
+        "model": "dmotion",
+        "arch": "compact",
+        "config": {},
+        "training": {},
+        "preset": "tiny",
+        "labels": "one-shot",
+        "seed": 0,
+        "dataset": dataset.name,
+        "fingerprint": dataset.fingerprint,
+        "height": 128,
+        "width": 128,
+        "actions": 4,
+    }
+    run = Run.create_or_open(
+        workspace.runs / name, RunSpec(**(asked | changes)), dataset_path=dataset.path, versions={}
+    )
+    weights = {"offset": torch.tensor([offset])}
+    checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
+    run.finish(
+        {
+            "weights": checkpoint.weights_hash(weights),
+            "steps": 5,
+            "seconds": 1.5,
+            "parameters": 1,
+            "device": "cpu",
+            "labels": {"demonstrations": 4},
+            "labels_total": 4,
+        }
+    )
+    return run
+
+
+@pytest.fixture(autouse=True)
+def _model(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Brighter)
+
+
+@pytest.fixture(scope="session")
+def scored_workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
+    """Read only; ``workspace`` is a copy."""
+    workspace = Workspace(tmp_path_factory.mktemp("workspace"))
+    recipe = DatasetRecipe(environment="grid_world", policy="random", seed=3, episodes=30, frames=12)
+    with DatasetWriter.create_or_resume(workspace.data / "grid_world-tiny", recipe, FACTS) as writer:
+        for index in writer.missing:
+            writer.write_shard(index, record_episodes(GridWorld(), recipe, writer.episodes_of(index)))
+        writer.finish()
+    dataset = Dataset.open(workspace.data / "grid_world-tiny")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Brighter)
+        references = ReferenceScores()
+        for name, offset, changes in (
+            ("dmotion-grid_world-tiny-s0", 0.0, {}),
+            ("dmotion-grid_world-tiny-s1", 0.02, {"seed": 1}),
+            ("cswm-grid_world-tiny-10pct-s0", 0.5, {"model": "cswm", "labels": "10%"}),
+        ):
+            run = write_run(workspace, dataset, name, offset=offset, **changes)
+            score_run(run.path, settings=SETTINGS, how=Execution(), references=references)
+    return workspace
+
+
+@pytest.fixture
+def workspace(scored_workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
+    """A copy to spoil."""
+    copied = Workspace(tmp_path / "workspace")
+    shutil.copytree(scored_workspace.root, copied.root)
+    for path in copied.all_runs():
+        manifest = json.loads((path / "run.json").read_text())
+        manifest["dataset_path"] = str(copied.data / "grid_world-tiny")
+        (path / "run.json").write_text(json.dumps(manifest))
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(copied.root))
+    return copied
+
+
+@pytest.fixture(scope="session")
+def sound(scored_workspace: Workspace) -> Entry:
+    """The entry of the first run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Brighter)
+        return entry_of_run(scored_workspace.runs / "dmotion-grid_world-tiny-s0")
+
+
+@pytest.fixture
+def changed(sound: Entry) -> Callable[..., Entry]:
+    """The sound entry with some of its content replaced: ``changed(mse={...}, seed=3)``."""
+
+    def change(**content: Any) -> Entry:
+        return Entry(copy.deepcopy(dict(sound.content)) | content)
+
+    return change

@@ -1,0 +1,146 @@
+"""Standings: seeds, paired differences to the best, published rows and references beside them."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from leaderboard.board import Board, Row, make_boards
+from leaderboard.entry import Entry
+
+Changed = Callable[..., Entry]
+EPISODES = list(range(40))
+FRAMES = 25
+
+
+@pytest.fixture
+def result(sound: Entry) -> Callable[..., Entry]:
+    """Makes an entry whose error in each episode is given."""
+
+    def make(model: str, errors: np.ndarray, *, seed: int = 0, labels: str = "one-shot", **content: Any) -> Entry:
+        made = copy.deepcopy(dict(sound.content))
+        figure = {"mean": float(errors.mean()), "std": 1.0, "low": None, "high": None, "n": FRAMES * len(EPISODES)}
+        sums = {"episode": EPISODES, "n": [FRAMES] * len(EPISODES), "sum": (errors * FRAMES).tolist()}
+        made |= {"model": model, "seed": seed, "run": f"{model}-{labels}-s{seed}", "weights": f"{seed:064x}"}
+        made |= {"figures": made["figures"] | {"mse": figure}, "by_episode": {"mse": sums}}
+        made["labels"] = {"asked": labels, "given": {}, "total": 4}
+        return Entry(made | content)
+
+    return make
+
+
+def _published(model: str = "dmotion", mse: float = 14.3) -> Entry:
+    figures = {"mse": {"mean": mse, "std": 99.8, "low": None, "high": None, "n": None}}
+    return Entry(
+        {
+            "format": "dmbench-entry/1",
+            "kind": "published",
+            "model": model,
+            "environment": "grid_world",
+            "labels": {"asked": "one-shot", "total": 4},
+            "figures": figures,
+            "source": "somebody",
+            "note": "somewhere",
+        }
+    )
+
+
+def _row(board: Board, name: str) -> Row:
+    (row,) = (row for row in board.rows if row.name == name and row.kind == "measured")
+    return row
+
+
+def test_seeds_are_one_row_with_their_range(result: Callable[..., Entry]) -> None:
+    errors = np.linspace(1, 3, 40)
+    entries = [result("a", errors * factor, seed=seed) for seed, factor in ((1, 2.0), (0, 1.0), (2, 1.5))]
+
+    (board,) = make_boards(entries)
+    row = _row(board, "a")
+    value = row.figures["mse"]
+
+    assert (row.seeds, [entry.content["seed"] for entry in row.entries]) == (3, [0, 1, 2])
+    assert (value.mean, value.low, value.high) == pytest.approx((3.0, 2.0, 4.0))
+
+
+def test_a_row_is_bold_only_where_it_cannot_be_told_from_the_best(result: Callable[..., Entry]) -> None:
+    generator = np.random.default_rng(0)
+    hard = generator.gamma(2, 10, 40)
+    entries = [
+        result("best", hard),
+        result("same", hard + generator.normal(0.01, 1, 40)),
+        result("worse", hard + 1 + generator.normal(0, 0.5, 40)),  # far less than the episodes' own spread
+    ]
+
+    (board,) = make_boards(entries)
+
+    assert _row(board, "best").is_best
+    assert _row(board, "same").ties
+    worse = _row(board, "worse")
+    assert worse.behind is not None
+    assert worse.behind.low is not None
+    assert 0.5 < worse.behind.low < worse.behind.mean < 1.5
+    assert not worse.ties
+
+
+def test_entries_that_cannot_be_paired_are_not_compared(result: Callable[..., Entry]) -> None:
+    one = result("one", np.ones(40))
+    other = result("other", np.full(40, 2.0), by_episode={})
+
+    (board,) = make_boards([one, other])
+
+    assert _row(board, "other").behind is None
+    assert not _row(board, "other").ties
+
+
+def test_published_rows_and_references_stand_between_ours(result: Callable[..., Entry]) -> None:
+    reference = {"copy_last": {"mse": {"mean": 1848.0, "std": 1.0, "low": 1.0, "high": 2.0, "n": 5}}, "paper": {}}
+    entries = [result("a", np.full(40, 100.0), reference=reference), _published()]
+
+    (board,) = make_boards(entries)
+
+    assert [(row.kind, row.name) for row in board.rows] == [
+        ("published", "dmotion"),
+        ("measured", "a"),
+        ("reference", "copy the last frame"),
+    ]
+    assert board.rows[0].figures["mse"].std == 99.8
+
+
+def test_data_sets_and_leaking_splits_have_boards_of_their_own(result: Callable[..., Entry]) -> None:
+    one = result("a", np.ones(40))
+    dataset, settings = one.content["dataset"], one.content["settings"]
+    entries = [
+        one,
+        result("a", np.ones(40), dataset=dataset | {"fingerprint": "1" * 64}),
+        result("a", np.ones(40), settings=settings | {"protocol": "paper"}),
+    ]
+
+    assert len(make_boards(entries)) == 3
+
+
+def test_published_rows_alone_make_a_board() -> None:
+    (board,) = make_boards([_published(), _published("cswm", 18.2)])
+
+    assert (board.environment, board.fingerprint, board.triplets) == ("grid_world", "", None)
+    assert [row.name for row in board.rows] == ["dmotion", "cswm"]
+
+
+def test_runs_of_the_same_model_and_budget_are_told_apart_by_their_names(result: Callable[..., Entry]) -> None:
+    entries = [result("a", np.ones(40), run="a-affine-s0"), result("a", np.ones(40), run="a-plain-s0")]
+
+    (board,) = make_boards(entries)
+
+    assert {row.variant for row in board.rows if row.kind == "measured"} == {"a-affine", "a-plain"}
+
+
+def test_a_figure_that_one_seed_lacks_is_nobody_s_mean(result: Callable[..., Entry]) -> None:
+    full = result("a", np.ones(40))
+    entries = [full, result("a", np.ones(40), seed=1, figures={"mse": full.figures["mse"]})]
+
+    (board,) = make_boards(entries)
+
+    assert set(_row(board, "a").figures) == {"mse"}

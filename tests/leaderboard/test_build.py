@@ -1,0 +1,93 @@
+"""From a workspace to a folder that is a leaderboard."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.workspace import Workspace
+from leaderboard.build import build
+from leaderboard.entry import Entry, read_entries, schema_text
+
+
+def test_runs_tables_and_others_entries_stand_on_one_page(
+    workspace: Workspace, changed: Callable[..., Entry], tmp_path: Path
+) -> None:
+    theirs = changed(run="theirs-s0", model="theirs", weights="1" * 64)
+    given = theirs.write(tmp_path / "theirs")
+
+    built = build(workspace.all_runs(), [given], tmp_path / "out")
+
+    entries = read_entries(tmp_path / "out/entries")
+    assert (built.measured, built.published, built.left_out) == (4, 22, {})
+    assert sum(entry.is_measured for entry in entries) == 4
+    assert theirs in entries
+    assert (tmp_path / "out/schema.json").read_text() == schema_text()
+    page = built.page.read_text()
+    assert "theirs" in page
+    assert page.count("data:image/png") >= 4
+
+
+def test_runs_without_a_report_are_left_out_and_it_is_said(workspace: Workspace, tmp_path: Path) -> None:
+    runs = workspace.all_runs()
+    shutil.rmtree(runs[0] / "report")
+    manifest = json.loads((runs[1] / "run.json").read_text())
+    manifest["result"]["weights"] = "0" * 64
+    (runs[1] / "run.json").write_text(json.dumps(manifest))
+
+    built = build(runs, [], tmp_path / "out")
+
+    assert built.measured == 1
+    assert "dmbench score" in built.left_out[runs[0].name]
+    assert "of an earlier training" in built.left_out[runs[1].name]
+
+
+def test_building_again_changes_nothing_and_asks_no_model(
+    workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def files() -> dict[str, bytes]:
+        return {str(path): path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+
+    build(workspace.all_runs(), [], tmp_path / "out")
+    first = files()
+
+    def ask(*_: Any) -> None:
+        raise AssertionError("a model was asked")
+
+    monkeypatch.setattr("leaderboard.build.take_pictures", ask)
+    build(workspace.all_runs(), [], tmp_path / "out")
+
+    assert files() == first
+
+
+def test_without_its_data_set_a_run_has_an_entry_without_pictures(workspace: Workspace, tmp_path: Path) -> None:
+    shutil.rmtree(workspace.data)
+
+    built = build(workspace.all_runs(), [], tmp_path / "out")
+
+    assert built.measured == 3
+    assert not any(entry.pictures for entry in read_entries(tmp_path / "out/entries"))
+
+
+def test_an_empty_workspace_shows_the_tables(tmp_path: Path) -> None:
+    built = build([], [], tmp_path / "out")
+
+    assert (built.measured, built.published) == (0, 22)
+    assert "Published results alone" in built.page.read_text()
+
+
+def test_what_is_no_entry_stops_the_build(tmp_path: Path) -> None:
+    (tmp_path / "bad.json").write_text("{}")
+    (tmp_path / "empty").mkdir()
+
+    with pytest.raises(EntryInvalid, match=r"bad\.json"):
+        build([], [tmp_path / "bad.json"], tmp_path / "out")
+    with pytest.raises(EntryInvalid, match="holds no entry"):
+        build([], [tmp_path / "empty"], tmp_path / "out")
+    assert not (tmp_path / "out/index.html").exists()

@@ -1,0 +1,284 @@
+"""A sound entry holds; whatever is changed in it, in its samples, its weights or its data is found."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.scoring.references import published_results
+from dmotion_bench.scoring.report import write_report
+from dmotion_bench.scoring.score import ReferenceScores
+from dmotion_bench.workspace import Workspace
+from leaderboard.build import entry_of_run
+from leaderboard.check import CheckSettings, check_entry, check_paths
+from leaderboard.entry import Entry, published_entry
+from leaderboard.paper import label_count
+from leaderboard.pictures import from_png, to_png
+
+Changed = Callable[..., Entry]
+QUICK = CheckSettings(score=False)
+RUN = "dmotion-grid_world-tiny-s0"
+
+
+@pytest.fixture(scope="module")
+def references() -> ReferenceScores:
+    """Scored once for all tests."""
+    return ReferenceScores()
+
+
+def test_a_sound_entry_holds(workspace: Workspace, sound: Entry, references: ReferenceScores) -> None:
+    verdict = check_entry(sound, workspace, references=references)
+
+    assert verdict.findings == ()
+    assert verdict.holds
+    assert verdict.figures == len(sound.figures)
+    assert verdict.samples == sound.content["samples"]["rows"]
+
+
+def _figures(entry: Entry, name: str, **parts: Any) -> dict[str, Any]:
+    figures = copy.deepcopy(dict(entry.figures))
+    figures[name] |= parts
+    return figures
+
+
+@pytest.mark.parametrize("part", ["mean", "std", "low", "high", "n"])
+@pytest.mark.parametrize("name", ["mse", "ssim", "position_error", "rollout_mse[2]"])
+def test_every_part_of_every_figure_counts(
+    workspace: Workspace, sound: Entry, changed: Changed, name: str, part: str
+) -> None:
+    value = sound.figures[name][part]
+    bent = value + 1 if part == "n" else (1e-6 if value is None else value * (1 + 1e-6) + 1e-6)
+
+    verdict = check_entry(changed(figures=_figures(sound, name, **{part: bent})), workspace, QUICK)
+
+    assert any(name in finding and part in finding for finding in verdict.findings)
+
+
+def test_no_figure_is_left_out(workspace: Workspace, sound: Entry, changed: Changed) -> None:
+    for name in list(sound.figures)[::9]:
+        figures = {other: figure for other, figure in sound.figures.items() if other != name}
+        assert not check_entry(changed(figures=figures), workspace, QUICK).holds, name
+    added = dict(sound.figures) | {"agent_iou": sound.figures["ssim"]}
+    assert not check_entry(changed(figures=added), workspace, QUICK).holds
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({"weights": "0" * 64}, "weights: no run"),
+        ({"code": "0.1.0+000000000000"}, "code: "),
+        ({"model": "clasp"}, "model: "),
+        ({"arch": "paper"}, "arch: "),
+        ({"seed": 7}, "seed: "),
+        ({"preset": "paper"}, "preset: "),
+        ({"run": "another"}, "run: "),
+        ({"versions": {"python": "2.7"}}, "versions: "),
+        ({"remarks": {}}, "remarks: "),
+        ({"training": {"seconds": 0.5}}, "training.seconds: "),
+        ({"labels": {"asked": "one-shot", "given": {"demonstrations": 4}, "total": 0}}, "labels.total: "),
+        ({"labels": {"asked": "none", "given": {"demonstrations": 4}, "total": 4}}, "labels.asked: "),
+        ({"by_episode": {}}, "by_episode: "),
+        ({"reference": {}}, "reference.copy_last"),
+    ],
+)
+def test_what_the_entry_says_of_itself_counts(
+    workspace: Workspace, changed: Changed, content: dict[str, Any], said: str
+) -> None:
+    findings = check_entry(changed(**content), workspace, QUICK).findings
+
+    assert any(finding.startswith(said) for finding in findings), findings
+
+
+@pytest.mark.parametrize(
+    ("where", "part", "said"),
+    [
+        ("dataset", {"fingerprint": "0" * 64}, "data set: none"),
+        ("dataset", {"name": "grid_world-paper"}, "dataset.name: "),
+        ("dataset", {"environment": "robot_push"}, "dataset.environment: "),
+        ("samples", {"sha256": "0" * 64}, "samples.sha256: "),
+        ("samples", {"rows": 3}, "samples.rows: "),
+        ("settings", {"resamples": 3}, "figures, from the samples: "),
+        ("settings", {"resamples": 10**12}, "settings.resamples is"),
+        ("settings", {"protocol": "paper"}, "settings.protocol: "),
+        ("settings", {"split": "training"}, "settings.split is"),
+        ("settings", {"precision": "int8"}, "settings.precision is"),
+    ],
+)
+def test_hashes_and_settings_count(
+    workspace: Workspace, sound: Entry, changed: Changed, where: str, part: dict[str, Any], said: str
+) -> None:
+    findings = check_entry(changed(**{where: sound.content[where] | part}), workspace, QUICK).findings
+
+    assert any(finding.startswith(said) for finding in findings), findings
+
+
+def test_the_sums_by_episode_count(workspace: Workspace, sound: Entry, changed: Changed) -> None:
+    sums = copy.deepcopy(dict(sound.by_episode))
+    sums["mse"]["sum"][0] *= 1.0001
+
+    assert not check_entry(changed(by_episode=sums), workspace, QUICK).holds
+
+
+def test_a_reference_s_figure_counts(workspace: Workspace, sound: Entry, changed: Changed) -> None:
+    reference = copy.deepcopy(dict(sound.content["reference"]))
+    for name in ("copy_last", "paper"):
+        bent = copy.deepcopy(reference)
+        bent[name]["mse"]["mean"] *= 2
+        findings = check_entry(changed(reference=bent), workspace, QUICK).findings
+        assert any(finding.startswith(f"reference.{name}") for finding in findings)
+
+
+def _rewritten(run: Path, change: Callable[[list[dict[str, Any]]], None]) -> Entry:
+    """A run whose samples were changed and whose report was made to agree, hash, figures and all."""
+    from dmotion_bench.scoring.figures import figures_of
+    from dmotion_bench.scoring.report import read_report
+
+    folder = run / "report"
+    table, report = pq.read_table(folder / "samples.parquet"), read_report(folder)
+    assert report is not None
+    rows = table.to_pylist()
+    change(rows)
+    forged = pa.Table.from_pylist(rows, table.schema)
+    figures = {name: one.to_json() for name, one in figures_of(forged, "model", resamples=200).items()}
+    write_report(folder, type(report)(**(vars(report) | {"figures": figures})), forged)
+    return entry_of_run(run)
+
+
+def _first(rows: list[dict[str, Any]], metric: str, predictor: str) -> dict[str, Any]:
+    return next(row for row in rows if (row["metric"], row["predictor"]) == (metric, predictor))
+
+
+@pytest.mark.parametrize("metric", ["prediction", "rollout"])
+def test_a_single_forged_sample_is_found_by_scoring_anew(
+    workspace: Workspace, references: ReferenceScores, metric: str
+) -> None:
+    def better(rows: list[dict[str, Any]]) -> None:
+        _first(rows, metric, "model")["mse"] *= 0.5
+
+    forged = _rewritten(workspace.runs / RUN, better)
+
+    assert check_entry(forged, workspace, QUICK).holds  # all agrees: hash, figures, sums
+    findings = check_entry(forged, workspace, references=references).findings
+    assert any("1 of" in finding and f"{metric} of model" in finding for finding in findings), findings
+
+
+def test_samples_that_were_dropped_are_found(workspace: Workspace, references: ReferenceScores) -> None:
+    def drop_the_worst(rows: list[dict[str, Any]]) -> None:
+        mine = [row for row in rows if row["predictor"] == "model" and row["metric"] == "prediction"]
+        rows.remove(max(mine, key=lambda row: row["mse"]))
+
+    findings = check_entry(_rewritten(workspace.runs / RUN, drop_the_worst), workspace, references=references).findings
+
+    assert any("of other frames" in finding for finding in findings)
+
+
+def test_a_share_of_differing_samples_can_be_allowed(workspace: Workspace, references: ReferenceScores) -> None:
+    def round_otherwise(rows: list[dict[str, Any]]) -> None:
+        _first(rows, "prediction", "model")["found"][0] ^= True
+
+    forged = _rewritten(workspace.runs / RUN, round_otherwise)
+
+    strict, lenient = (
+        check_entry(forged, workspace, CheckSettings(differing=share), references=references) for share in (0, 0.01)
+    )
+    assert not strict.holds
+    assert lenient.holds
+    assert any("1 of" in remark for remark in lenient.remarks)
+
+
+def test_changed_samples_beside_an_honest_entry_are_found(workspace: Workspace, sound: Entry) -> None:
+    path = workspace.runs / RUN / "report/samples.parquet"
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    path.write_bytes(raw)
+
+    assert any(finding.startswith("samples.sha256") for finding in check_entry(sound, workspace, QUICK).findings)
+
+
+def test_missing_samples_are_found(workspace: Workspace, sound: Entry) -> None:
+    (workspace.runs / RUN / "report/samples.parquet").unlink()
+
+    assert any(finding.startswith("samples: there is no") for finding in check_entry(sound, workspace, QUICK).findings)
+
+
+def test_other_weights_under_the_same_hash_are_found(workspace: Workspace, sound: Entry) -> None:
+    other = checkpoint.with_prefix("model", {"offset": torch.tensor([0.01])})
+    checkpoint.save(workspace.runs / RUN / "best.safetensors", other, {})
+
+    findings = check_entry(sound, workspace).findings
+    assert any("not those that the training wrote" in finding for finding in findings)
+
+
+@pytest.mark.parametrize("kind", ["video", "labels"])
+def test_a_changed_data_set_is_found(workspace: Workspace, sound: Entry, kind: str) -> None:
+    path = next((workspace.data / "grid_world-tiny" / kind).iterdir())
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    path.write_bytes(raw)
+
+    findings = check_entry(sound, workspace, QUICK).findings
+    assert any(f"{kind}/{path.name} is not what was recorded" in finding for finding in findings)
+
+
+def test_a_changed_frame_cache_is_found(workspace: Workspace, sound: Entry) -> None:
+    (path,) = (workspace.data / "grid_world-tiny/cache").iterdir()
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 255
+    path.write_bytes(raw)
+
+    assert any("cache/" in finding for finding in check_entry(sound, workspace, QUICK).findings)
+
+
+@pytest.mark.parametrize("which", ["current", "truth", "predicted"])
+def test_a_retouched_picture_is_found(
+    workspace: Workspace, sound: Entry, changed: Changed, references: ReferenceScores, which: str
+) -> None:
+    pictures = copy.deepcopy(list(sound.pictures))
+    frame = from_png(pictures[0][which]).copy()
+    frame[40:44, 40:44] ^= 128
+    pictures[0] = dict(pictures[0]) | {which: to_png(frame)}
+
+    findings = check_entry(changed(pictures=pictures), workspace, references=references).findings
+
+    assert any(repr(which) in finding for finding in findings)
+
+
+def test_pictures_of_chosen_steps_are_found(
+    workspace: Workspace, sound: Entry, changed: Changed, references: ReferenceScores
+) -> None:
+    verdict = check_entry(changed(pictures=list(sound.pictures)[1:]), workspace, references=references)
+
+    assert any(finding.startswith("pictures: of other steps") for finding in verdict.findings)
+
+
+def test_published_rows_are_held_against_the_table() -> None:
+    row = published_results()[0]
+    entry = published_entry(row, label_count(row.environment, row.labels))
+    figures = {"mse": dict(entry.figures["mse"]) | {"mean": 1.0}}
+    nowhere = Workspace(Path("/nowhere"))
+
+    assert check_entry(entry, nowhere).holds
+    assert not check_entry(Entry(dict(entry.content) | {"figures": figures}), nowhere).holds
+    assert not check_entry(Entry(dict(entry.content) | {"source": "me"}), nowhere).holds
+    other = check_entry(Entry(dict(entry.content) | {"model": "another"}), nowhere)
+    assert other.holds
+    assert "nothing to hold it against" in other.remarks[0]
+
+
+def test_folders_files_and_runs_can_be_checked(workspace: Workspace, sound: Entry, tmp_path: Path) -> None:
+    folder = tmp_path / "entries"
+    sound.write(folder)
+    (folder / "broken.json").write_text("{")
+
+    verdicts = check_paths([folder, Path(RUN)], workspace, quick=True)
+
+    assert {verdict.entry: verdict.holds for verdict in verdicts} == {"broken.json": False, RUN: True}
+    assert len(verdicts) == 3

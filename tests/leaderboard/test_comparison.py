@@ -1,0 +1,128 @@
+"""Differences are paired: the same frames, and 'better' only where the interval says so."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from dmotion_bench.errors import RunMismatch, RunMissing
+from dmotion_bench.scoring.statistics import paired_difference
+from dmotion_bench.workspace import Workspace
+from leaderboard.comparison import better, compare_runs, difference_by_episode, sums_by_episode
+
+S0, S1, CSWM = "dmotion-grid_world-tiny-s0", "dmotion-grid_world-tiny-s1", "cswm-grid_world-tiny-10pct-s0"
+
+
+def _rows(workspace: Workspace, run: str) -> list[dict[str, float]]:
+    table = pq.read_table(workspace.runs / run / "report/samples.parquet")
+    return [row for row in table.to_pylist() if row["predictor"] == "model"]
+
+
+def test_every_figure_is_the_mean_of_the_frames_differences(scored_workspace: Workspace) -> None:
+    found = {one.figure: one for one in compare_runs(scored_workspace.runs / S0, scored_workspace.runs / CSWM)}
+    rows = {name: _rows(scored_workspace, name) for name in (S0, CSWM)}
+    second = {(row["metric"], row["episode"], row["step"], row["ahead"]): row for row in rows[CSWM]}
+
+    assert {"mse", "mse_push", "ssim", "position_error", "rollout_mse[1]", "rollout_miss_rate[3]"} <= set(found)
+    for figure, one in found.items():
+        base, _, ahead = figure.removeprefix("rollout_").rstrip("]").partition("[")
+        name = base.removesuffix("_push")
+        apart = []
+        for row in rows[S0]:
+            other = second[row["metric"], row["episode"], row["step"], row["ahead"]]
+            wanted = row["metric"] == ("rollout" if ahead else "prediction")
+            wanted &= not ahead or row["ahead"] == int(ahead)
+            wanted &= base == name or bool(row["pushed"])
+            if wanted and row[name] is not None and other[name] is not None:
+                apart.append((row[name], other[name]))
+        assert one.difference.n == len(apart), figure
+        assert one.difference.mean == pytest.approx(np.mean([a - b for a, b in apart]), rel=1e-6, abs=1e-9), figure
+        assert (one.first, one.second) == pytest.approx(tuple(np.mean(apart, axis=0)), rel=1e-9), figure
+
+
+def test_the_other_way_round_it_is_the_other_sign(scored_workspace: Workspace) -> None:
+    one, other = (
+        {found.figure: found for found in compare_runs(scored_workspace.runs / a, scored_workspace.runs / b)}
+        for a, b in ((S0, CSWM), (CSWM, S0))
+    )
+
+    assert one["mse"].difference.mean == -other["mse"].difference.mean
+    assert one["mse"].better == "first"
+    assert other["mse"].better == "second"
+    assert one["psnr"].better == "first"
+
+
+@pytest.mark.parametrize(
+    ("figure", "low", "high", "which"),
+    [
+        ("mse", -2.0, -1.0, "first"),
+        ("mse", 1.0, 2.0, "second"),
+        ("mse", -1.0, 2.0, None),
+        ("mse", 0.0, 2.0, None),
+        ("mse", None, None, None),
+        ("ssim", 0.1, 0.2, "first"),
+        ("psnr_push", -2.0, -1.0, "second"),
+        ("control_success[0.2]", 0.1, 0.2, "first"),
+        ("rollout_position_error[5]", 0.1, 0.2, "second"),
+        ("motion_swap_change", 0.1, 0.2, None),
+    ],
+)
+def test_better_is_said_only_where_the_interval_says_so(
+    figure: str, low: float | None, high: float | None, which: str | None
+) -> None:
+    assert better(figure, low, high) == which
+
+
+def test_sums_over_episodes_tell_the_same_as_the_samples(scored_workspace: Workspace) -> None:
+    tables = [pq.read_table(scored_workspace.runs / name / "report/samples.parquet") for name in (S0, CSWM)]
+    for figure in ("mse", "mse_push", "position_error_paper"):
+        rows = [
+            [row for row in table.to_pylist() if row["predictor"] == "model" and row["metric"] == "prediction"]
+            for table in tables
+        ]
+        rows = [[row for row in own if not figure.endswith("_push") or row["pushed"]] for own in rows]
+        values = [np.array([row[figure.removesuffix("_push")] for row in own], float) for own in rows]
+        wanted = paired_difference(*values, np.array([row["episode"] for row in rows[0]]))
+
+        found = difference_by_episode(*([sums_by_episode(table)[figure]] for table in tables))
+
+        assert wanted is not None
+        assert found is not None
+        assert found.mean == pytest.approx(wanted.mean, rel=1e-9)
+        assert (found.low is None) == (wanted.low is None)
+        if wanted.low is not None:
+            assert (found.low, found.high) == pytest.approx((wanted.low, wanted.high), rel=1e-9)
+        assert found.n == wanted.n
+
+
+def test_seeds_are_averaged_before_they_are_compared() -> None:
+    episodes = {"episode": [3, 5, 9], "n": [2, 4, 1]}
+    seeds = [{**episodes, "sum": [2.0, 8.0, 1.0]}, {**episodes, "sum": [4.0, 0.0, 3.0]}]
+    one = [{**episodes, "sum": [1.0, 2.0, 1.0]}]
+
+    found = difference_by_episode(seeds, one)
+
+    assert found is not None
+    assert found.mean == pytest.approx((3 - 1 + 4 - 2 + 2 - 1) / 7)
+    assert difference_by_episode(seeds, [{**one[0], "n": [2, 4, 2]}]) is None
+    assert difference_by_episode([], one) is None
+
+
+def test_runs_that_saw_other_frames_are_not_compared(workspace: Workspace) -> None:
+    report = workspace.runs / S1 / "report/report.json"
+    content = json.loads(report.read_text())
+    report.write_text(json.dumps(content | {"dataset": content["dataset"] | {"fingerprint": "0" * 64}}))
+
+    with pytest.raises(RunMismatch, match="the data set is"):
+        compare_runs(workspace.runs / S0, workspace.runs / S1)
+
+
+def test_a_run_without_a_whole_report_is_not_compared(workspace: Workspace) -> None:
+    with (workspace.runs / S1 / "report/samples.parquet").open("ab") as file:
+        file.write(b"more")
+
+    with pytest.raises(RunMissing, match="dmbench score"):
+        compare_runs(workspace.runs / S0, workspace.runs / S1)

@@ -6,6 +6,7 @@ a third of the steps move an object, and an episode ends after some 40 frames be
 
 from __future__ import annotations
 
+import math
 from typing import Protocol, cast
 
 import numpy as np
@@ -30,17 +31,19 @@ class PushPolicy:
 
     def __init__(self) -> None:
         self._target: int | None = None
+        self._moves: list[list[float]] = []
 
     def __call__(self, env: Environment, generator: np.random.Generator) -> int:
         """The next action; ``env`` must also be ``Pushing``."""
-        legal: list[int] = np.flatnonzero(env.legal_actions()).tolist()
-        objects = env.objects().position
-        present: list[int] = np.flatnonzero(~np.isnan(objects[:, 0])).tolist()
+        legal = [action for action, possible in enumerate(env.legal_actions().tolist()) if possible]
+        objects: list[list[float]] = env.objects().position.tolist()
+        present = [index for index, position in enumerate(objects) if not math.isnan(position[0])]
         if self._target not in present or generator.random() < CHOOSE_ANEW:
             self._target = present[int(generator.random() * len(present))] if present else None
         if self._target is not None and generator.random() < TOWARD:
-            x, y = (objects[self._target, :2] - env.agent().position[0, :2]).tolist()
-            moves = cast(Pushing, env).moves.tolist()
+            there, here = objects[self._target], env.agent().position[0].tolist()
+            x, y = there[0] - here[0], there[1] - here[1]
+            self._moves = moves = self._moves or cast(Pushing, env).moves.tolist()
             # The longer leg more often than the other, so that the way is no fixed zigzag.
             weights = [max(0.0, moves[action][0] * x + moves[action][1] * y) ** 2 for action in legal]
             if sum(weights) > 0:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -37,8 +40,17 @@ class Lattice:
 
     def legal(self, place: Place) -> Bool[np.ndarray, " a"]:
         """Which actions stay on the lattice."""
-        reached = [self.after(place, action) for action in range(len(self.moves))]
-        return np.array([0 <= x < self.places[0] and 0 <= y < self.places[1] for x, y in reached])
+        legal: Bool[np.ndarray, " a"] = self._legal[place].copy()
+        return legal
+
+    @cached_property
+    def _legal(self) -> dict[Place, Bool[np.ndarray, " a"]]:
+        width, height = self.places
+        found = {}
+        for place in itertools.product(range(width), range(height)):
+            reached = [self.after(place, action) for action in range(len(self.moves))]
+            found[place] = np.array([0 <= x < width and 0 <= y < height for x, y in reached])
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,18 +73,26 @@ class TableTop:
         self, radii: Sequence[float], *, pusher: float, lattice: Lattice, generator: np.random.Generator
     ) -> tuple[Float[np.ndarray, "k 2"], Place]:
         """Spots [m] for round things of these radii and a place for the pusher, of radius ``pusher``."""
-        half = np.asarray(self.size) / 2
         while True:
-            spots = np.full((len(radii), 2), np.inf)
-            for index, radius in enumerate(radii):
-                free = half - radius - self.edge_gap
+            spots = list[tuple[float, float]]()
+            for radius in radii:
+                free = [length / 2 - radius - self.edge_gap for length in self.size]
                 for _ in range(50):
-                    spot = np.asarray(self.center) + generator.uniform(-free, free)
-                    apart = np.hypot(*(spots[:index] - spot).T) - np.asarray(radii[:index])
-                    if (apart > radius + self.gap).all():
-                        spots[index] = spot
+                    there = zip(self.center, free, generator.random(2).tolist(), strict=True)
+                    x, y = (middle + (2 * reach * number - reach) for middle, reach, number in there)
+                    if self._is_clear((x, y), radius, spots, radii):
+                        spots.append((x, y))
                         break
+                else:
+                    spots.append((math.inf, math.inf))
             place = (int(generator.integers(lattice.places[0])), int(generator.integers(lattice.places[1])))
-            apart = np.hypot(*(spots - np.asarray(lattice.at(place))).T) - np.asarray(radii)
-            if np.isfinite(spots).all() and (apart > pusher + self.gap).all():
-                return spots, place
+            if (math.inf, math.inf) not in spots and self._is_clear(lattice.at(place), pusher, spots, radii):
+                return np.array(spots).reshape(-1, 2), place
+
+    def _is_clear(
+        self, spot: tuple[float, float], radius: float, spots: Sequence[tuple[float, float]], radii: Sequence[float]
+    ) -> bool:
+        """Whether a round thing there has its gap from what already stands."""
+        x, y = spot
+        reach = radius + self.gap
+        return all(math.hypot(u - x, v - y) - other > reach for (u, v), other in zip(spots, radii, strict=False))

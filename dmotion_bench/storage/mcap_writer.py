@@ -49,11 +49,19 @@ _FOOTER_HEAD: Final = struct.Struct("<BQQQ")  # record head, the start of the su
 
 
 class Message(NamedTuple):
-    """One message: its channel's number, the time that it is about [ns], its serialised content."""
+    """One message: its channel's number, the time that it is about [ns], its serialised content in pieces.
+
+    A picture among the pieces is a view of the picture's own memory: it is copied once, into its chunk.
+    """
 
     channel: int
     t_ns: int
-    data: bytes
+    pieces: tuple[bytes | memoryview, ...]
+
+    @property
+    def size(self) -> int:
+        """Of the content [bytes]."""
+        return sum(map(len, self.pieces))
 
 
 class Span(NamedTuple):
@@ -105,7 +113,7 @@ class McapWriter:
         start, held, size = self._position, list[Message](), 0
         for message in messages:
             held.append(message)
-            size += MESSAGE_HEAD.size + len(message.data)
+            size += MESSAGE_HEAD.size + message.size
             if size >= CHUNK_LIMIT:
                 self._chunk(held)
                 held, size = [], 0
@@ -114,17 +122,17 @@ class McapWriter:
         return Span(start, self._position - start)
 
     def _chunk(self, messages: list[Message]) -> None:
-        parts: list[bytes] = []
+        parts: list[bytes | memoryview] = []
         index: dict[int, list[tuple[int, int]]] = {}
         position = 0
         for message in messages:
-            length = MESSAGE_HEAD.size - RECORD_HEAD.size + len(message.data)
+            length = MESSAGE_HEAD.size - RECORD_HEAD.size + message.size
             sequence = self._counts[message.channel]
             head = MESSAGE_HEAD.pack(Opcode.MESSAGE, length, message.channel, sequence, message.t_ns, message.t_ns)
-            parts += (head, message.data)
+            parts += (head, *message.pieces)
             index.setdefault(message.channel, []).append((message.t_ns, position))
             self._counts[message.channel] = sequence + 1
-            position += len(head) + len(message.data)
+            position += RECORD_HEAD.size + length
         raw = b"".join(parts)
         packed = self._compressor.compress(raw)
         first, last, name = messages[0].t_ns, messages[-1].t_ns, COMPRESSION.encode()

@@ -1,6 +1,9 @@
 """Episodes to messages and back: pictures, actions, states, factors.
 
 Frame i of an episode is stamped ``start_ns + i * step_ns``; the action taken at it bears the same stamp.
+
+Protobuf's fields may follow one another in pieces. The messages of an episode differ in few of them, so the rest is
+serialised once, and the stamp, field 1 of every message here, is put before it.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ import math
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -44,8 +48,13 @@ def chunk_limit(spec: EnvSpec) -> int:
     return CHUNK_LIMIT + spec.height * spec.width * 3 + states + _MESSAGE_OVERHEAD
 
 
-def _stamp(message: Any, t_ns: int) -> bytes:
+def _stamp(t_ns: int) -> bytes:
+    message = STATES.new()
     message.timestamp.seconds, message.timestamp.nanos = divmod(t_ns, 1_000_000_000)
+    return _serialized(message)
+
+
+def _serialized(message: Any) -> bytes:
     data: bytes = message.SerializeToString(deterministic=True)
     return data
 
@@ -54,17 +63,14 @@ def _encode_images(
     images: UInt8[np.ndarray, "t h w *c"], channel: int, encoding: str, frame_id: str, start_ns: int, step_ns: int
 ) -> Iterator[Message]:
     height, width = images.shape[1:3]
-    for number, image in enumerate(images):
+    rows = np.ascontiguousarray(images).reshape(len(images), -1)
+    size = rows.shape[1]
+    head = _serialized(RAW_IMAGE.new(width=width, height=height, encoding=encoding, step=size // height))
+    head += _serialized(RAW_IMAGE.new(data=bytes(size)))[:-size]
+    tail = _serialized(RAW_IMAGE.new(frame_id=frame_id))
+    for number, row in enumerate(rows):
         t_ns = start_ns + number * step_ns
-        message = RAW_IMAGE.new(
-            frame_id=frame_id,
-            width=width,
-            height=height,
-            encoding=encoding,
-            step=image.nbytes // height,
-            data=image.tobytes(),
-        )
-        yield Message(channel, t_ns, _stamp(message, t_ns))
+        yield Message(channel, t_ns, (_stamp(t_ns), head, row.data, tail))
 
 
 def _decode_images(
@@ -121,19 +127,23 @@ def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: 
     """The messages of ``/factors``, ``/action``, ``/agent`` and ``/objects``, in the order of their times."""
     if labels.factors:
         content = json.dumps(dict(labels.factors), sort_keys=True)
-        yield Message(_LABEL_NUMBER[FACTORS_TOPIC], start_ns, _stamp(FACTORS.new(json=content), start_ns))
-    agent = _StatesEncoder((spec.agent.name,)).encode(labels.agent)
-    objects = _StatesEncoder(tuple(one.name for one in spec.objects)).encode(labels.objects)
+        yield Message(
+            _LABEL_NUMBER[FACTORS_TOPIC], start_ns, (_stamp(start_ns), _serialized(FACTORS.new(json=content)))
+        )
+    agent = _states_encoder((spec.agent.name,)).encode(labels.agent)
+    objects = _states_encoder(tuple(one.name for one in spec.objects)).encode(labels.objects)
+    acts: dict[tuple[int, bool], bytes] = {}
     for frame, (agent_states, object_states) in enumerate(zip(agent, objects, strict=True)):
         t_ns = start_ns + frame * step_ns
+        stamp = _stamp(t_ns)
         if frame < len(labels.actions):
-            action = int(labels.actions[frame])
-            name = spec.actions[action] if action < len(spec.actions) else ""
-            message = ACTION.new(action=action, name=name, pushed=bool(labels.pushed[frame]))
-            yield Message(_LABEL_NUMBER[ACTION_TOPIC], t_ns, _stamp(message, t_ns))
-        stamp = _stamp(STATES.new(), t_ns)
-        yield Message(_LABEL_NUMBER[AGENT_TOPIC], t_ns, stamp + agent_states)
-        yield Message(_LABEL_NUMBER[OBJECTS_TOPIC], t_ns, stamp + object_states)
+            act = int(labels.actions[frame]), bool(labels.pushed[frame])
+            if act not in acts:
+                name = spec.actions[act[0]] if act[0] < len(spec.actions) else ""
+                acts[act] = _serialized(ACTION.new(action=act[0], name=name, pushed=act[1]))
+            yield Message(_LABEL_NUMBER[ACTION_TOPIC], t_ns, (stamp, acts[act]))
+        yield Message(_LABEL_NUMBER[AGENT_TOPIC], t_ns, (stamp, agent_states))
+        yield Message(_LABEL_NUMBER[OBJECTS_TOPIC], t_ns, (stamp, object_states))
 
 
 class _StatesEncoder:
@@ -167,6 +177,11 @@ class _StatesEncoder:
         encoded = np.tile(self._pattern, (len(numbers), 1))
         encoded[:, self._places] = numbers.reshape(len(numbers), -1, 1).view(np.uint8)
         return [row.tobytes() for row in encoded]
+
+
+@cache
+def _states_encoder(names: tuple[str, ...]) -> _StatesEncoder:
+    return _StatesEncoder(names)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,11 +51,12 @@ def candidates(
     """
     last, gone = len(positions) - 1, np.isnan(positions[..., 0])
     before = np.concatenate([[0], np.cumsum(pushed)])
+    goals = np.minimum(np.arange(last) + GOAL_DISTANCE, last)
+    interacting = before[goals] - before[:-1]
     found = []
-    for start in range(last):
-        goal = min(start + GOAL_DISTANCE, last)
-        interactions = int(before[goal] - before[start])
-        if interactions < FEWEST_INTERACTIONS or (gone[goal] & ~gone[start]).any():
+    for start in np.flatnonzero(interacting >= FEWEST_INTERACTIONS).tolist():
+        goal, interactions = int(goals[start]), int(interacting[start])
+        if (gone[goal] & ~gone[start]).any():
             continue
         moved = np.linalg.norm(positions[goal] - positions[start], axis=-1)[~gone[start]]
         if (moved > threshold).any():

@@ -18,7 +18,7 @@ from dmotion_bench.environment import RecordingPreset
 from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates, Preset
 from recorders.planar_push.drawing import Stamp, View, stamp
 from recorders.planar_push.shapes import SHAPES, circle, rectangle
-from recorders.planar_push.table_physics import Piece, PlanarPhysics
+from recorders.planar_push.table_physics import Piece, PlanarPhysics, Pose
 from recorders.pushing import ACTIONS, Drift, PushingEnvironment, Snapshot, colored_objects
 from recorders.table_lattice import Lattice, Place, TableTop
 from recorders.variation import Factor
@@ -115,8 +115,10 @@ class PlanarPush(PushingEnvironment):
 
     def agent(self) -> ObjectStates:
         """The disc."""
-        place = np.array([self.lattice.at(self._place)])
-        return self._states(place, np.zeros(1))
+        if self._place not in self._agents:
+            place = np.array([self.lattice.at(self._place)])
+            self._agents[self._place] = self._states(place, np.zeros(1))
+        return self._agents[self._place]
 
     def objects(self) -> ObjectStates:
         """The shapes; z is 0, and nothing hides anything."""
@@ -125,10 +127,14 @@ class PlanarPush(PushingEnvironment):
         return self._object_states
 
     def _states(self, places: Float[np.ndarray, "k 2"], angles: Float[np.ndarray, " k"]) -> ObjectStates:
-        nothing = 0 * angles  # NaN for one that is gone
+        nothing, half = 0 * angles, angles / 2  # NaN for one that is gone
+        position, orientation = np.empty((len(angles), 3)), np.empty((len(angles), 4))
+        position[:, :2], position[:, 2] = places, nothing
+        orientation[:, 0] = orientation[:, 1] = nothing
+        orientation[:, 2], orientation[:, 3] = np.sin(half), np.cos(half)
         return ObjectStates(
-            position=np.column_stack([places, nothing]),
-            orientation=np.stack([nothing, nothing, np.sin(angles / 2), np.cos(angles / 2)], axis=-1),
+            position=position,
+            orientation=orientation,
             pixel=self._view.project(places),
             visible=(~np.isnan(angles)).astype(np.float64),
         )
@@ -158,15 +164,16 @@ class PlanarPush(PushingEnvironment):
             self._view = View(size=self.facts.height, turn=look[0])
             self._table = self._empty_table()
             self._discs: dict[Place, Stamp | None] = {}
+            self._agents: dict[Place, ObjectStates] = {}
         self._object_states = None
-        self._drawn = np.full((len(self._shapes), 3), np.nan)
+        self._drawn: list[Pose | None] = [None] * len(self._shapes)
         self._stamps: list[Stamp | None] = [None] * len(self._shapes)
         self._still: tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]] | None = None
         return place
 
     def _push(self, goal: tuple[float, float]) -> None:
-        self._physics.move(goal)
-        self._object_states = None
+        if self._physics.move(goal):
+            self._object_states = None
 
     def _put(self, snapshot: Snapshot, pusher: tuple[float, float]) -> None:
         angles = 2 * np.arctan2(snapshot.orientations[:, 2], snapshot.orientations[:, 3])
@@ -177,13 +184,12 @@ class PlanarPush(PushingEnvironment):
         return bool(self._physics.fallen.any())
 
     def _draw(self) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
-        poses = np.column_stack([self._physics.positions, self._physics.angles])
-        moved = np.flatnonzero((poses != self._drawn).any(axis=-1) & ~(np.isnan(poses) & np.isnan(self._drawn)).any(-1))
-        for index in moved:
-            gone = self._physics.fallen[index]
-            self._stamps[index] = None if gone else self._stamp_of(int(index), poses[index])
-        self._drawn = poses
-        if self._still is None or len(moved) or self._factor("distractors"):
+        poses = self._physics.poses
+        if self._still is None or poses != self._drawn or self._factor("distractors"):
+            for index, (pose, drawn) in enumerate(zip(poses, self._drawn, strict=True)):
+                if pose != drawn:
+                    self._stamps[index] = None if pose is None else self._stamp_of(index, pose)
+            self._drawn = poses
             self._still = self._draw_objects()
         frame, masks = self._still[0].copy(), self._still[1].copy()
         if self._place not in self._discs:
@@ -192,7 +198,7 @@ class PlanarPush(PushingEnvironment):
         disc = self._discs[self._place]
         if disc is not None:
             disc.lay(frame)
-            masks[disc.window][disc.inside] = MASK_AGENT
+            np.copyto(masks[disc.window], MASK_AGENT, where=disc.inside)
         return frame, masks
 
     def _draw_objects(self) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
@@ -204,11 +210,11 @@ class PlanarPush(PushingEnvironment):
         for index, one in enumerate(self._stamps):
             if one is not None:
                 one.lay(frame)
-                masks[one.window][one.inside] = MASK_FIRST_OBJECT + index
+                np.copyto(masks[one.window], MASK_FIRST_OBJECT + index, where=one.inside)
         return frame, masks
 
-    def _stamp_of(self, index: int, pose: Float[np.ndarray, "3"]) -> Stamp | None:
-        return stamp(self._view, self._shapes[index], pose[:2], float(pose[2]), self._colors[index])
+    def _stamp_of(self, index: int, pose: Pose) -> Stamp | None:
+        return stamp(self._view, self._shapes[index], np.array(pose[:2]), pose[2], self._colors[index])
 
     def _empty_table(self) -> UInt8[np.ndarray, "h w 3"]:
         frame = np.empty((self.facts.height, self.facts.width, 3), np.uint8)

@@ -10,6 +10,7 @@ Lengths are centimetres inside, metres outside: Chipmunk's tolerances are made f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -29,6 +30,8 @@ CM = 100.0  # in a metre
 GRAVITY = 9.81 * CM  # [cm/s^2]
 SIDES_FRICTION = 0.5  # of the shapes' sides; the disc's is the same, and Chipmunk multiplies them
 SLOP = 0.02  # [cm] that shapes may overlap
+
+Pose = tuple[float, float, float]  # x and y [m], turn [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +61,8 @@ class PlanarPhysics:
     """
 
     def __init__(self, *, size: tuple[float, float], disc: float) -> None:
-        self._half, self._radius = np.asarray(size) / 2, disc
+        self._limits = (size[0] / 2 * CM, size[1] / 2 * CM)
+        self._radius = disc
 
     def build(self, pieces: Sequence[Piece], disc: tuple[float, float]) -> None:
         """A new world with the disc's centre at ``disc`` [m]."""
@@ -74,8 +78,11 @@ class PlanarPhysics:
         self.fallen: Bool[np.ndarray, " k"] = np.zeros(len(pieces), bool)
         self.positions = np.array([piece.position for piece in pieces]).reshape(-1, 2)
         self.angles = np.array([piece.angle for piece in pieces])
-        self._walls = [piece.shape.walls for piece in pieces]
-        self._circles = np.array([piece.shape.radius for piece in pieces])
+        self.poses: list[Pose | None] = [(*piece.position, piece.angle) for piece in pieces]
+        self._walls = [
+            [(x, y, offset) for (x, y), offset in zip(*(part.tolist() for part in piece.shape.walls), strict=True)]
+            for piece in pieces
+        ]
         self.at_rest = True
         self._place_disc(disc)
 
@@ -96,11 +103,17 @@ class PlanarPhysics:
         self.build(pieces, disc)
         for index in np.flatnonzero(gone):
             self._take_out(int(index))
+            self.poses[index] = None
         self.positions[gone], self.angles[gone] = np.nan, np.nan
 
-    def move(self, goal: tuple[float, float]) -> None:
-        """Move the disc's centre to ``goal`` [m] on a straight line, and wait until all is at rest."""
-        if not self.at_rest or self._touches(goal):
+    def move(self, goal: tuple[float, float]) -> bool:
+        """Move the disc's centre to ``goal`` [m] on a straight line, and wait until all is at rest.
+
+        Returns:
+            Whether anything may have moved.
+        """
+        simulated = not self.at_rest or self._touches(goal)
+        if simulated:
             start = self._place
             self._disc.velocity = (
                 (goal[0] - start[0]) * CM * RATE / MOVING,
@@ -111,6 +124,7 @@ class PlanarPhysics:
             self._rest()
             self._read_poses()
         self._place_disc(goal)
+        return simulated
 
     def speeds(self) -> Float[np.ndarray, "k 2"]:
         """How fast each shape that has not fallen moves [m/s] and turns [rad/s]."""
@@ -138,15 +152,16 @@ class PlanarPhysics:
         return body
 
     def _simulate(self, substeps: int) -> None:
+        step = self._space.step
         for _ in range(substeps):
-            self._space.step(1 / RATE)
+            step(1 / RATE)
 
     def _rest(self) -> None:
         """Wait until all that has not fallen is at rest, then stop it altogether."""
         for _ in range(PATIENCE // CHECK):
             self._simulate(CHECK)
             self._take_fallen()
-            self.at_rest = bool((self.speeds() < [AT_REST, AT_REST_TURNING]).all())
+            self.at_rest = self._is_at_rest()
             if self.at_rest:
                 break
         if self.at_rest:
@@ -154,10 +169,19 @@ class PlanarPhysics:
                 if not gone:
                     body.velocity, body.angular_velocity = (0.0, 0.0), 0.0
 
+    def _is_at_rest(self) -> bool:
+        for body, gone in zip(self._bodies, self.fallen.tolist(), strict=True):
+            if not gone:
+                x, y = body.velocity
+                if not (math.hypot(x, y) / CM < AT_REST and abs(body.angular_velocity) < AT_REST_TURNING):
+                    return False
+        return True
+
     def _take_fallen(self) -> None:
+        x_limit, y_limit = self._limits
         for index, body in enumerate(self._bodies):
             x, y = body.position
-            if not self.fallen[index] and (abs(x) > self._half[0] * CM or abs(y) > self._half[1] * CM):
+            if (abs(x) > x_limit or abs(y) > y_limit) and not self.fallen[index]:
                 self._take_out(index)
 
     def _take_out(self, index: int) -> None:
@@ -166,11 +190,13 @@ class PlanarPhysics:
         self.fallen[index] = True
 
     def _read_poses(self) -> None:
-        for index, body in enumerate(self._bodies):
-            gone = self.fallen[index]
+        poses: list[Pose | None] = []
+        for body, gone in zip(self._bodies, self.fallen.tolist(), strict=True):
             x, y = body.position
-            self.positions[index] = (np.nan, np.nan) if gone else (x / CM, y / CM)
-            self.angles[index] = np.nan if gone else body.angle
+            poses.append(None if gone else (x / CM, y / CM, body.angle))
+        self.poses = poses
+        numbers = np.array([(np.nan, np.nan, np.nan) if pose is None else pose for pose in poses]).reshape(-1, 3)
+        self.positions, self.angles = numbers[:, :2], numbers[:, 2]
 
     def _place_disc(self, place: tuple[float, float]) -> None:
         self._disc.position = (place[0] * CM, place[1] * CM)
@@ -179,13 +205,17 @@ class PlanarPhysics:
     def _touches(self, goal: tuple[float, float]) -> bool:
         """Whether the disc could meet a shape on its straight way; errs on the side of yes."""
         reach = self._radius + CLEARANCE
-        way = np.array([self._place, goal])
-        low, high = way.min(axis=0), way.max(axis=0)
-        apart = self.positions - np.clip(self.positions, low, high)  # from the way, which is along x or y
-        for index in np.flatnonzero((apart**2).sum(axis=-1) <= (reach + self._circles) ** 2):
-            normals, offsets = self._walls[index]
-            cos, sin = np.cos(self.angles[index]), np.sin(self.angles[index])
-            ends = (way - self.positions[index]) @ np.array([[cos, -sin], [sin, cos]])  # in the shape's frame
-            if not len(offsets) or not ((ends @ normals.T).min(axis=0) > offsets + reach).any():
+        way = (self._place, goal)
+        (left, right), (bottom, top) = (sorted(ends) for ends in zip(*way, strict=True))
+        for pose, piece, walls in zip(self.poses, self._pieces, self._walls, strict=True):
+            if pose is None:
+                continue
+            x, y, angle = pose  # how far from the way, which is along x or y:
+            apart = math.hypot(x - min(max(x, left), right), y - min(max(y, bottom), top))
+            if apart > reach + piece.shape.radius:
+                continue
+            cos, sin = math.cos(angle), math.sin(angle)
+            ends = [((u - x) * cos + (v - y) * sin, (v - y) * cos - (u - x) * sin) for u, v in way]  # in its frame
+            if not any(all(u * nx + v * ny > offset + reach for u, v in ends) for nx, ny, offset in walls):
                 return True
         return False

@@ -28,8 +28,8 @@ def test_a_stamps_coverage_adds_up_to_the_shapes_area(shape: str, turn: float) -
         drawn = stamp(view, one, np.array([0.031, -0.017]), float(angle), (200, 100, 50))
         assert drawn is not None
         assert drawn.coverage.sum() / 256 == pytest.approx(area * view.scale**2, rel=0.03)
-        y, x = np.indices(drawn.coverage.shape[:2])
-        weight = drawn.coverage[..., 0] / drawn.coverage.sum()
+        y, x = np.indices(drawn.coverage.shape)
+        weight = drawn.coverage / drawn.coverage.sum()
         middle = (x * weight).sum() + drawn.window[1].start, (y * weight).sum() + drawn.window[0].start
         np.testing.assert_allclose(middle, view.project(np.array([0.031, -0.017])), atol=0.1)
 

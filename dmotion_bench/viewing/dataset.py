@@ -84,7 +84,7 @@ def _layout(spec: EnvSpec, episode: int, labels: EpisodeLabels | None) -> rrb.Co
     world = rrb.Spatial3DView(origin=f"{root}/world", name="Where things are [m]", eye_controls=_eye(labels))
     events = events_view(root, ("action", "pushed/**"), len(labels.masks))
     return rrb.Horizontal(
-        rrb.Vertical(rrb.Horizontal(camera, masks), events, row_shares=[2, 1]),
+        rrb.Vertical(rrb.Horizontal(camera, masks), events, row_shares=[1.6, 1]),
         rrb.Vertical(world, about),
         column_shares=[2.4, 1],
         name=name,
@@ -97,7 +97,7 @@ def _eye(labels: EpisodeLabels) -> rrb.EyeControls3D | None:
     eye = eye_of_camera(position, np.concatenate([each.pixel.reshape(-1, 2) for each in states]))
     if eye is None:
         return None
-    return rrb.EyeControls3D(position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0))
+    return rrb.EyeControls3D(position=eye.position, look_target=eye.target, eye_up=eye.up)
 
 
 def _explanation(dataset: ViewableDataset, episode: int, frames: int, labels: EpisodeLabels | None) -> str:

@@ -1,7 +1,8 @@
 """From where the world is looked at, so that it looks as in the camera's picture.
 
 Nothing is known of the camera but where it sees the things. A linear fit of their pixels to their places says which
-way in the world is down in the picture; the eye stands on that side, above the things.
+way in the world is down in the picture; the eye stands on that side, above the things. A world whose y axis runs down
+the picture, as Grid World's, is seen mirrored from above; the eye then stands below.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ LOWEST = 1e-6
 
 @dataclass(frozen=True)
 class Eye:
-    """An eye in the world, z upward [m]."""
+    """An eye in the world [m]; what is ``up`` for it is z or -z."""
 
     position: tuple[float, float, float]
     target: tuple[float, float, float]
+    up: tuple[float, float, float]
 
 
 def eye_of_camera(position: Float[np.ndarray, "n 3"], pixel: Float[np.ndarray, "n 2"]) -> Eye | None:
@@ -44,8 +46,9 @@ def eye_of_camera(position: Float[np.ndarray, "n 3"], pixel: Float[np.ndarray, "
         return None
     slope, *_ = np.linalg.lstsq(ground, seen - seen.mean(0), rcond=None)  # pixels a metre, x y -> right down
     down = slope[:, 1] / max(float(np.linalg.norm(slope[:, 1])), LOWEST)
-    eye = centre + size * np.array([*down, 1.2])
-    return Eye(position=_triple(eye), target=_triple(centre))
+    above = 1.0 if np.linalg.det(slope) < 0 else -1.0  # right and down turn the other way than x and y, seen from above
+    eye = centre + size * np.array([*down, 1.2 * above])
+    return Eye(position=_triple(eye), target=_triple(centre), up=(0.0, 0.0, above))
 
 
 def _triple(point: Float[np.ndarray, "3"]) -> tuple[float, float, float]:

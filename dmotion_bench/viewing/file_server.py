@@ -23,12 +23,12 @@ class FileServer(ThreadingHTTPServer):
 
     Attributes:
         file: What it gives.
-        page_port: Pages of this port, on this machine, may read it; others may not.
+        page_port: Pages of this port, on this machine, may read it; others may not, of no port nobody.
     """
 
     daemon_threads = True
 
-    def __init__(self, file: Path, page_port: int) -> None:
+    def __init__(self, file: Path, page_port: int = 0) -> None:
         self.file, self.page_port = file, page_port
         super().__init__((LOOPBACK, 0), _Handler)
 
@@ -75,7 +75,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 @contextlib.contextmanager
-def serving(file: Path, page_port: int) -> Iterator[FileServer]:
+def serving(file: Path, page_port: int = 0) -> Iterator[FileServer]:
     """A server of one file for as long as the block lasts."""
     with FileServer(file, page_port) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)

@@ -104,13 +104,17 @@ def pushes(spec: EnvSpec, labels: EpisodeLabels) -> tuple[Bool[np.ndarray, "s k"
 
 
 def _below(masks: UInt8[np.ndarray, "t h w"], classes: list[int]) -> Float[np.ndarray, "t k 2"]:
-    """The middle of each thing's lower edge [px], where its name is written; NaN while it is not seen."""
+    """The middle of each thing's lower edge [px], where its name is written; NaN while it is not seen.
+
+    Not so low that the name would be outside the picture.
+    """
+    lowest = masks.shape[1] * 0.93
     places = np.full((len(masks), len(classes), 2), np.nan)
     for number, value in enumerate(classes):
         for frame, mask in enumerate(masks == value):
             if mask.any():
                 columns = np.flatnonzero(mask.any(0))
-                places[frame, number] = (columns[0] + columns[-1]) / 2, np.flatnonzero(mask.any(1))[-1]
+                places[frame, number] = (columns[0] + columns[-1]) / 2, min(np.flatnonzero(mask.any(1))[-1], lowest)
     return places
 
 

@@ -1,16 +1,22 @@
 """An .rrd as pictures, taken by Rerun itself without a window.
 
-Needs a Vulkan driver; a machine without a graphics card has one in Debian's ``mesa-vulkan-drivers``.
+Needs a Vulkan driver; a machine without a graphics card has one in Debian's ``mesa-vulkan-drivers``. The pictures of
+the documentation are made with it::
+
+    dmbench view RUN --save run.rrd
+    python -m dmotion_bench.viewing.screenshot run.rrd picture.png --tab Training --frame 9
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from PIL import Image
 from rerun.experimental import ViewerClient
 
 from dmotion_bench.errors import ViewerError
@@ -20,6 +26,9 @@ from dmotion_bench.viewing.viewer import headless
 LOAD_SECONDS = 60.0
 TOAST_SECONDS = 5.5
 """How long Rerun's own notices stay in the picture's corner."""
+
+BAR = 34
+"""Height of the bar with Rerun's menu and warnings about the graphics driver [px]."""
 
 DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
 
@@ -50,10 +59,13 @@ class Camera:
         raise ViewerError(f"no tab named {name!r}; there are: {', '.join(sorted(filter(None, names.values())))}.")
 
     def take(self, picture: Path, *, frame: int) -> None:
-        """Write what is seen at a frame as a PNG."""
+        """Write what is seen at a frame as a PNG, without the window's own bar."""
         _patiently(lambda: self._client.set_time(FRAME, sequence=frame, play_state="paused"))
         time.sleep(0.5)
         _patiently(lambda: self._client.save_screenshot(str(picture.resolve())))
+        with Image.open(picture) as whole:
+            shown = whole.crop((0, BAR, whole.width, whole.height)).convert("RGB")
+        shown.save(picture, optimize=True)
 
 
 def _patiently(ask: Callable[[], None]) -> None:
@@ -105,3 +117,23 @@ def _wait_until_loaded(client: ViewerClient, rrd: Path) -> None:
                 return
         time.sleep(0.1)
     raise ViewerError(f"Rerun did not show {str(rrd)!r} within {LOAD_SECONDS:.0f} s.")
+
+
+def main() -> None:
+    """Take one picture."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("rrd", type=Path)
+    parser.add_argument("picture", type=Path, help="a PNG")
+    parser.add_argument("--tab", help="the name on a tab; the one in front if left out")
+    parser.add_argument("--frame", type=int, default=0)
+    parser.add_argument("--width", type=int, default=1600)
+    parser.add_argument("--height", type=int, default=900)
+    given = parser.parse_args()
+    with camera(given.rrd, given.width, given.height) as taken:
+        if given.tab is not None:
+            taken.tab(given.tab)
+        taken.take(given.picture, frame=given.frame)
+
+
+if __name__ == "__main__":
+    main()

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
@@ -26,6 +28,14 @@ from dmotion_bench.viewing.file_server import LOOPBACK, serving
 
 WEB_PORT, LIVE_PORT = 9090, 9876
 START_SECONDS = 30.0
+LIFE_SECONDS = 300.0
+"""Of a viewer without a window: nobody could close it if it hung."""
+
+ENVIRONMENT = {"RERUN_APP_ONLY": "true", "RUST_LOG": "info", "NO_COLOR": "1"}
+"""No first-run notice, as in Rerun's own spawn(), and what it listens on is said in its messages."""
+
+ATTEMPTS = 3
+TAKEN = "Address already in use"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,11 +108,13 @@ def serve_web(rrd: Path) -> Iterator[WebViewer]:
     Raises:
         ViewerError: Rerun could not be started.
     """
-    port = _free_port(WEB_PORT)
-    with serving(rrd, port) as data:
-        options = ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(port)]
-        with _program(*options, data.url) as (process, log):
-            _wait_for_port(port, process, log)
+    with serving(rrd) as data:
+
+        def options(ports: Sequence[int]) -> list[str]:
+            return ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(ports[0]), data.url]
+
+        with _listening_program(options, WEB_PORT) as (process, (port,)):
+            data.page_port = port
             page = f"http://{LOOPBACK}:{port}?url={quote(data.url, safe='')}"
             yield WebViewer(url=page, page_port=port, data_port=data.port, process=process)
 
@@ -116,34 +128,60 @@ def open_live(*, web: bool) -> Iterator[LiveViewer]:
     """
     if not web:
         require_display()
-    port = _free_port(LIVE_PORT)
-    address, page = f"rerun+http://{LOOPBACK}:{port}/proxy", None
-    ports: tuple[int, ...] = (port,)
-    options = ["--bind", LOOPBACK, "--port", str(port)]
-    if web:
-        page_port = _free_port(WEB_PORT)
-        options += ["--serve-web", "--web-viewer-port", str(page_port)]
-        page, ports = f"http://{LOOPBACK}:{page_port}?url={quote(address, safe='')}", (port, page_port)
-    else:
-        options += ["--hide-welcome-screen"]
-    with _program(*options) as (process, log):
-        for one in ports:
-            _wait_for_port(one, process, log)
-        yield LiveViewer(address=address, page=page, ports=ports, process=process)
+
+    def options(ports: Sequence[int]) -> list[str]:
+        where = ["--bind", LOOPBACK, "--port", str(ports[0])]
+        return [*where, *(("--serve-web", "--web-viewer-port", str(ports[1])) if web else ("--hide-welcome-screen",))]
+
+    with _listening_program(options, LIVE_PORT, *((WEB_PORT,) if web else ())) as (process, ports):
+        address = f"rerun+http://{LOOPBACK}:{ports[0]}/proxy"
+        page = f"http://{LOOPBACK}:{ports[1]}?url={quote(address, safe='')}" if web else None
+        yield LiveViewer(address=address, page=page, ports=tuple(ports), process=process)
 
 
 @contextlib.contextmanager
-def headless(rrd: Path, width: int, height: int) -> Iterator[str]:
-    """The address of a viewer without a window that has this .rrd open.
+def headless(rrd: Path | None, width: int, height: int) -> Iterator[str]:
+    """The address of a viewer without a window that has this .rrd open, or waits for a recording.
+
+    It ends after ``LIFE_SECONDS`` whatever happens: what asks it something then gets an error instead of waiting.
 
     Raises:
         ViewerError: No graphics driver is there, or Rerun could not be started.
     """
-    port = _free_port(0)
-    options = ["--headless", "--bind", LOOPBACK, "--port", str(port), "--hide-welcome-screen"]
-    with _program(*options, "--window-size", f"{width}x{height}", str(rrd)) as (process, log):
-        _wait_for_port(port, process, log)
-        yield f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+    def options(ports: Sequence[int]) -> list[str]:
+        shown = [] if rrd is None else [str(rrd)]
+        size = f"{width}x{height}"
+        where = ["--bind", LOOPBACK, "--port", str(ports[0])]
+        return ["--headless", *where, "--hide-welcome-screen", "--window-size", size, *shown]
+
+    with _listening_program(options, 0) as (process, (port,)):
+        limit = threading.Timer(LIFE_SECONDS, _end, (process,))
+        limit.daemon = True
+        limit.start()
+        try:
+            yield f"rerun+http://{LOOPBACK}:{port}/proxy"
+        finally:
+            limit.cancel()
+
+
+@contextlib.contextmanager
+def _listening_program(
+    options: Callable[[Sequence[int]], Sequence[str]], *wanted: int
+) -> Iterator[tuple[subprocess.Popen[bytes], list[int]]]:
+    """Rerun running, and the ports that it listens on: the wanted ones where they are free.
+
+    A port that was free may be taken by another program before Rerun has it; then others are tried.
+    """
+    for attempt in range(ATTEMPTS):
+        ports = [_free_port(port if attempt == 0 else 0) for port in wanted]
+        with _program(*options(ports)) as (process, log):
+            if not all(_listens(port, process, log) for port in ports):
+                if TAKEN in log.read_text(errors="replace") and attempt < ATTEMPTS - 1:
+                    continue
+                raise ViewerError(f"Rerun ended before it listened: {_reason(log)}")
+            yield process, ports
+            return
 
 
 @contextlib.contextmanager
@@ -154,7 +192,7 @@ def _program(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
         with log.open("wb") as messages:
             process = subprocess.Popen(
                 [sys.executable, "-m", "rerun_cli", *options],
-                env={**os.environ, "RERUN_APP_ONLY": "true"},  # as Rerun's own spawn() has it: no first-run notice
+                env={**os.environ, **ENVIRONMENT},
                 stdin=subprocess.DEVNULL,
                 stdout=messages,
                 stderr=messages,
@@ -167,22 +205,33 @@ def _program(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the launcher and the viewer that it started."""
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, number)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=5)
-            return
+    """End the launcher and the viewer that it started, which may outlive it."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGTERM)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=5)
+    end = time.monotonic() + 1
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # the latter from a group of zombies on macOS
+        while time.monotonic() < end:
+            os.killpg(process.pid, 0)
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGKILL)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=5)
 
 
-def _wait_for_port(port: int, process: subprocess.Popen[bytes], log: Path) -> None:
+def _listens(port: int, process: subprocess.Popen[bytes], log: Path) -> bool:
+    """Wait until the program listens on a port; False if it has ended before.
+
+    It says so itself: that something answers there is no proof, it may be another program.
+    """
+    said = re.compile(rf"(Listening|Hosting).*{re.escape(f'{LOOPBACK}:{port}')}\b")
     end = time.monotonic() + START_SECONDS
     while time.monotonic() < end:
+        if said.search(log.read_text(errors="replace")):
+            return True
         if process.poll() is not None:
-            raise ViewerError(f"Rerun ended before it listened: {_reason(log)}")
-        with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=1):
-            return
+            return False
         time.sleep(0.05)
     raise ViewerError(f"Rerun did not listen on port {port} within {START_SECONDS:.0f} s: {_reason(log)}")
 

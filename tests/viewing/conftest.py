@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import faulthandler
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, open_run
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.viewing import viewer
 from dmotion_bench.workspace import Workspace
 
 METRICS = [
@@ -20,6 +23,26 @@ METRICS = [
     {"step": 4, "learning_rate": 0.001, "triplets_per_s": 50.0, "loss": 0.75, "prediction": 0.25},
     {"step": 4, "learning_rate": 0.001, "triplets_per_s": 50.0, "validation_loss": 0.8},
 ]
+
+
+HANGS = 240
+"""Seconds after which a test that waits inside Rerun is ended, and its process with it."""
+
+
+@pytest.fixture(autouse=True)
+def _never_hangs() -> Iterator[None]:
+    faulthandler.dump_traceback_later(HANGS, exit=True)
+    yield
+    faulthandler.cancel_dump_traceback_later()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_ports() -> Iterator[None]:
+    """Tests that run beside these may use the usual ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(viewer, "WEB_PORT", 0)
+        patch.setattr(viewer, "LIVE_PORT", 0)
+        yield
 
 
 @pytest.fixture(scope="session")

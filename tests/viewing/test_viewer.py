@@ -6,6 +6,7 @@ import contextlib
 import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -17,10 +18,11 @@ import pytest
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.viewing import viewer as programs
 from dmotion_bench.viewing.dataset import dataset_scene
 from dmotion_bench.viewing.file_server import FileServer, serving
 from dmotion_bench.viewing.scene import write_scene
-from dmotion_bench.viewing.screenshot import camera, has_vulkan
+from dmotion_bench.viewing.screenshot import BAR, camera, has_vulkan
 from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web
 
 
@@ -89,6 +91,37 @@ def test_it_all_ends_with_the_block(scene: Path) -> None:
     assert not is_open(viewer.data_port)
 
 
+def test_a_port_that_another_program_takes_meanwhile_is_left_to_it(
+    scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        taken = other.getsockname()[1]
+        real = programs._free_port
+        monkeypatch.setattr(programs, "_free_port", lambda wanted: taken if wanted == 12 else real(wanted))
+        monkeypatch.setattr(programs, "WEB_PORT", 12)
+        with serve_web(scene) as viewer:
+            assert viewer.page_port != taken
+            assert fetch(viewer.url)[0] == 200
+
+
+def test_what_ignores_a_request_to_end_is_ended(tmp_path: Path) -> None:
+    stubborn = "import os, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"
+    launcher = (
+        f"import subprocess, sys; child = subprocess.Popen([sys.executable, '-c', {stubborn!r}]); "
+        f"open({str(tmp_path / 'pid')!r}, 'w').write(str(child.pid)); child.wait()"
+    )
+    process = subprocess.Popen([sys.executable, "-c", launcher], start_new_session=True)
+    end = time.monotonic() + 30
+    while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    child = psutil.Process(int((tmp_path / "pid").read_text()))
+    time.sleep(0.3)  # until it ignores the signal
+    programs._end(process)
+    psutil.wait_procs([child], timeout=5)
+    assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
+
+
 @pytest.fixture
 def server(scene: Path) -> Iterator[FileServer]:
     with serving(scene, page_port=1234) as server:
@@ -140,6 +173,7 @@ def test_rerun_draws_the_scene(scene: Path, tmp_path: Path) -> None:
         with pytest.raises(ViewerError, match="no tab named 'Episode 7'; there are: Episode 0"):
             viewer.tab("Episode 7")
     with Image.open(picture) as opened:
+        assert opened.size == (640, 400 - BAR)
         colors = {color: count for count, color in opened.convert("RGB").getcolors(640 * 400) or []}
     for thing in ((230, 30, 30), (40, 80, 255)):
         assert colors.get(thing, 0) > 100

@@ -23,7 +23,8 @@
     ├── EntryInvalid                  an entry of the leaderboard that breaks its schema
     ├── PackageNotInstalled           an optional dependency is absent; names the command
     ├── StorageFull                   no space left on the device
-    └── ViewerError                   Rerun could not be started or reached
+    ├── ViewerError                   Rerun could not be started or reached
+    └── Interrupted                   by Ctrl-C, in a command that does not go on where it stopped: exit with 130
 
 Each message says what was given, what is allowed, and the next command to type.
 """
@@ -143,3 +144,7 @@ class StorageFull(DmbenchError):
 
 class ViewerError(DmbenchError):
     """Rerun could not be started or reached."""
+
+
+class Interrupted(DmbenchError):
+    """Ctrl-C in a command that starts anew when it is called again."""

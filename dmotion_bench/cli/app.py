@@ -13,7 +13,7 @@ from typing import NoReturn
 import typer
 
 from dmotion_bench import __version__
-from dmotion_bench.errors import DmbenchError, StorageFull, UsageError
+from dmotion_bench.errors import DmbenchError, Interrupted, StorageFull, UsageError
 
 app = typer.Typer(
     name="dmbench",
@@ -80,6 +80,8 @@ def main() -> None:
         app(prog_name="dmbench", standalone_mode=True)
     except UsageError as error:
         _fail(str(error), 2)
+    except Interrupted as error:
+        _fail(str(error), 130)
     except DmbenchError as error:
         _fail(str(error), 1)
     except BrokenPipeError:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dmotion_bench.errors import UnknownName
+from dmotion_bench.errors import Interrupted, UnknownName
 
 if TYPE_CHECKING:
     from dmotion_bench.storage.dataset import Dataset
@@ -73,7 +73,10 @@ def _export_with_progress(dataset: Dataset, folder: Path, codec: Codec, *, label
         def progress(what: str, done: int, total: int) -> None:
             bar.update(task, description=what, completed=done, total=total)
 
-        return export_lerobot(dataset, folder, codec=codec, labels=labels, progress=progress)
+        try:
+            return export_lerobot(dataset, folder, codec=codec, labels=labels, progress=progress)
+        except KeyboardInterrupt:
+            raise Interrupted("interrupted; nothing is left of the export, the same command starts it anew.") from None
 
 
 def _summary(report: ExportReport) -> str:

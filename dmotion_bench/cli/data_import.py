@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dmotion_bench.errors import UnknownName
+from dmotion_bench.errors import Interrupted, UnknownName
 
 if TYPE_CHECKING:
     from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
@@ -99,7 +99,10 @@ def _import_with_progress(recordings: list[Path], folder: Path, options: ImportO
         def progress(what: str, done: int, total: int) -> None:
             bar.update(task, description=what, completed=done, total=total)
 
-        return import_recordings(recordings, folder, options, progress)
+        try:
+            return import_recordings(recordings, folder, options, progress)
+        except KeyboardInterrupt:
+            raise Interrupted("interrupted; nothing is left of the import, the same command starts it anew.") from None
 
 
 def _plain(path: Path) -> str:

@@ -17,7 +17,7 @@ def lock_folder(path: Path) -> int:
     except BlockingIOError:
         os.close(handle)
         raise DatasetError(
-            f"another dmbench is recording into {str(path)!r}; wait for it, or name another folder with '--out DIR'."
+            f"another dmbench is writing into {str(path)!r}; wait for it, or name another folder with '--out DIR'."
         ) from None
     except OSError:
         pass  # a file system without locks: what is written is atomic in any case

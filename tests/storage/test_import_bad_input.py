@@ -7,7 +7,6 @@ import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import foxglove
 import lz4.frame
@@ -333,25 +332,6 @@ def test_the_same_command_again_changes_nothing_and_another_is_refused(good: Pat
     assert (tmp_path / "out" / "dataset.json").stat().st_mtime_ns == made
     with pytest.raises(RecipeMismatch, match="holds a data set of other recordings or options"):
         import_recordings([good], tmp_path / "out", ImportOptions(size=16))
-
-
-def test_what_a_killed_import_left_is_in_nobody_s_way(
-    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Killed(BaseException):
-        pass
-
-    def kill(*args: Any, **options: Any) -> None:
-        raise Killed
-
-    with monkeypatch.context() as patched:
-        patched.setattr("shutil.rmtree", lambda *args, **options: None)
-        patched.setattr("dmotion_bench.storage.writer.DatasetWriter.finish", kill)
-        with pytest.raises(Killed):
-            import_recordings([good], tmp_path / "out", SMALL)
-    assert [path.name for path in tmp_path.iterdir()] == ["out.importing"]
-    import_recordings([good], tmp_path / "out", SMALL)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_options_that_cannot_be() -> None:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -31,6 +30,7 @@ from jaxtyping import UInt8
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.statistics import PixelCounts, Summary, of_numbers
+from dmotion_bench.storage.staging import staged
 from dmotion_bench.storage.video import H264, Codec, VideoReader, VideoWriter
 
 CAMERA: Final = "observation.images.camera"
@@ -123,14 +123,8 @@ def export_lerobot(
         raise UsageError(f"{str(out)!r} is there already; name another folder with '--out DIR', or delete it first.")
     if codec is not H264 and (dataset.spec.height % 2 or dataset.spec.width % 2):
         raise UsageError(f"{codec.name} needs even sizes, not {dataset.spec.width}; use '--codec h264'.")
-    unfinished = out.resolve().with_name(f"{out.resolve().name}{UNFINISHED}")
-    shutil.rmtree(unfinished, ignore_errors=True)
-    try:
-        report = _Export(dataset, unfinished, codec, labels, progress).run()
-        unfinished.rename(out)
-    except BaseException:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        raise
+    with staged(out, UNFINISHED) as folder:
+        report = _Export(dataset, folder, codec, labels, progress).run()
     return ExportReport(path=out, labels=labels, codec=codec.name, **report)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +29,7 @@ from dmotion_bench.storage.imports.recording import Recording, Survey
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
+from dmotion_bench.storage.staging import staged, sweep
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
 
@@ -94,6 +94,7 @@ def import_recordings(
         RecipeMismatch: The folder holds another data set.
         UsageError: The folder holds something else.
     """
+    sweep(out, UNFINISHED)
     standing = _standing(out)
     recordings = [_open(path, options) for path in recordings_in(paths)]
     surveys: list[Survey] = []
@@ -242,28 +243,16 @@ def _write(
     progress: Progress,
 ) -> None:
     """Write beside ``out`` and move there."""
-    out = out.resolve()  # '.' has no name to put a suffix on
-    unfinished = out.with_name(f"{out.name}{UNFINISHED}")
-    if unfinished.exists() and not (unfinished / DATASET_MANIFEST).is_file():
-        raise UsageError(f"{str(unfinished)!r} is in the way; move it, or name another folder with '--out DIR'.")
-    shutil.rmtree(unfinished, ignore_errors=True)  # of an import that was killed
-    try:
-        with DatasetWriter.create_or_resume(unfinished, recipe, spec) as writer:
-            episodes = _footage(recordings, planned, spec, options)
-            done = 0
-            for shard in writer.missing:
-                progress("importing", done, recipe.episodes)
-                count = len(writer.episodes_of(shard))
-                writer.write_shard(shard, itertools.islice(episodes, count))
-                done += count
+    with staged(out, UNFINISHED) as folder, DatasetWriter.create_or_resume(folder, recipe, spec) as writer:
+        episodes = _footage(recordings, planned, spec, options)
+        done = 0
+        for shard in writer.missing:
             progress("importing", done, recipe.episodes)
-            writer.finish()
-        if out.exists():
-            out.rmdir()
-        unfinished.rename(out)
-    except BaseException:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        raise
+            count = len(writer.episodes_of(shard))
+            writer.write_shard(shard, itertools.islice(episodes, count))
+            done += count
+        progress("importing", done, recipe.episodes)
+        writer.finish()
 
 
 def _footage(

@@ -1,0 +1,101 @@
+"""Folders that appear whole or not at all: filled beside their place, and moved there at the end.
+
+What is not finished stands in ``NAME.importing/`` with a marker beside it, and is locked by the process that fills
+it. So what a killed process left can be told from anything else of that name, and from what another process is
+still filling; only the former is deleted, by the next that wants the name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from dmotion_bench.errors import UsageError
+from dmotion_bench.storage.lock import lock_folder
+
+MARKER: Final = "unfinished.txt"
+CONTENT: Final = "content"
+_TEXT: Final = "Left behind by a dmbench that was killed. The same command deletes this folder; so may you.\n"
+
+
+@contextlib.contextmanager
+def staged(out: Path, suffix: str) -> Iterator[Path]:
+    """A new, empty folder that gets the name ``out`` when the block ends well, and is deleted when it does not.
+
+    Args:
+        out: Not there yet, or an empty folder.
+        suffix: Of the folder beside it.
+
+    Raises:
+        UsageError: Something that no killed process left is in the way.
+        DatasetError: Another process is filling the folder.
+    """
+    out = out.resolve()  # '.' has no name to put a suffix on
+    outer = out.with_name(f"{out.name}{suffix}")
+    lock = _claim(outer)
+    try:
+        (outer / MARKER).write_text(_TEXT)
+        content = outer / CONTENT
+        content.mkdir()
+        yield content
+        if out.exists():
+            out.rmdir()
+        content.rename(out)
+    finally:
+        _delete(outer)
+        os.close(lock)
+
+
+def sweep(out: Path, suffix: str) -> None:
+    """Delete what a killed process left beside ``out``, if there is anything."""
+    out = out.resolve()
+    outer = out.with_name(f"{out.name}{suffix}")
+    if outer.is_dir() and not outer.is_symlink() and (outer / MARKER).is_file():
+        lock = _claim(outer)
+        _delete(outer)
+        os.close(lock)
+
+
+def _claim(outer: Path) -> int:
+    """The lock on a folder that is there and empty."""
+    while True:
+        try:
+            outer.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise _in_the_way(outer) from None
+        if outer.is_symlink():
+            raise _in_the_way(outer)
+        lock = lock_folder(outer)
+        try:
+            if outer.exists() and os.path.samestat(outer.stat(), os.fstat(lock)):  # else its owner has just finished
+                _empty(outer)
+                return lock
+        except BaseException:
+            os.close(lock)
+            raise
+        os.close(lock)
+
+
+def _empty(outer: Path) -> None:
+    inside = {path.name for path in outer.iterdir()}
+    if inside - {MARKER, CONTENT} or (inside and MARKER not in inside):
+        raise _in_the_way(outer)
+    if CONTENT in inside:
+        shutil.rmtree(outer / CONTENT)
+
+
+def _in_the_way(outer: Path) -> UsageError:
+    return UsageError(f"{str(outer)!r} is in the way; move it, or name another folder with '--out DIR'.")
+
+
+def _delete(outer: Path) -> None:
+    """The marker goes last, so that whatever is left can still be told for what it is."""
+    shutil.rmtree(outer / CONTENT, ignore_errors=True)
+    if not (outer / CONTENT).exists():
+        (outer / MARKER).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            outer.rmdir()

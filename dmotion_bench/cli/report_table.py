@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,13 +56,14 @@ def show_report(report: Report, run: Path) -> None:
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run}/report/")
 
 
-def show_overview(reports: Sequence[Report]) -> None:
+def show_overview(reports: Mapping[Path, Report]) -> None:
     """Many runs, a row each, by data set and then by MSE; what knows nothing of learning and the paper below."""
     console = _console()
-    for dataset in dict.fromkeys(report.dataset["name"] for report in reports):
-        here = sorted((one for one in reports if one.dataset["name"] == dataset), key=_mse)
+    for boards in _boards(reports).values():
+        paths = sorted(boards, key=lambda path: _mse(boards[path]))
+        here = [boards[path] for path in paths]
         table = Table(
-            title=f"{dataset}, {here[0].settings['split']} episodes",
+            title=f"{here[0].dataset['name']}, {here[0].settings['split']} episodes",
             title_justify="left",
             box=SIMPLE_HEAD,
             pad_edge=False,
@@ -70,18 +72,54 @@ def show_overview(reports: Sequence[Report]) -> None:
         table.add_column("labels", justify="right")
         furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
         shown = [name for name in (*OVERVIEW, furthest) if any(name in report.figures for report in here)]
+        behind = _behind(paths, here)
         for name in shown:
             table.add_column(_words(name), justify="right")
-        for report in here:
+            if name == "mse" and behind:
+                table.add_column("MSE above the best, 95%", justify="right")
+        compared = bool(behind) and "mse" in shown
+        for path, report in zip(paths, here, strict=True):
             labels = f"{report.labels['asked']} ({report.labels['total']})"
-            table.add_row(report.run, labels, *_row(report.figures, shown))
+            table.add_row(report.run, labels, *_row(report.figures, shown, behind.get(path, "") if compared else None))
             if "paper" in report.reference:
-                table.add_row(f"  {report.model} in the paper", "", *_row(report.reference["paper"], shown))
+                paper = _row(report.reference["paper"], shown, "" if compared else None)
+                table.add_row(f"  {report.model} in the paper", "", *paper)
         table.add_section()
         for name in ("agent_moves", "copy_last"):
             if name in here[0].reference:
-                table.add_row(name, "", *_row(here[0].reference[name], shown))
+                table.add_row(name, "", *_row(here[0].reference[name], shown, "" if compared else None))
         console.print(table)
+
+
+def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, Report]]:
+    """The reports that were scored on the same triplets."""
+    found: dict[tuple[str, ...], dict[Path, Report]] = defaultdict(dict)
+    for path, report in reports.items():
+        settings = report.settings
+        key = (report.dataset["name"], report.dataset["fingerprint"], str(settings["split"]), str(settings.get("protocol")))
+        found[key][path] = report
+    return dict(found)
+
+
+def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
+    """How much higher each run's MSE is than the first's, on the same triplets; nothing where one has no samples."""
+    from dmotion_bench.pairing import behind, ties
+    from dmotion_bench.scoring.report import REPORT_FOLDER, read_report_samples
+
+    samples = {
+        path: found
+        for path, report in zip(paths, reports, strict=True)
+        if "mse" in report.figures and (found := read_report_samples(path / REPORT_FOLDER, report)) is not None
+    }
+    if len(samples) < 2 or paths[0] not in samples:
+        return {}
+    told = {paths[0]: "best"}
+    for path in paths[1:]:
+        difference = behind(samples[path], samples[paths[0]]) if path in samples else None
+        if difference is not None:
+            between = _interval(difference.to_json())
+            told[path] = f"a tie ({between})" if ties(difference) else f"+{_number(difference.mean)} ({between})"
+    return told
 
 
 def show_differences(differences: Sequence[Any], first: str, second: str, *, everything: bool = False) -> None:
@@ -143,8 +181,14 @@ def _mse(report: Report) -> float:
     return float("inf") if figure is None or figure["mean"] is None else figure["mean"]
 
 
-def _row(figures: Mapping[str, FigureJson], shown: Iterable[str]) -> list[str]:
-    return [_mean_std(figures.get(name)) for name in shown]
+def _row(figures: Mapping[str, FigureJson], shown: Iterable[str], behind: str | None) -> list[str]:
+    """The figures, and after the MSE how far it is behind the best's, if that has a column."""
+    cells: list[str] = []
+    for name in shown:
+        cells.append(_mean_std(figures.get(name)))
+        if name == "mse" and behind is not None:
+            cells.append(behind)
+    return cells
 
 
 def _mean_std(figure: FigureJson | None, *, short: bool = False) -> str:

@@ -150,7 +150,7 @@ def _show(reports: dict[Path, Report], *, overview: bool) -> None:
     from dmotion_bench.cli.report_table import show_overview, show_report
 
     if overview:
-        show_overview(list(reports.values()))
+        show_overview(reports)
     else:
         for path, report in reports.items():
             show_report(report, path)

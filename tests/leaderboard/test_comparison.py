@@ -8,10 +8,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from dmotion_bench.cli.report_table import show_overview
 from dmotion_bench.errors import RunMismatch, RunMissing
+from dmotion_bench.pairing import behind, better, compare_runs, scored, ties
+from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.statistics import paired_difference
 from dmotion_bench.workspace import Workspace
-from leaderboard.comparison import better, compare_runs, difference_by_episode, sums_by_episode
+from leaderboard.comparison import difference_by_episode, sums_by_episode
 
 S0, S1, CSWM = "dmotion-grid_world-tiny-s0", "dmotion-grid_world-tiny-s1", "cswm-grid_world-tiny-10pct-s0"
 
@@ -126,3 +129,41 @@ def test_a_run_without_a_whole_report_is_not_compared(workspace: Workspace) -> N
 
     with pytest.raises(RunMissing, match="dmbench score"):
         compare_runs(workspace.runs / S0, workspace.runs / S1)
+
+
+def test_behind_the_best_is_the_paired_difference_of_the_error(scored_workspace: Workspace) -> None:
+    (_, best), (_, other) = (scored(scored_workspace.runs / name) for name in (S0, CSWM))
+    (expected,) = (
+        one for one in compare_runs(scored_workspace.runs / CSWM, scored_workspace.runs / S0) if one.figure == "mse"
+    )
+
+    assert behind(other, best) == expected.difference
+    assert not ties(expected.difference)
+    itself = behind(best, best)
+    assert itself is not None
+    assert ties(itself)
+    assert behind(other.slice(0, 0), best) is None
+
+
+def test_the_table_of_many_runs_says_how_far_each_is_behind(
+    scored_workspace: Workspace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [scored_workspace.runs / name for name in (CSWM, S0, S1)]
+    show_overview({path: report for path in paths if (report := read_report(path / "report"))})
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
+    differences = {
+        one.figure: one.difference for one in compare_runs(scored_workspace.runs / CSWM, scored_workspace.runs / S1)
+    }
+
+    assert " best " in lines[S1]
+    assert f" +{differences['mse'].mean:.0f} ({differences['mse'].low:.0f} to " in lines[CSWM]
+
+
+def test_a_run_whose_samples_are_gone_is_not_compared(workspace: Workspace, capsys: pytest.CaptureFixture[str]) -> None:
+    (workspace.runs / CSWM / "report/samples.parquet").unlink()
+    paths = [workspace.runs / name for name in (CSWM, S0, S1)]
+    show_overview({path: report for path in paths if (report := read_report(path / "report"))})
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
+
+    assert " best " in lines[S1]
+    assert "(" not in lines[CSWM].partition("10%")[2].replace("(4)", "")

@@ -96,7 +96,12 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
     found: dict[tuple[str, ...], dict[Path, Report]] = defaultdict(dict)
     for path, report in reports.items():
         settings = report.settings
-        key = (report.dataset["name"], report.dataset["fingerprint"], str(settings["split"]), str(settings.get("protocol")))
+        key = (
+            report.dataset["name"],
+            report.dataset["fingerprint"],
+            str(settings["split"]),
+            str(settings.get("protocol")),
+        )
         found[key][path] = report
     return dict(found)
 

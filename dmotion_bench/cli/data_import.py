@@ -126,6 +126,8 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
         lines.append(f"  {report.left_out} frames are left out: their episodes were too short, or had no action yet")
     if report.actions:
         lines.append(f"  actions, held out as labels: {', '.join(report.actions)}")
+    else:
+        lines.append("  no actions: what an action leads to cannot be scored; with '--actions TOPIC' it can")
     if report.episodes < 3:
         lines.append("  too few episodes to train, validate and test: cut them shorter with '--frames-per-episode'")
     lines.append(

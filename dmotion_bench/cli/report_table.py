@@ -50,7 +50,7 @@ def show_report(report: Report, run: Path) -> None:
         others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
         table.add_row(_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others)
     console.print(table)
-    for name in (*beside, "rollout", "split"):
+    for name in (*beside, "actions", "positions", "rollout", "split"):
         if name in report.remarks:
             console.print(f"  {name}: {report.remarks[name]}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run}/report/")
@@ -72,6 +72,7 @@ def show_overview(reports: Mapping[Path, Report]) -> None:
         table.add_column("labels", justify="right")
         furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
         shown = [name for name in (*OVERVIEW, furthest) if any(name in report.figures for report in here)]
+        shown = shown or ["mse_true_motion"]  # all there is where actions are not known
         behind = _behind(paths, here)
         for name in shown:
             table.add_column(_words(name), justify="right")

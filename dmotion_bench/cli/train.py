@@ -103,7 +103,8 @@ def train(
         f"({result['triplets_per_s']:.0f} triplets/s), {result['parameters'] / 1e6:.2f} M parameters"
     )
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
-    typer.echo(f"  labels used: {result['labels_total']} of {_transitions(dataset)} transitions in the data set")
+    known = f" of {_transitions(dataset)} transitions in the data set" if dataset.spec.actions else ", there are none"
+    typer.echo(f"  labels used: {result['labels_total']}{known}")
     typer.echo(f"Score it with 'dmbench score {run.path}'.")
 
 

@@ -154,6 +154,11 @@ class LabelBudget:
         """
         if self.request.kind != "shots":
             raise LabelsNotAvailable(f"the budget {self.request} has no demonstrations; ask for --labels one-shot.")
+        if not self._dataset.spec.actions:
+            raise LabelsNotAvailable(
+                "the actions of this data set are not known, so there is nothing to demonstrate; train without labels "
+                "(--labels none), or import the recording again with '--actions TOPIC'."
+            )
         wanted = int(self.request.amount)
         missing = dict.fromkeys(range(len(self._dataset.spec.actions)), wanted)
         rows: list[int] = []

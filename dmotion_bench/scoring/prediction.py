@@ -101,18 +101,22 @@ def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, 
 
 
 def score_reference_steps(held_out: HeldOut, how: Execution) -> pa.Table:
-    """The references' single steps: the same triplets, the same measures."""
-    measures, done = FrameMeasures(held_out.dataset.spec), 0
+    """The references' single steps: the same triplets, the same measures.
+
+    Where no mask ever shows the agent, as in imported recordings, moving it alone is no reference.
+    """
+    measures, done, agent_is_known = FrameMeasures(held_out.dataset.spec), 0, False
     rows = {name: SampleRows("prediction", name) for name in REFERENCES}
     for batch in held_out.batches(how.batch_size):
         truth = torch.from_numpy(batch.frames[:, 2]).to(how.device)
         positions = measures.positions(truth)
+        agent_is_known |= bool(batch.agent.any())
         for name, reference in REFERENCES.items():
             predicted = torch.from_numpy(reference(batch)).to(how.device)
             rows[name].add(_described(batch) | _numpy(measures.compare(predicted, truth, positions)))
         done += len(batch)
         how.progress("references", done, len(held_out))
-    return pa.concat_tables([kept.table() for kept in rows.values()])
+    return pa.concat_tables([kept.table() for name, kept in rows.items() if name != "agent_moves" or agent_is_known])
 
 
 def score_reference_rollouts(held_out: HeldOut, how: Execution, *, horizon: int) -> pa.Table:

@@ -19,6 +19,8 @@ from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.triplets import SplitProtocol
+from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
+from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import (
     MODEL,
@@ -113,7 +115,7 @@ def score_model(
 
     Args:
         model: Aligned, in evaluation mode.
-        dataset: With labels.
+        dataset: With labels; of one whose actions are not known, see ``explanation.py``.
         metrics: Which groups of figures.
         settings: What decides the figures.
         how: Batch size, device, progress; the frames of one batch are in memory, and one episode's labels.
@@ -122,8 +124,11 @@ def score_model(
     """
     settings, how = settings or ScoreSettings(), how or Execution()
     references = references or ReferenceScores()
-    held_out = HeldOut(dataset, settings.split, settings.protocol)
     model = model.to(how.device).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    if not dataset.spec.actions:
+        with predicting(how.device, settings.precision):
+            return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
+    held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
         metrics = ()
     identity = (dataset.fingerprint, settings.split, settings.protocol)
@@ -141,11 +146,15 @@ def score_model(
             tables.append(score_steps(model, held_out, how))
         if "rollout" in metrics:
             tables.append(score_rollouts(model, held_out, how, horizon=settings.horizon))
-    samples = pa.concat_tables(tables) if tables else SCHEMA.empty_table()
+    return _scores(pa.concat_tables(tables) if tables else SCHEMA.empty_table(), settings)
+
+
+def _scores(samples: pa.Table, settings: ScoreSettings) -> Scores:
+    found = {name: figures_of(samples, name, resamples=settings.resamples) for name in (MODEL, *REFERENCES)}
     return Scores(
         samples=samples,
-        figures=figures_of(samples, MODEL, resamples=settings.resamples),
-        reference={name: figures_of(samples, name, resamples=settings.resamples) for name in REFERENCES},
+        figures=found[MODEL],
+        reference={name: found[name] for name in REFERENCES if found[name]},
     )
 
 
@@ -180,6 +189,8 @@ def score_run(
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
     settings = replace(settings or ScoreSettings(), protocol=protocol)
     folder = run.path / REPORT_FOLDER
+    if not dataset.spec.actions:
+        metrics = ("prediction",)
     held: tuple[str, ...] = ()
     kept = SCHEMA.empty_table()
     old = _still_true(folder, run, settings)
@@ -223,7 +234,11 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
     result = run.result or {}
     published = published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
     reference = {name: _json(figures) for name, figures in scores.reference.items()}
-    remarks = dict(REMARKS)
+    remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
+    if not dataset.spec.actions:
+        remarks["actions"] = EXPLAINED
+    elif not dataset.spec.objects and not dataset.spec.agent_has_color:
+        remarks["positions"] = "where the agent and the objects are is not known, so no figure is about them"
     if published is not None:
         reference["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
         remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()

@@ -85,7 +85,7 @@ class HeldOut:
         if not dataset.spec.actions:
             raise LabelsNotAvailable(
                 f"the actions of {dataset.name!r} are not known, so predictions that follow them cannot be scored; "
-                "import the recording with its action topic, or score on a recorded data set."
+                "import the recording again with its actions: 'dmbench data import FILE --actions TOPIC --out DIR'."
             )
         self.dataset, self.split, self.protocol = dataset, split, protocol
         self._triplets = TripletSet.of_split(dataset, split, protocol)

@@ -1,0 +1,73 @@
+"""What can be said of a model on video whose actions are not known: how well it explains what it sees.
+
+A model that separates the agent's motion (``MotionModel``) reads it off the true pair of frames and draws the next
+frame with nothing else of it: a few numbers are all that it is told of the future. So the figure is
+``mse_true_motion`` alone, beside that of copying the last frame. It says how good the model could be with a perfect
+table of actions, not that it has found the agent.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import torch
+
+from dmotion_bench.errors import DatasetError, LabelsNotAvailable
+from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
+from dmotion_bench.scoring.identification import MotionModel
+from dmotion_bench.scoring.pixels import mean_squared_error
+from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.samples import SampleRows
+from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.dataset import Dataset
+
+REMARK = (
+    "not known; frames are drawn with the motion read off the true pair. To score what an action leads to, import "
+    "the recording again with '--actions TOPIC'"
+)
+
+
+def explain_steps(
+    model: ForwardModel[Any], dataset: Dataset, split: SplitName, protocol: SplitProtocol, how: Execution
+) -> pa.Table:
+    """Every held-out triplet's next frame, drawn with the motion of the true pair; and as a copy of the last.
+
+    Raises:
+        LabelsNotAvailable: The model has no motion of its own.
+        DatasetError: The split is empty.
+    """
+    if not isinstance(model, MotionModel):
+        raise LabelsNotAvailable(
+            f"the actions of {dataset.name!r} are not known, and this model predicts by actions alone; import the "
+            "recording again with its actions ('dmbench data import FILE --actions TOPIC --out DIR') and train on that."
+        )
+    triplets = TripletSet.of_split(dataset, split, protocol)
+    if not len(triplets):
+        raise DatasetError(
+            f"the {split} split of {dataset.name!r} has no triplet; cut the recording into more episodes with "
+            "'dmbench data import' and a smaller '--frames-per-episode'."
+        )
+    rows = {name: SampleRows("prediction", name) for name in (MODEL, "copy_last")}
+    for start in range(0, len(triplets), how.batch_size):
+        part = np.arange(start, min(start + how.batch_size, len(triplets)))
+        stored = torch.from_numpy(triplets.gather(part)).to(how.device)
+        previous, current, following = (to_model(stored[:, place]) for place in range(3))
+        motion = model.motion(current, following)
+        drawn = to_pixels(model.predict_with_motion(previous, current, motion))
+        known = {
+            "episode": triplets.episode[part],
+            "step": triplets.step[part],
+            "ahead": np.ones(len(part), np.int64),
+        }
+        errors = {
+            MODEL: mean_squared_error(drawn, stored[:, 2]),
+            "copy_last": mean_squared_error(stored[:, 1], stored[:, 2]),
+        }
+        for name, kept in rows.items():
+            kept.add(known | {"mse_true_motion": errors[name].float().cpu().numpy()})
+        how.progress("single steps", int(part[-1]) + 1, len(triplets))
+    return pa.concat_tables([kept.table() for kept in rows.values()])

@@ -1,4 +1,4 @@
-"""``dmbench view``: look at a data set, a run or its report in Rerun."""
+"""``dmbench view``: look at a data set, a run, its report or several runs in Rerun."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dmotion_bench.specs import SplitName
 if TYPE_CHECKING:
     from dmotion_bench.viewing.scene import Scene
     from dmotion_bench.viewing.target import Target
+    from dmotion_bench.workspace import Workspace
 
 SPLITS: tuple[SplitName, ...] = ("train", "validation", "test")
 
@@ -22,7 +23,13 @@ def register(app: typer.Typer) -> None:
 
 
 def view(
-    path: Annotated[Path, typer.Argument(help="A data set, a run, a run's report, or an .rrd; a path or a name.")],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="PATH",
+            help="A data set, a run, a run's report, or an .rrd; a path or a name. Several runs: side by side.",
+        ),
+    ],
     web: Annotated[bool, typer.Option("--web", help="Serve a web page on this machine instead of a window.")] = False,
     save: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="Write a file for Rerun instead of opening a window.")
@@ -34,7 +41,7 @@ def view(
         str | None, typer.Option(help="Take the episodes from train, validation or test; of a run, from test.")
     ] = None,
 ) -> None:
-    """Look at a data set, a run or its report in Rerun."""
+    """Look at a data set, a run, its report beside the others', or several runs in Rerun."""
     from dmotion_bench.errors import UnknownName, UsageError
     from dmotion_bench.workspace import Workspace
 
@@ -45,7 +52,11 @@ def view(
 
     from dmotion_bench.viewing.target import find_target
 
-    target = find_target(path, Workspace.current())
+    workspace = Workspace.current()
+    targets = [find_target(path, workspace) for path in paths]
+    if len(targets) > 1 and (odd := next((one for one in targets if one.kind not in ("run", "report")), None)):
+        raise UsageError(f"only runs can be seen side by side, and {str(odd.path)!r} is a {odd.kind}; name it alone.")
+    target = targets[0]
 
     from dmotion_bench.viewing.viewer import require_display
 
@@ -59,7 +70,13 @@ def view(
 
     from dmotion_bench.viewing.scene import write_scene
 
-    scene = scene_of(target, episode or [], next((name for name in SPLITS if name == split), None))
+    part = next((name for name in SPLITS if name == split), None)
+    others = beside(target, workspace) if len(targets) == 1 and target.kind == "report" else []
+    beside_each_other = [one.path for one in targets] if len(targets) > 1 else others
+    if len(beside_each_other) > 1:
+        scene = scene_of_several(beside_each_other, episode or [], part)
+    else:
+        scene = scene_of(target, episode or [], part)
     with tempfile.TemporaryDirectory(prefix="dmbench-view-") as folder:
         file = save or Path(folder) / "scene.rrd"
         write_scene(scene, file)
@@ -91,6 +108,43 @@ def scene_of(target: Target, episodes: list[int], split: SplitName | None) -> Sc
     chosen = choose_episodes(dataset, episodes or list(told), split or ("test" if not episodes else None))
     scene = run_scene(run, dataset, chosen, told)
     return replace(scene, front="Report") if target.kind == "report" else scene
+
+
+def beside(target: Target, workspace: Workspace) -> list[Path]:
+    """A report's run, and the scored runs of the same data set that stand beside it, the best first."""
+    from dmotion_bench.errors import DmbenchError
+    from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
+    from dmotion_bench.viewing.comparison import MOST
+
+    own = read_report(target.path / REPORT_FOLDER)
+    if own is None or "mse" not in own.figures:
+        return [target.path]
+    others: list[tuple[float, Path]] = []
+    for path in workspace.all_runs():
+        try:
+            report = read_report(path / REPORT_FOLDER)
+        except DmbenchError:
+            continue
+        if report is None or path.resolve() == target.path.resolve():
+            continue
+        figure = report.figures.get("mse")
+        if figure and figure["mean"] is not None and report.dataset["fingerprint"] == own.dataset["fingerprint"]:
+            others.append((float(figure["mean"]), path))
+    return [target.path, *(path for _, path in sorted(others)[: MOST - 1])]
+
+
+def scene_of_several(paths: list[Path], episodes: list[int], split: SplitName | None) -> Scene:
+    """Several runs side by side: the episodes asked for, or the worst, the best and where they differ most."""
+    from dmotion_bench.learning.run import Run
+    from dmotion_bench.storage.dataset import Dataset
+    from dmotion_bench.viewing.comparison import comparable, comparison_scene, contrasting_episodes
+    from dmotion_bench.viewing.episodes import choose_episodes
+
+    runs = comparable([Run.open(path) for path in paths])
+    dataset = Dataset.open(runs[0].dataset_path)
+    told = {} if episodes or split else contrasting_episodes([run.path for run in runs])
+    chosen = choose_episodes(dataset, episodes or list(told), split or ("test" if not episodes else None))
+    return comparison_scene(runs, dataset, chosen, told)
 
 
 def _show(file: Path, web: bool) -> None:

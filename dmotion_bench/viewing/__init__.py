@@ -13,7 +13,7 @@
     curves.py      the curves of a training, drawn by chart.py
     episodes.py    which episodes are shown
     report.py      the figures of a run, and its worst and best episodes
-    run.py         the scene of a run
+    run.py         the scene of a run; comparison.py: of several, side by side
     control.py     a control task, watched live; drive.py: an imagination that somebody drives
     live.py        recordings that are watched while they are made
     file_server.py one file over HTTP, for the web page

@@ -42,6 +42,20 @@ def telling_episodes(run: Path) -> dict[int, str]:
     Raises:
         RunCorrupt: The report cannot be read.
     """
+    means = episode_means(run)
+    order = sorted(means, key=lambda episode: -means[episode])
+    told: dict[int, str] = {}
+    for word, rank in (("worst", 0), ("middle", len(order) // 2), ("best", -1)) if order else ():
+        told.setdefault(order[rank], f"{word}, MSE {means[order[rank]]:.3g}")
+    return told
+
+
+def episode_means(run: Path) -> dict[int, float]:
+    """The MSE of single steps of each scored episode; empty where the run has no report, or its samples are gone.
+
+    Raises:
+        RunCorrupt: The report cannot be read.
+    """
     report = read_report(run / REPORT_FOLDER)
     samples = None if report is None else read_report_samples(run / REPORT_FOLDER, report)
     if samples is None:
@@ -49,15 +63,9 @@ def telling_episodes(run: Path) -> dict[int, str]:
     metric, predictor = (np.asarray(samples[name].to_pylist()) for name in ("metric", "predictor"))
     chosen = (metric == "prediction") & (predictor == "model")
     episode, mse = samples["episode"].to_numpy()[chosen], samples["mse"].to_numpy()[chosen]
-    if not len(episode):
-        return {}
     episodes, place = np.unique(episode, return_inverse=True)
-    means = np.bincount(place, mse) / np.bincount(place)
-    order = np.argsort(-means, kind="stable")
-    told: dict[int, str] = {}
-    for word, rank in (("worst", 0), ("middle", len(order) // 2), ("best", len(order) - 1)):
-        told.setdefault(int(episodes[order[rank]]), f"{word}, MSE {means[order[rank]]:.3g}")
-    return told
+    means = np.bincount(place, mse) / np.maximum(np.bincount(place), 1)
+    return dict(zip(episodes.tolist(), means.tolist(), strict=True))
 
 
 def report_tab(run: Path) -> Tab | None:
@@ -115,19 +123,20 @@ def _figures(report: Report) -> str:
     for name in SHOWN:
         if name in report.figures:
             figure = report.figures[name]
-            others = " | ".join(_mean(report.reference[other].get(name)) for other in beside)
-            lines.append(
-                f"| {plain(name)} | {_mean(figure)} ± {_number(figure['std'])} | {_interval(figure)} | {others} |"
-            )
+            others = " | ".join(figure_text(report.reference[other].get(name)) for other in beside)
+            spread = f"{figure_text(figure)} ± {_number(figure['std'])}"
+            lines.append(f"| {plain(name)} | {spread} | {interval_text(figure)} | {others} |")
     lines += ["", "On the other tabs: the worst, the middle and the best episode by the MSE of single steps."]
     return "\n".join(lines)
 
 
-def _mean(figure: FigureJson | None) -> str:
+def figure_text(figure: FigureJson | None) -> str:
+    """A figure's mean; nothing where there is none."""
     return "" if figure is None else _number(figure["mean"])
 
 
-def _interval(figure: FigureJson) -> str:
+def interval_text(figure: FigureJson) -> str:
+    """Its interval."""
     return "" if figure["low"] is None else f"{_number(figure['low'])} ... {_number(figure['high'])}"
 
 

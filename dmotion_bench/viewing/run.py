@@ -71,8 +71,8 @@ def _tab(run: Run, dataset: ViewableDataset, episode: int, note: str) -> Tab:
 
     def log(recording: rr.RecordingStream) -> None:
         _log_truth(recording, root, seen, labels)
-        _log_prediction(recording, f"{root}/one_step", seen, seen.one_step)
-        _log_prediction(recording, f"{root}/imagined", seen, seen.imagined)
+        log_prediction(recording, f"{root}/one_step", seen, seen.one_step)
+        log_prediction(recording, f"{root}/imagined", seen, seen.imagined)
         _log_errors(recording, root, seen)
         _log_maps(recording, root, seen)
         log_events(recording, root, dataset.spec, labels)
@@ -135,7 +135,7 @@ def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labe
         log_arrows(recording, f"{root}/camera/motion_seen", agent[:-1], seen.shift, SEEN_MOTION, 0.7, 50)
 
 
-def _log_prediction(recording: rr.RecordingStream, path: str, seen: Imagination, prediction: Prediction) -> None:
+def log_prediction(recording: rr.RecordingStream, path: str, seen: Imagination, prediction: Prediction) -> None:
     """The frames that are given stand before the predicted ones; their difference is black."""
     given = seen.frames[:GIVEN]
     log_images(recording, f"{path}/frame", np.concatenate([given, prediction.frames]))

@@ -15,6 +15,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 from PIL import Image
 from rerun.experimental import ViewerClient
@@ -58,17 +59,40 @@ class Camera:
                     return
         raise ViewerError(f"no tab named {name!r}; there are: {', '.join(sorted(filter(None, names.values())))}.")
 
-    def take(self, picture: Path, *, frame: int) -> None:
-        """Write what is seen at a frame as a PNG, without the window's own bar."""
-        _patiently(lambda: self._client.set_time(FRAME, sequence=frame, play_state="paused"))
+    def views(self) -> dict[str, list[str]]:
+        """The views of all tabs by the entity that each is of, and what each complains of, once it has been shown."""
+        state = _patiently(self._client.get_state)
+        return {view.origin: [report.summary for report in view.reports] for view in state.views}
+
+    def take_view(self, picture: Path, origin: str, *, frame: int, timeline: str = FRAME) -> None:
+        """Write what the view of an entity shows at a frame as a PNG; its tab is to be in front.
+
+        Raises:
+            ViewerError: There is none of that entity.
+        """
+        views = {view.origin: view.view_id for view in _patiently(self._client.get_state).views}
+        if origin not in views:
+            raise ViewerError(f"no view is of {origin!r}; there are: {', '.join(sorted(views))}.")
+        self._go_to(timeline, frame)
+        _patiently(lambda: self._client.save_screenshot(str(picture.resolve()), view_id=views[origin]))
+
+    def _go_to(self, timeline: str, place: int) -> None:
+        _patiently(lambda: self._client.set_time(timeline, sequence=place, play_state="paused"))
         time.sleep(0.5)
+
+    def take(self, picture: Path, *, frame: int, timeline: str = FRAME) -> None:
+        """Write what is seen at a frame as a PNG, without the window's own bar."""
+        self._go_to(timeline, frame)
         _patiently(lambda: self._client.save_screenshot(str(picture.resolve())))
         with Image.open(picture) as whole:
             shown = whole.crop((0, BAR, whole.width, whole.height)).convert("RGB")
         shown.save(picture, optimize=True)
 
 
-def _patiently(ask: Callable[[], None]) -> None:
+Answer = TypeVar("Answer")
+
+
+def _patiently(ask: Callable[[], Answer]) -> Answer:
     """Ask again where a busy machine lets Rerun's own 15 s pass."""
     end = time.monotonic() + LOAD_SECONDS
     while True:

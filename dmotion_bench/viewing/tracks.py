@@ -170,6 +170,16 @@ def log_curve(
     )
 
 
+def log_mark(
+    recording: rr.RecordingStream, path: str, at: int, value: float, *, name: str, color: Color, timeline: str = FRAME
+) -> None:
+    """A mark at one place of a plot."""
+    recording.log(
+        path, rr.SeriesPoints(names=[name], colors=[color], markers=["diamond"], marker_sizes=[7.0]), static=True
+    )
+    recording.send_columns(path, indexes=_index([at], timeline), columns=rr.Scalars.columns(scalars=[value]))
+
+
 def log_states(
     recording: rr.RecordingStream,
     path: str,

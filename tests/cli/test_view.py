@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import select
 import signal
 import subprocess
 import time
@@ -59,6 +60,7 @@ def test_episodes_and_splits_can_be_chosen(
     ("words", "code", "sentence"),
     [
         (["sqares-tiny"], 2, "did you mean 'squares-tiny'"),
+        (["squares-tiny", "squares-tiny"], 2, "only runs can be seen side by side"),
         (["squares-tiny", "--split", "tset"], 2, "did you mean 'test'"),
         (["squares-tiny", "--save", "out.mp4"], 2, "must end in .rrd"),
         (["squares-tiny", "--save", "out.rrd", "--episode", "10"], 2, "it has 0 to 9"),
@@ -92,6 +94,7 @@ def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign
     process = start_dmbench(["view", "squares-tiny", "--web"], workspace, start_new_session=True)
     assert process.stdout is not None
     try:
+        assert select.select([process.stdout], [], [], 60)[0]
         url = process.stdout.readline().strip()
         assert url.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(url, timeout=30) as answer:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import torch
 from pushed_squares import write_squares
 
 from dmotion_bench.learning import checkpoint
@@ -57,8 +58,18 @@ def dataset(workspace: Workspace) -> Dataset:
 
 @pytest.fixture(scope="session")
 def run(workspace: Workspace, dataset: Dataset) -> Run:
-    request = TrainingRequest(model="dmotion", preset=Preset.TINY)
+    return _untrained(workspace, dataset, seed=0)
+
+
+@pytest.fixture(scope="session")
+def other_run(workspace: Workspace, dataset: Dataset) -> Run:
+    return _untrained(workspace, dataset, seed=1)
+
+
+def _untrained(workspace: Workspace, dataset: Dataset, seed: int) -> Run:
+    request = TrainingRequest(model="dmotion", preset=Preset.TINY, seed=seed)
     run = open_run(request, dataset, None, workspace)
+    torch.manual_seed(seed)
     weights = run.spec.build().state_dict()
     checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
     run.metrics.write_text("".join(f"{json.dumps(row)}\n" for row in METRICS) + '{"step": 5, "lo')

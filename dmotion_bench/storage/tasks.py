@@ -6,7 +6,8 @@ and stored with it, so that every model faces the same ones, whatever its own po
 
 The original asks for at least 15 interactions (steps in which an object moves) between start and goal. In
 Grid World 31 random moves give about three, so a task there has at least two; in every environment the
-episodes with 15 or more come first. A task never loses an object that is there at its start.
+stretches with 15 or more come first, and the pushing environments' data sets have enough of them. A task
+never loses an object that is there at its start.
 """
 
 from __future__ import annotations
@@ -72,8 +73,8 @@ def candidates(
 def choose_tasks(found: Mapping[int, Sequence[Candidate]], held_out: Collection[int], count: int) -> list[ControlTask]:
     """The best ``count`` tasks, or all there are, in the order of their episodes.
 
-    An episode's second task is used only when every episode has given its first. Within that, tasks with
-    enough interactions come before others, then those of held-out episodes, then those with more interactions.
+    Tasks with enough interactions come before others. Within that, an episode's second task is used only when every
+    episode has given its first; then those of held-out episodes come first, then those with more interactions.
 
     Args:
         found: The candidates of each episode, the best first.
@@ -81,7 +82,7 @@ def choose_tasks(found: Mapping[int, Sequence[Candidate]], held_out: Collection[
         count: How many tasks are wanted.
     """
     ranked = sorted(
-        (rank, one.interactions < ENOUGH_INTERACTIONS, episode not in held_out, -one.interactions, episode, one)
+        (one.interactions < ENOUGH_INTERACTIONS, rank, episode not in held_out, -one.interactions, episode, one)
         for episode, ones in found.items()
         for rank, one in enumerate(ones)
     )

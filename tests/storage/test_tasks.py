@@ -79,7 +79,14 @@ def test_tasks_are_ranked_by_enough_interactions_then_held_out_then_interactions
         4: [],
         5: [Candidate(2, 31, 5)],
     }
-    order = [ControlTask(3, 0, 29), ControlTask(0, 0, 29), ControlTask(2, 1, 30), ControlTask(5, 2, 31)]
-    for count in range(5):
+    order = [
+        ControlTask(3, 0, 29),
+        ControlTask(0, 0, 29),
+        ControlTask(0, 5, 31),  # enough interactions go before another episode
+        ControlTask(2, 1, 30),
+        ControlTask(5, 2, 31),
+        ControlTask(1, 0, 29),
+    ]
+    for count in range(7):
         assert choose_tasks(found, {2}, count) == sorted(order[:count])
-    assert choose_tasks(found, {2}, 99) == sorted([*order, ControlTask(1, 0, 29), ControlTask(0, 5, 31)])
+    assert choose_tasks(found, {2}, 99) == sorted(order)

@@ -94,4 +94,8 @@ class Workspace:
         if given.is_dir():
             missing = DatasetMissing if kind == "data set" else RunMissing
             raise missing(f"{str(given)!r} is no {kind}: it holds no {manifest}.")
+        if kind == "data set" and given.is_file():
+            raise DatasetMissing(
+                f"{str(given)!r} is a file, no data set; a recording becomes one with 'dmbench data import {given}'."
+            )
         raise UnknownName(kind, str(given), [path.name for path in known], f"dmbench list {kind.replace(' ', '')}s")

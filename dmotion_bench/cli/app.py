@@ -14,6 +14,7 @@ import typer
 
 from dmotion_bench import __version__
 from dmotion_bench.errors import DmbenchError, Interrupted, StorageFull, UsageError
+from dmotion_bench.storage.atomic import FULL
 
 app = typer.Typer(
     name="dmbench",
@@ -88,7 +89,7 @@ def main() -> None:
         sys.stderr.close()
         raise SystemExit(1) from None
     except OSError as error:
-        if error.errno == errno.ENOSPC:
+        if error.errno in FULL:
             _fail(
                 str(
                     StorageFull(

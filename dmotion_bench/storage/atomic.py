@@ -12,7 +12,8 @@ from typing import BinaryIO
 from dmotion_bench.errors import StorageFull
 
 TEMPORARY_SUFFIX = ".part"
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Error numbers of a disk, a quota or a file that can take no more."""
 
 
 def sync_folder(folder: Path) -> None:
@@ -37,7 +38,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
         with _written(path) as file:
             yield file
     except OSError as error:
-        if error.errno not in _FULL:
+        if error.errno not in FULL:
             raise
         raise StorageFull(
             f"no space left on the device while writing {str(path)!r}; what is finished beside it is whole. "

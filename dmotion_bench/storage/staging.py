@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import UsageError
+from dmotion_bench.errors import StorageFull, UsageError
+from dmotion_bench.storage.atomic import FULL
 from dmotion_bench.storage.lock import lock_folder
 
 MARKER: Final = "unfinished.txt"
@@ -33,6 +34,7 @@ def staged(out: Path, suffix: str) -> Iterator[Path]:
     Raises:
         UsageError: Something that no killed process left is in the way.
         DatasetError: Another process is filling the folder.
+        StorageFull: There is no space left.
     """
     out = out.resolve()  # '.' has no name to put a suffix on
     outer = out.with_name(f"{out.name}{suffix}")
@@ -45,6 +47,13 @@ def staged(out: Path, suffix: str) -> Iterator[Path]:
         if out.exists():
             out.rmdir()
         content.rename(out)
+    except (StorageFull, OSError) as error:
+        if isinstance(error, OSError) and error.errno not in FULL:
+            raise
+        raise StorageFull(
+            f"no space left on the device for {str(out)!r}; nothing is left of it. Free some space, or name another "
+            "folder with '--out DIR', and run the command again."
+        ) from None
     finally:
         _delete(outer)
         os.close(lock)
@@ -65,7 +74,10 @@ def _claim(outer: Path) -> int:
     while True:
         try:
             outer.mkdir(parents=True, exist_ok=True)
-        except (FileExistsError, NotADirectoryError):
+        except NotADirectoryError:
+            file = next(parent for parent in outer.parents if parent.exists())
+            raise UsageError(f"{str(file)!r} is no folder; name another one with '--out DIR'.") from None
+        except FileExistsError:
             raise _in_the_way(outer) from None
         if outer.is_symlink():
             raise _in_the_way(outer)

@@ -122,6 +122,13 @@ def test_what_is_not_there_is_named(run: Run, command: str, tmp_path: Path) -> N
     assert "did you mean 'noise-tiny'?" in misspelt.sentence()
 
 
+def test_a_recording_is_no_data_set_yet(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"")
+    failed = run("info", str(tmp_path / "a.mcap"))
+    assert failed.code == 1
+    assert "is a file, no data set; a recording becomes one with 'dmbench data import" in failed.sentence()
+
+
 def test_another_version_of_the_format(run: Run, folder: Path) -> None:
     manifest = folder / "dataset.json"
     manifest.write_text(manifest.read_text().replace("dmbench/1", "dmbench/9"))

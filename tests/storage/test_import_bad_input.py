@@ -91,6 +91,10 @@ def test_a_topic_without_pictures(tmp_path: Path) -> None:
     refused(file, tmp_path, "'/action' carries .*not pictures; known are", ImportOptions(camera="/action"))
 
 
+def test_the_camera_gives_no_actions(good: Path, tmp_path: Path) -> None:
+    refused(good, tmp_path, "'/camera' is the camera; name the topic of the actions", ImportOptions(actions="/camera"))
+
+
 def test_several_cameras_are_to_be_chosen_from(tmp_path: Path) -> None:
     context = foxglove.Context()
     with foxglove.open_mcap(tmp_path / "a.mcap", context=context):
@@ -260,6 +264,13 @@ def test_a_bomb_of_a_record_is_not_held(tmp_path: Path, opcode: int) -> None:
     match = "has a message of 40 MiB on '/camera', more than the 20 MiB" if opcode == 0x05 else "has no pictures"
     del body, content
     assert peak_of(lambda: refused(file, tmp_path, match, options)) < 8 * MIB
+
+
+def test_a_chunk_of_zeros_is_no_records(tmp_path: Path) -> None:
+    compressor = zstandard.ZstdCompressor().compressobj()
+    zeros = b"".join(compressor.compress(bytes(MIB)) for _ in range(500)) + compressor.flush()  # 58 million of kind 0
+    file = by_hand(tmp_path / "a.mcap", chunk(zeros, 500 * MIB))
+    assert peak_of(lambda: refused(file, tmp_path, "a record is of kind 0, which no record is")) < 8 * MIB
 
 
 def test_a_length_that_lies_is_not_allocated(tmp_path: Path) -> None:

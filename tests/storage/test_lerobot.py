@@ -151,6 +151,12 @@ def test_missing_labels_are_said(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "data"]
 
 
+def test_a_data_set_is_no_place_for_its_export(source: Dataset) -> None:
+    with pytest.raises(UsageError, match="lies in the data set itself"):
+        export_lerobot(source, source.path / "out")
+    assert not (source.path / "out.exporting").exists()
+
+
 def test_a_folder_that_is_there_is_not_touched(source: Dataset, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="is there already; name another folder"):
         export_lerobot(source, tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 import subprocess
 import time
@@ -91,6 +92,33 @@ def test_what_another_process_is_writing_is_left_alone(recording: Path, workspac
         assert "another dmbench is writing into" in refused.sentence()
         assert (content / "half").read_text() == "written"
     assert (workspace / "made" / "half").read_text() == "written"
+
+
+@pytest.mark.parametrize("command", ["import", "export"])
+def test_a_full_disk_is_a_sentence_and_leaves_nothing(command: str, recording: Path, workspace: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (12, 64, 64, 3), dtype=np.uint8)
+    small = foxglove_file(workspace / "source.mcap", noise, steady(12))
+    if command == "export":
+        done = finish(start_dmbench(["data", "import", str(small), "--out", str(workspace / "source")], workspace))
+        assert done.code == 0, done.err
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+
+    full = finish(start_dmbench(words(command, small, workspace), workspace, preexec_fn=limit))
+    assert full.code == 1
+    assert "no space left on the device for" in full.sentence()
+    assert "nothing is left of it" in full.sentence()
+    assert names(workspace) == ["source.mcap"]  # and nothing of what was begun
+
+
+def test_a_place_that_cannot_be_is_said(workspace: Path) -> None:
+    (workspace / "file").write_text("keep")
+    with (
+        pytest.raises(UsageError, match=r"file' is no folder; name another one with '--out DIR'"),
+        staged(workspace / "file" / "a" / "b", ".importing"),
+    ):
+        raise AssertionError("it began")
 
 
 def test_nothing_that_it_did_not_make_is_deleted(tmp_path: Path) -> None:

@@ -121,6 +121,8 @@ def export_lerobot(
     """
     if out.exists():
         raise UsageError(f"{str(out)!r} is there already; name another folder with '--out DIR', or delete it first.")
+    if out.resolve().is_relative_to(dataset.path.resolve()):
+        raise UsageError(f"{str(out)!r} lies in the data set itself; name a folder elsewhere with '--out DIR'.")
     if codec is not H264 and (dataset.spec.height % 2 or dataset.spec.width % 2):
         raise UsageError(f"{codec.name} needs even sizes, not {dataset.spec.width}; use '--codec h264'.")
     with staged(out, UNFINISHED) as folder:

@@ -57,6 +57,8 @@ class McapRecording:
             if topic.topic == self._camera:
                 picture_decoder(topic)  # an encoding that is not known is said before anything is read
         self._actions = None if actions is None else _topic(path, topics, actions, "actions")
+        if self._actions == self._camera:
+            raise RecordingImportError(f"{self._camera!r} is the camera; name the topic of the actions.")
 
     def sha256(self) -> str:
         """Of the whole file."""

@@ -247,6 +247,8 @@ class McapFile:
             if log_ns > LATEST:
                 raise Broken(f"a message on {topic.topic!r} has the impossible time {log_ns} ns")
             return RawMessage(topic, log_ns, body.exactly(body.left))
+        if not opcode:  # the specification forbids it; a chunk of zeros would be a hundred million of them
+            raise Broken("a record is of kind 0, which no record is")
         if opcode == Opcode.SCHEMA:
             known.add_schema(body, self.limits.schema_bytes)
         elif opcode == Opcode.CHANNEL:

@@ -107,8 +107,8 @@ def import_recordings(
     if not planned:
         raise RecordingImportError(
             f"no episode of at least {options.min_frames} frames comes out: {sum(map(_frames, surveys))} pictures at "
-            f"{options.hz:g} Hz; raise '--hz' or '--max-gap', lower '--min-frames' (to 3 at least), or look at the times "
-            "in the recording."
+            f"{options.hz:g} Hz; raise '--hz' or '--max-gap', lower '--min-frames' to 3 at least, or look at the "
+            "times in the recording."
         )
     recipe = _recipe(recordings, surveys, planned, options)
     spec = EnvSpec(

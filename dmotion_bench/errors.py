@@ -33,6 +33,9 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Final
+
+_SAID_AT_MOST: Final = 12  # names that stand in a sentence beside the one that was probably meant
 
 
 class DmbenchError(Exception):
@@ -58,6 +61,8 @@ class UnknownName(UsageError):
         near = difflib.get_close_matches(name, self.known, n=1)
         if near:
             hint = f"did you mean {near[0]!r}?"
+            if not listing and len(self.known) <= _SAID_AT_MOST:
+                hint += f" Known: {', '.join(self.known)}."
         elif self.known:
             hint = f"known: {', '.join(self.known)}."
         else:

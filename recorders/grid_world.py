@@ -187,7 +187,10 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """Put agent and objects on cells of their own; there are no options."""
         super().reset(seed=seed)
         if options and options.get("vary"):
-            raise InvalidSetting("nothing varies in grid_world: it is the paper's, and a control.")
+            raise InvalidSetting(
+                "nothing varies in grid_world: it is the paper's, and a control; planar_push and robot_push have "
+                "factors of variation."
+            )
         self._place(starting_cells(self.np_random), np.ones(1 + OBJECTS, np.bool_))
         return self.render(), {}
 

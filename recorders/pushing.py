@@ -68,6 +68,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         factors: What may vary in it.
         lattice: Where the pusher can stand.
         vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
+        ranges: What they are drawn from, one of ``variation.Ranges``.
         fixed: Values of factors for every episode; None leaves the usual one.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
     """
@@ -90,6 +91,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         factors: Iterable[Factor],
         lattice: Lattice,
         vary: str | Iterable[str],
+        ranges: str,
         fixed: Mapping[str, float | None],
         render_mode: str | None,
     ) -> None:
@@ -98,7 +100,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self.render_mode = render_mode
         self.action_space = gymnasium.spaces.Discrete(len(facts.actions))
         self.observation_space = gymnasium.spaces.Box(0, 255, (facts.height, facts.width, 3), np.uint8)
-        self._variation = Variation(factors, [one.name for one in facts.objects])
+        self._variation = Variation(factors, [one.name for one in facts.objects], ranges)
         self._vary = named_factors(vary)
         self._fixed = {name: value for name, value in fixed.items() if value is not None}
         self._variation.check(self._vary, self._fixed)

@@ -40,8 +40,28 @@ def record(
     frames: Annotated[int | None, typer.Option(min=2, help="At most so many frames an episode.")] = None,
     tasks: Annotated[int | None, typer.Option(min=0, help="Control tasks to store.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Decides every episode.")] = 0,
+    vary: Annotated[
+        str,
+        typer.Option(
+            metavar="FACTOR,FACTOR...",
+            help="What differs between episodes: friction, mass, colour, light, camera, distractors. Nothing if left "
+            "out.",
+        ),
+    ] = "",
+    ranges: Annotated[
+        str,
+        typer.Option(
+            metavar="[in-distribution|shifted]",
+            help="What they are drawn from: the usual values, or only values outside of those.",
+        ),
+    ] = "in-distribution",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set up the environment, as objects=3; may be repeated."),
+    ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="The data set's folder; data/ENVIRONMENT-PRESET if left out.")
+        Path | None,
+        typer.Option(help="The data set's folder; data/ENVIRONMENT-PRESET, with -varied or -shifted, if left out."),
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes; all processors if left out. Changes no byte.")
@@ -55,8 +75,18 @@ def record(
     from dmotion_bench.storage.shard import shard_count
     from dmotion_bench.workspace import Workspace
 
-    recipe = recipe_for(environment, preset, episodes=episodes, frames=frames, tasks=tasks, seed=seed)
-    folder = out or Workspace.current().data / f"{environment}-{preset.value}"
+    recipe = recipe_for(
+        environment,
+        preset,
+        episodes=episodes,
+        frames=frames,
+        tasks=tasks,
+        seed=seed,
+        vary=vary.split(","),
+        ranges=ranges,
+        settings=settings or (),
+    )
+    folder = out or Workspace.current().data / f"{environment}-{preset.value}{_suffix(recipe)}"
     hands = make_executor(executor, min(workers or available_workers(), shard_count(recipe)))
     recorded = record_with_progress(folder, recipe, hands)
     if as_json:
@@ -82,6 +112,13 @@ def record(
     else:
         typer.echo("  it was complete already; a larger --episodes extends it")
     typer.echo(f"Look at it with 'dmbench view {recorded.dataset}', train on it with 'dmbench train dmotion'.")
+
+
+def _suffix(recipe: DatasetRecipe) -> str:
+    """Sets apart, by default, what is recorded to be compared."""
+    if not recipe.vary:
+        return ""
+    return f"-{recipe.parameters.get('ranges', 'varied')}"
 
 
 def record_with_progress(folder: Path, recipe: DatasetRecipe, executor: Executor) -> Recorded:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
-import types
 import typing
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar, Union
+from typing import Any, TypeVar
 
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.values import parse_value
 
 ConfigT = TypeVar("ConfigT")
 
@@ -18,31 +18,6 @@ ConfigT = TypeVar("ConfigT")
 def _fields(config: Any) -> dict[str, Any]:
     hints = typing.get_type_hints(type(config))
     return {field.name: hints[field.name] for field in dataclasses.fields(config) if field.init}
-
-
-def _parse(key: str, text: str, wanted: Any) -> Any:
-    origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
-    if origin in (Union, types.UnionType):
-        if text == "none" and type(None) in arguments:
-            return None
-        return _parse(key, text, next(kind for kind in arguments if kind is not type(None)))
-    if origin is typing.Literal:
-        if text not in arguments:
-            raise InvalidSetting(f"{key} is {text!r}; it can be {', '.join(map(str, arguments))}.")
-        return text
-    if origin is tuple:
-        return tuple(_parse(key, part, arguments[0]) for part in text.split(",") if part)
-    if wanted is bool:
-        if text.lower() not in ("true", "false"):
-            raise InvalidSetting(f"{key} is {text!r}; it can be true or false.")
-        return text.lower() == "true"
-    if wanted in (int, float):
-        try:
-            return wanted(text)
-        except ValueError:
-            kind = "a whole number" if wanted is int else "a number"
-            raise InvalidSetting(f"{key} is {text!r}; it must be {kind}.") from None
-    return text
 
 
 def with_settings(settings: Sequence[str], *configs: Any) -> tuple[Any, ...]:
@@ -62,7 +37,7 @@ def with_settings(settings: Sequence[str], *configs: Any) -> tuple[Any, ...]:
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(owners))}."
             raise InvalidSetting(f"no setting named {key!r}; {hint}")
         place = owners[key]
-        changes[place][key] = _parse(key, text, _fields(configs[place])[key])
+        changes[place][key] = parse_value(key, text, _fields(configs[place])[key])
     return tuple(dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True))
 
 

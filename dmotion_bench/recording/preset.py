@@ -1,11 +1,23 @@
-"""From what a person asks for to a recipe: an environment, how large, what to change."""
+"""From what a person asks for to a recipe: an environment, how large, what to change, what varies."""
 
 from __future__ import annotations
 
-from dmotion_bench.errors import UnknownName
+import inspect
+import typing
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from dmotion_bench.environment import Environment
+from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.recording.session import SHARD_EPISODES
 from dmotion_bench.registry import environment_class
-from dmotion_bench.specs import DatasetRecipe, Preset
+from dmotion_bench.specs import DatasetRecipe, Preset, Scalar
+from dmotion_bench.values import parse_value
+
+RANGES: Final = "ranges"  # the parameter of an environment that says what varying factors are drawn from
+USUAL_RANGES: Final = "in-distribution"
+_OPTIONS: Final = {"vary": "--vary", RANGES: "--ranges"}  # parameters with an option of their own
+_NOT_RECORDED: Final = "render_mode"
 
 
 def recipe_for(
@@ -16,22 +28,78 @@ def recipe_for(
     frames: int | None = None,
     tasks: int | None = None,
     seed: int = 0,
+    vary: Sequence[str] = (),
+    ranges: str = USUAL_RANGES,
+    settings: Sequence[str] = (),
 ) -> DatasetRecipe:
     """The recipe of a preset, with what is given instead of the preset's numbers.
 
+    Args:
+        environment, preset: What and how much.
+        episodes, frames, tasks: Instead of the preset's.
+        seed: Decides every episode.
+        vary: Factors of variation, drawn anew for each episode.
+        ranges: What they are drawn from; another than the usual is a parameter of the environment.
+        settings: ``KEY=VALUE`` for parameters of the environment's constructor.
+
     Raises:
-        UnknownName: There is no such environment, or it has no such preset.
+        UnknownName: There is no such environment, or it has no such preset or parameter.
+        InvalidSetting: A parameter cannot have this value.
     """
     kind = environment_class(environment)
     if preset not in kind.recording:
         raise UnknownName(f"preset of {environment}", preset.value, [known.value for known in kind.recording])
     usual = kind.recording[preset]
+    parameters = parse_parameters(environment, kind, settings)
+    varying = tuple(sorted({name.strip() for name in vary} - {""}))
+    if ranges != USUAL_RANGES:
+        if not varying:
+            raise InvalidSetting(f"--ranges {ranges} is for factors that vary, and none does; name some with '--vary'.")
+        if RANGES not in _parameters(kind):
+            raise InvalidSetting(f"{environment} draws nothing from ranges of its own choice; leave '--ranges' away.")
+        parameters[RANGES] = ranges
     return DatasetRecipe(
         environment=environment,
+        parameters=parameters,
         policy=kind.default_policy,
         seed=seed,
         episodes=usual.episodes if episodes is None else episodes,
         frames=usual.frames if frames is None else frames,
         tasks=usual.tasks if tasks is None else tasks,
         shard_episodes=SHARD_EPISODES,
+        vary=varying,
     )
+
+
+def parse_parameters(environment: str, kind: type[Environment], settings: Sequence[str]) -> dict[str, Scalar]:
+    """Keyword arguments of the environment's constructor, out of ``KEY=VALUE``.
+
+    Raises:
+        UnknownName: It takes none of this name.
+        InvalidSetting: The value is not of its type.
+    """
+    known = _parameters(kind)
+    found: dict[str, Scalar] = {}
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals:
+            raise InvalidSetting(f"--set {setting!r} has no value; write --set {key}=VALUE.")
+        if key in _OPTIONS and key in known:
+            raise InvalidSetting(f"{key} is no setting; say '{_OPTIONS[key]} {text}'.")
+        names = [name for name in known if name not in _OPTIONS]
+        if key not in names:
+            raise UnknownName(f"setting of {environment}", key, names)
+        value = parse_value(key, text, known[key])
+        if value is not None:  # none is what leaving it out means
+            found[key] = value
+    return dict(sorted(found.items()))
+
+
+def _parameters(kind: type[Environment]) -> Mapping[str, Any]:
+    """The constructor's keyword arguments and their types."""
+    try:
+        hints = typing.get_type_hints(kind.__init__)
+    except NameError:  # types that only a checker imports
+        hints = {}
+    names = list(inspect.signature(kind).parameters)
+    return {name: hints.get(name, str) for name in names if name != _NOT_RECORDED}

@@ -140,10 +140,14 @@ def record_command(recipe: DatasetRecipe, dataset: Path) -> str:
     """The command that completes a data set."""
     if recipe.environment == "imported":
         return "dmbench data import"
-    return (
-        f"dmbench record {recipe.environment} --episodes {recipe.episodes} --frames {recipe.frames} "
-        f"--tasks {recipe.tasks} --seed {recipe.seed} --out {shlex.quote(str(dataset))}"
-    )
+    words = ["dmbench", "record", recipe.environment]
+    for name in ("episodes", "frames", "tasks", "seed"):
+        words += [f"--{name}", str(getattr(recipe, name))]
+    if recipe.vary:
+        words += ["--vary", ",".join(recipe.vary)]
+    for key, value in recipe.parameters.items():
+        words += ["--ranges", str(value)] if key == "ranges" else ["--set", f"{key}={value}"]
+    return shlex.join([*words, "--out", str(dataset)])
 
 
 def _checked(raw: bytes, dataset: Path) -> object:

@@ -35,17 +35,56 @@ DRIFTING, DRIFT_SPEED = circle(0.03), 0.02  # distractors: [m], [m] a step
 TABLE_COLOR, FLOOR_COLOR = (214, 196, 168), (236, 239, 243)
 DISC_COLOR, DRIFTING_COLOR = (35, 35, 40), (150, 150, 150)
 
-FACTORS = (
-    Factor(name="friction", usual=0.5, low=0.25, high=0.9, each=True, meaning="an object's friction on the table"),
-    Factor(name="mass", usual=0.15, low=0.05, high=0.6, each=True, meaning="an object's mass [kg]"),
-    Factor(name="colour", usual=0, low=-15, high=15, each=True, meaning="turn of an object's hue [deg]"),
-    Factor(name="light", usual=1, low=0.8, high=1.05, meaning="brightness of the whole picture"),
-    Factor(name="camera", usual=0, low=-6, high=6, meaning="turn of the camera about its axis [deg]"),
+FACTORS = (  # colours stay near enough to be found by them, under every light
+    Factor(
+        name="friction",
+        usual=0.5,
+        low=0.25,
+        high=0.9,
+        shifted=((0.1, 0.2), (1.0, 1.2)),
+        each=True,
+        meaning="an object's friction on the table",
+    ),
+    Factor(
+        name="mass",
+        usual=0.15,
+        low=0.05,
+        high=0.6,
+        shifted=((0.02, 0.04), (0.7, 1.0)),
+        each=True,
+        meaning="an object's mass [kg]",
+    ),
+    Factor(
+        name="colour",
+        usual=0,
+        low=-8,
+        high=8,
+        shifted=((-11, -9), (9, 11)),
+        each=True,
+        meaning="turn of an object's hue [deg]",
+    ),
+    Factor(
+        name="light",
+        usual=1,
+        low=0.94,
+        high=1.06,
+        shifted=((0.88, 0.92), (1.08, 1.12)),
+        meaning="brightness of the whole picture",
+    ),
+    Factor(
+        name="camera",
+        usual=0,
+        low=-6,
+        high=6,
+        shifted=((-12, -8), (8, 12)),
+        meaning="turn of the camera about its axis [deg]",
+    ),
     Factor(
         name="distractors",
         usual=0,
         low=0,
         high=3,
+        shifted=((4, 6),),
         whole=True,
         meaning="number of grey discs that drift over the table and touch nothing",
     ),
@@ -59,6 +98,7 @@ class PlanarPush(PushingEnvironment):
         objects: How many objects there are, 1 to 6; they are red, green, blue, yellow, magenta, cyan.
         shapes: Their shapes in this order, separated by commas; repeated where there are fewer than objects.
         vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
+        ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
         friction, mass, colour, light, camera, distractors: Values of these factors, the same in every episode;
             None: the usual ones.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
@@ -78,6 +118,7 @@ class PlanarPush(PushingEnvironment):
         objects: int = 6,
         shapes: str = ",".join(SHAPES),
         vary: str | Iterable[str] = (),
+        ranges: str = "in-distribution",
         friction: float | None = None,
         mass: float | None = None,
         colour: float | None = None,
@@ -98,6 +139,7 @@ class PlanarPush(PushingEnvironment):
             factors=FACTORS,
             lattice=LATTICE,
             vary=vary,
+            ranges=ranges,
             fixed={
                 "friction": friction,
                 "mass": mass,

@@ -49,6 +49,7 @@ class RobotPush(PushingEnvironment):
         objects: How many objects there are, 1 to 6; they are red, green, blue, yellow, magenta, cyan.
         shapes: Their shapes in this order, separated by commas; repeated where there are fewer than objects.
         vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
+        ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
         friction, mass, colour, light, camera, distractors: Values of these factors, the same in every episode;
             None: the usual ones, those of the paper's scene.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
@@ -63,6 +64,7 @@ class RobotPush(PushingEnvironment):
         objects: int = 6,
         shapes: str = ",".join(SOLIDS),
         vary: str | Iterable[str] = (),
+        ranges: str = "in-distribution",
         friction: float | None = None,
         mass: float | None = None,
         colour: float | None = None,
@@ -83,6 +85,7 @@ class RobotPush(PushingEnvironment):
             factors=FACTORS,
             lattice=LATTICE,
             vary=vary,
+            ranges=ranges,
             fixed={
                 "friction": friction,
                 "mass": mass,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
+import shlex
 import signal
 import subprocess
 import time
@@ -56,6 +57,7 @@ def test_the_same_command_completes_and_a_larger_number_extends(run: Run, tmp_pa
     [
         (("grid_wrold",), "no environment named 'grid_wrold'; did you mean 'grid_world'?", 2),
         (("grid_world", "--preset", "tinny"), "no preset named 'tinny'; did you mean 'tiny'?", 2),
+        (("planar_push", "--vary", "ligth"), "named 'ligth'; did you mean 'light'? Known: camera, colour", 2),
         (("grid_world", "--executor", "locla"), "no executor named 'locla'; did you mean 'local'?", 2),
     ],
 )
@@ -84,6 +86,26 @@ def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) 
     assert "--seed 0 --out" in outcome.err
     assert "'--out DIR'" in outcome.err
     assert files_of(tmp_path / "data") == before
+
+
+def test_variation_has_a_folder_of_its_own_and_the_command_that_goes_on_says_it(run: Run, tmp_path: Path) -> None:
+    words = ("record", "planar_push", "--preset", "tiny", "--episodes", "2", "--frames", "4", "--workers", "1")
+    varied = ("--vary", "light,friction", "--set", "objects=2", "--set", "shapes=square")
+    assert run(*words, *varied).code == 0
+    assert run(*words, *varied, "--ranges", "shifted").code == 0
+    assert sorted(one.name for one in (tmp_path / "data").iterdir()) == [
+        "planar_push-tiny-shifted",
+        "planar_push-tiny-varied",
+    ]
+    shifted = tmp_path / "data" / "planar_push-tiny-shifted"
+    assert "ranges" in run("data", "info", str(shifted)).out
+    before = files_of(shifted)
+    outcome = run(*words, "--vary", "light", "--out", str(shifted))
+    assert outcome.code == 1
+    command = outcome.err.split("To go on with it: ")[1].split("; for a new one")[0].strip("'\"")
+    assert "--vary friction,light --set objects=2 --set shapes=square --ranges shifted" in command
+    assert "it was complete already" in run(*shlex.split(command)[1:]).out
+    assert files_of(shifted) == before
 
 
 def test_a_file_in_the_folders_way_is_named(run: Run, tmp_path: Path) -> None:

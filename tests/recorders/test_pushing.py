@@ -234,8 +234,8 @@ def test_distractors_move_and_touch_nothing(env: PushingEnvironment) -> None:
     [
         ({"vary": ["colours"]}, UnknownName, "did you mean 'colour'"),
         ({"gravity": 1.0}, UnknownName, "no factor of variation named 'gravity'"),
-        ({"camera": 90.0}, InvalidSetting, "from -6 to 6"),
-        ({"distractors": 1.5}, InvalidSetting, "a whole number from 0 to 3"),
+        ({"camera": 90.0}, InvalidSetting, "from -12 to 12"),
+        ({"distractors": 1.5}, InvalidSetting, "a whole number from 0 to 6"),
         ({"mass": "heavy"}, InvalidSetting, "is no number"),
     ],
 )

@@ -1,0 +1,39 @@
+"""Values out of a command line's text, each read as the type that its place wants; nothing is guessed."""
+
+from __future__ import annotations
+
+import types
+import typing
+from typing import Any, Union
+
+from dmotion_bench.errors import InvalidSetting
+
+
+def parse_value(key: str, text: str, wanted: Any) -> Any:
+    """The value that a text stands for: a number, truth, word, choice, or several separated by commas.
+
+    Raises:
+        InvalidSetting: It is not of the type ``wanted``.
+    """
+    origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
+    if origin in (Union, types.UnionType):
+        if text == "none" and type(None) in arguments:
+            return None
+        return parse_value(key, text, next(kind for kind in arguments if kind is not type(None)))
+    if origin is typing.Literal:
+        if text not in arguments:
+            raise InvalidSetting(f"{key} is {text!r}; it can be {', '.join(map(str, arguments))}.")
+        return text
+    if origin is tuple:
+        return tuple(parse_value(key, part, arguments[0]) for part in text.split(",") if part)
+    if wanted is bool:
+        if text.lower() not in ("true", "false"):
+            raise InvalidSetting(f"{key} is {text!r}; it can be true or false.")
+        return text.lower() == "true"
+    if wanted in (int, float):
+        try:
+            return wanted(text)
+        except ValueError:
+            kind = "a whole number" if wanted is int else "a number"
+            raise InvalidSetting(f"{key} is {text!r}; it must be {kind}.") from None
+    return text

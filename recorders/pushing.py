@@ -126,6 +126,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._moment = 0
         self._place = self._begin(np.random.default_rng([entropy, 0]), np.random.default_rng([entropy, 1]))
         self._frame, self._masks = self._draw()
+        self._drawn_as_is = True
         return self._frame.copy(), {"factors": dict(self._factors)}
 
     def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
@@ -135,7 +136,9 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             self._place = self.lattice.after(self._place, int(action))
             self._moment += 1
             self._push(self.lattice.at(self._place))
+        if legal or not self._drawn_as_is:
             self._frame, self._masks = self._draw()
+            self._drawn_as_is = True
         return self._frame.copy(), 0.0, self._terminated(), False, {"illegal": not legal}
 
     def render(self) -> UInt8[np.ndarray, "h w 3"]:
@@ -164,6 +167,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """Put everything where it was; it is drawn at the next step."""
         self._place, self._moment = snapshot.place, snapshot.moment
         self._put(snapshot, self.lattice.at(snapshot.place))
+        self._drawn_as_is = False
 
     @abstractmethod
     def agent(self) -> ObjectStates:

@@ -43,7 +43,7 @@ def single_keys(terminal: int) -> Iterator[None]:
         raise UsageError("this system's terminal cannot be read key by key; it takes Linux or macOS.") from None
     before = termios.tcgetattr(terminal)
     try:
-        tty.setcbreak(terminal)  # Ctrl-C still interrupts
+        tty.setcbreak(terminal, termios.TCSADRAIN)  # Ctrl-C still interrupts; keys pressed early are kept
         yield
     finally:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
@@ -60,7 +60,10 @@ def read_keys(terminal: int) -> Iterator[str]:
             continue
         rest = ""
         while len(rest) < 2 and select.select([terminal], [], [], WITHIN)[0]:
-            rest += os.read(terminal, 1).decode("latin-1")
+            after = os.read(terminal, 1).decode("latin-1")
+            if not after:
+                break
+            rest += after
         if not rest:
             yield ESCAPE
         elif rest[0] in "[O" and rest[1:] in ARROWS:

@@ -1,0 +1,162 @@
+"""``dmbench plan`` and ``dmbench play`` as a user types them."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import sys
+from pathlib import Path
+
+import pytest
+from dmbench_command import dmbench
+from rrd_contents import curve, read
+
+from dmotion_bench.cli.keys import read_keys, single_keys
+from dmotion_bench.cli.play import bindings, commands
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.start import TrainingRequest, open_run
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.specs import DatasetRecipe, Preset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.workspace import Workspace
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """A small Grid World and a run on it whose model has learned nothing."""
+    workspace = Workspace(tmp_path_factory.mktemp("workspace"))
+    folder = workspace.data / "grid"
+    record_dataset(folder, DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=3))
+    run = open_run(TrainingRequest(model="dmotion", preset=Preset.TINY), Dataset.open(folder), None, workspace)
+    weights = run.spec.build().state_dict()
+    checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
+    run.finish({"weights": checkpoint.weights_hash(weights), "steps": 4, "labels_total": 4, "validation_loss": 0.8})
+    return workspace
+
+
+@pytest.fixture(autouse=True)
+def _here(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(workspace.root))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+
+
+@pytest.fixture
+def run(workspace: Workspace) -> str:
+    (path,) = workspace.all_runs()
+    return path.name
+
+
+def test_a_plan_is_recorded_for_rerun(
+    run: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "plan.rrd"
+    said = dmbench(["plan", run, "--task", "1", "--steps", "2", "--save", str(file), "--json"], capsys, monkeypatch)
+    assert (said.code, said.err) == (0, "")
+    found = json.loads(said.out)
+    assert (found["run"], found["task"], found["steps"], found["planner"]) == (run, 1, 2, "cem")
+    assert len(found["actions"]) == 2
+    assert set(found["actions"]) <= {"up", "down", "left", "right"}
+    assert [value for _, value in curve(file, "/distance")] == pytest.approx(found["distance"][:2], abs=1e-6)
+    contents = read(file)
+    for entity in ("/camera", "/imagined", "/cost", "/candidates"):
+        assert len(next(iter(contents[entity].values()))) == 2, entity
+    assert "/goal" in contents
+    strip = contents["/imagined"]["Image:format"][0][1][0]
+    assert (strip["width"], strip["height"]) == (5 * 130, 3 * 130)
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_references_are_planned_with_by_name(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    idle = json.loads(dmbench(["plan", "idle", "--steps", "3", "--json"], capsys, monkeypatch).out)
+    assert idle["distance"] == [1, 1, 1, 1]
+    assert idle["actions"] == [None] * 3
+    oracle = json.loads(dmbench(["plan", "oracle", "--steps", "8", "--json"], capsys, monkeypatch).out)
+    assert oracle["final_distance"] < 1
+    again = json.loads(dmbench(["plan", "oracle", "--steps", "8", "--json"], capsys, monkeypatch).out)
+    assert again["actions"] == oracle["actions"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "sentence"),
+    [
+        (["plan", "idle"], 1, "no display is here"),
+        (["plan", "idle", "--save", "plan.mp4"], 2, "must end in .rrd"),
+        (["plan", "idle", "--json", "--task", "3"], 2, "no task named '3'; known: 0 to 2"),
+        (["plan", "idle", "--json", "--planner", "exhausting"], 2, "did you mean 'exhaustive'"),
+        (["plan", "idle", "--json", "--cost", "pixels"], 2, "did you mean 'pixel'"),
+        (["plan", "nobody", "--json"], 2, "no run named 'nobody'"),
+        (["play", "--save", "play.mp4"], 2, "must end in .rrd"),
+    ],
+)
+def test_mistakes_get_one_sentence(
+    words: list[str], code: int, sentence: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = dmbench(words, capsys, monkeypatch)
+    assert said.code == code
+    assert sentence in said.sentence()
+    assert said.out == ""
+
+
+def test_playing_needs_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr(sys, "stdin", nothing)
+        said = dmbench(["play"], capsys, monkeypatch)
+    assert said.code == 2
+    assert "needs a terminal" in said.sentence()
+
+
+def test_keys_drive_the_model(
+    run: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    controller, terminal = pty.openpty()
+    file = tmp_path / "play.rrd"
+    os.write(controller, b"\x1b[A\x1b[Cx4r\x1bOBq")
+    with os.fdopen(terminal, "r+b", buffering=0) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        said = dmbench(["play", run, "--save", str(file)], capsys, monkeypatch)
+    os.close(controller)
+    assert said.code == 0, said.err
+    assert "3: up right right" in said.err
+    assert said.err.rstrip().endswith("1: down")
+    contents = read(file)
+    for entity in ("/imagined", "/simulator"):
+        assert [place for place, _ in contents[entity]["Image:buffer"]] == list(range(6)), entity
+    frames = [frame for _, frame in contents["/simulator"]["Image:buffer"]]
+    assert frames[4] == frames[0]  # started over
+
+
+def test_the_terminal_is_left_as_it_was() -> None:
+    import termios
+
+    controller, terminal = pty.openpty()
+    before = termios.tcgetattr(terminal)
+
+    def interrupted() -> None:
+        with single_keys(terminal):
+            assert not termios.tcgetattr(terminal)[3] & termios.ECHO
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert termios.tcgetattr(terminal) == before
+    os.close(controller)
+    os.close(terminal)
+
+
+def test_keys_are_read_one_by_one() -> None:
+    reader, writer = os.pipe()
+    os.write(writer, b"\x1b[A\x1b[B\x1b[C\x1b[Da\x1bOA\x1b[Zq\x1b")
+    os.close(writer)
+    assert list(read_keys(reader)) == ["up", "down", "right", "left", "a", "up", "q", "escape"]
+    os.close(reader)
+
+
+def test_arrows_take_the_actions_of_their_names_and_digits_any() -> None:
+    assert bindings(("up", "down", "left", "right"))["left"] == bindings(("up", "down", "left", "right"))["3"] == 2
+    assert bindings(("grip", "up")) == {"up": 1, "1": 0, "2": 1}
+    assert list(commands(iter(["1", "x", "up", "r", "q", "1"]), ("grip", "up"))) == [0, 1, None]

@@ -27,7 +27,7 @@ from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConf
 from dmotion_bench.learning.settings import from_json
 from dmotion_bench.registry import model_class
 from dmotion_bench.storage.atomic import write_atomically
-from dmotion_bench.workspace import RUN_MANIFEST
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST
 
 RUN_FORMAT = "dmbench-run/1"
 
@@ -148,8 +148,12 @@ class Run:
 
     @property
     def dataset_path(self) -> Path:
-        """Where the data set was when the run was made."""
-        return Path(self.manifest["dataset_path"])
+        """Where the data set is: in the run's own workspace, which may have moved, or where it was."""
+        given, workspace = Path(self.manifest["dataset_path"]), self.path.resolve().parent.parent
+        for candidate in (workspace / given, given, workspace / "data" / given.name):
+            if (candidate / DATASET_MANIFEST).is_file():
+                return candidate
+        return given
 
     @property
     def result(self) -> dict[str, Any] | None:

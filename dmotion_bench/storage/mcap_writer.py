@@ -37,7 +37,8 @@ from dmotion_bench.storage.schema import MessageType
 MAGIC: Final = b"\x89MCAP0\r\n"
 LIBRARY: Final = "dmbench/1"  # the format, not a package's version: the same recipe makes the same bytes
 COMPRESSION: Final = "zstd"
-COMPRESSION_LEVEL: Final = 1
+COMPRESSION_LEVEL: Final = 5
+WINDOW_LOG: Final = 23  # 8 MiB: what a frame shares with all earlier ones of its episode is found
 CHUNK_LIMIT: Final = 16 * 2**20
 """A chunk that has grown to this many bytes is closed; an episode may have several."""
 
@@ -84,7 +85,10 @@ class McapWriter:
 
     def __init__(self, stream: Sink, channels: Iterable[tuple[str, MessageType]]) -> None:
         self._stream, self._position, self._crc = stream, 0, 0
-        self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL, write_checksum=False)
+        settings = zstandard.ZstdCompressionParameters.from_level(
+            COMPRESSION_LEVEL, window_log=WINDOW_LOG, write_checksum=False
+        )
+        self._compressor = zstandard.ZstdCompressor(compression_params=settings)
         types: dict[str, Schema] = {}
         self._channels: list[Channel] = []
         for number, (topic, kind) in enumerate(channels, start=1):

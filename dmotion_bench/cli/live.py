@@ -3,15 +3,66 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
+
+    from dmotion_bench.viewing.follow import Follower
+
+EVERY = 1.0
+"""Seconds between two looks at what is new."""
+
+Live = Annotated[
+    bool, typer.Option("--live", help="Watch it in Rerun while it goes on: in a window, or a page of this machine.")
+]
+LiveTo = Annotated[
+    Path | None, typer.Option(metavar="FILE.rrd", help="Write what there is to watch to a file for Rerun.")
+]
+
+
+@contextlib.contextmanager
+def following(make: Callable[[], Follower], live: bool, to: Path | None) -> Iterator[Callable[[], None]]:
+    """Something to call while the work goes on, as often as one likes; it shows what is new.
+
+    Args:
+        make: What is shown; asked only if somebody watches.
+        live: Whether to open a window, or a web page where there is no display.
+        to: A file.
+
+    Raises:
+        UsageError: The file is none of Rerun's.
+    """
+    from dmotion_bench.errors import UsageError
+
+    if to is not None and to.suffix != ".rrd":
+        raise UsageError(f"--live-to {str(to)!r} must end in .rrd, as Rerun knows its files by it.")
+    if not live and to is None:
+        yield lambda: None
+        return
+    from dmotion_bench.viewing.viewer import has_display
+
+    follower = make()
+    window = live and has_display()
+    web = live and not window
+    with live_recording(follower.title, follower.blueprint(), window=window, web=web, save=to) as recording:
+        follower.start(recording)
+        looked = time.monotonic()
+
+        def poll() -> None:
+            nonlocal looked
+            if time.monotonic() - looked >= EVERY:
+                follower.poll(recording)
+                looked = time.monotonic()
+
+        yield poll
+        follower.poll(recording)
 
 
 @contextlib.contextmanager

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.errors import UnknownName
 from dmotion_bench.specs import Preset
 
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from dmotion_bench.recording.executor import Executor
     from dmotion_bench.recording.session import Recorded
     from dmotion_bench.specs import DatasetRecipe
+    from dmotion_bench.viewing.follow import Follower
 
 
 def preset_named(name: str) -> Preset:
@@ -67,6 +70,8 @@ def record(
         int | None, typer.Option(min=1, help="Processes; all processors if left out. Changes no byte.")
     ] = None,
     executor: Annotated[str, typer.Option(help="Who records: local.")] = "local",
+    live: Live = False,
+    live_to: LiveTo = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Record a data set. The same command again goes on where it stopped, or extends it to --episodes."""
@@ -88,7 +93,19 @@ def record(
     )
     folder = out or Workspace.current().data / f"{environment}-{preset.value}{_suffix(recipe)}"
     hands = make_executor(executor, min(workers or available_workers(), shard_count(recipe)))
-    recorded = record_with_progress(folder, recipe, hands)
+    with following(lambda: _follower(folder, recipe), live, live_to) as poll:
+        _tell(record_with_progress(folder, recipe, hands, poll), as_json)
+
+
+def _follower(folder: Path, recipe: DatasetRecipe) -> Follower:
+    from dmotion_bench.recording.session import environment_facts
+    from dmotion_bench.viewing.follow import RecordingFollower
+
+    return RecordingFollower(folder, environment_facts(recipe))
+
+
+def _tell(recorded: Recorded, as_json: bool) -> None:
+    """Say what a recording came to."""
     if as_json:
         typer.echo(
             json.dumps(
@@ -121,8 +138,10 @@ def _suffix(recipe: DatasetRecipe) -> str:
     return f"-{recipe.parameters.get('ranges', 'varied')}"
 
 
-def record_with_progress(folder: Path, recipe: DatasetRecipe, executor: Executor) -> Recorded:
-    """Record with a progress bar on stderr."""
+def record_with_progress(
+    folder: Path, recipe: DatasetRecipe, executor: Executor, poll: Callable[[], None] = lambda: None
+) -> Recorded:
+    """Record with a progress bar on stderr; ``poll`` is called after each shard."""
     from dmotion_bench.cli.progress import progress_bar
     from dmotion_bench.recording.session import Progress, record_dataset
 
@@ -131,5 +150,6 @@ def record_with_progress(folder: Path, recipe: DatasetRecipe, executor: Executor
 
         def show(progress: Progress) -> None:
             bar.update(task, completed=progress.episodes, status=f"{progress.frames_per_s:.0f} frames/s")
+            poll()
 
         return record_dataset(folder, recipe, executor, show)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.record import preset_named
 from dmotion_bench.specs import Preset
 
 if TYPE_CHECKING:
+    from dmotion_bench.viewing.follow import Follower
     from dmotion_bench.workspace import Workspace
 
 
@@ -47,6 +50,8 @@ def train(
     out: Annotated[Path | None, typer.Option(help="The run's folder; runs/NAME if left out.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Only go on with a run that is there already.")] = False,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    live: Live = False,
+    live_to: LiveTo = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Train a model, or all of them. The same command again goes on where it stopped."""
@@ -60,6 +65,7 @@ def train(
     workspace = Workspace.current()
     if everything:
         own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}
+        own |= {"--live": live, "--live-to": live_to}
         if extra := [name for name, value in own.items() if value]:
             raise UsageError(f"--all trains every model its own way; leave {' and '.join(extra)} away.")
         _train_all(workspace, data, preset, seed, split, device, as_json)
@@ -85,10 +91,21 @@ def train(
     if resume and not (folder / RUN_MANIFEST).exists():
         raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave --resume away to begin one.")
     run = open_run(request, dataset, folder, workspace)
-    result = train_run(run, dataset, device)
+    with following(lambda: _follower(run.path), live, live_to) as poll:
+        _tell(run, dataset, train_run(run, dataset, device, poll), as_json)
+
+
+def _follower(run: Path) -> Follower:
+    from dmotion_bench.viewing.follow import TrainingFollower
+
+    return TrainingFollower(run)
+
+
+def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None:
+    """Say what a training came to."""
     summary = {
         "run": str(run.path),
-        "model": model,
+        "model": run.spec.model,
         "steps": result["steps"],
         "triplets_per_s": result["triplets_per_s"],
         "seconds": result["seconds"],
@@ -142,8 +159,8 @@ def _train_all(
         typer.echo("Score them with 'dmbench score --all'.")
 
 
-def train_run(run: Any, dataset: Any, device: str = "auto") -> dict[str, Any]:
-    """Train a run to its end with a progress bar, on the device asked for."""
+def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], None] = lambda: None) -> dict[str, Any]:
+    """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step."""
     from dmotion_bench.cli.progress import note, progress_bar
     from dmotion_bench.learning.devices import launch
     from dmotion_bench.learning.start import training_data
@@ -166,6 +183,7 @@ def train_run(run: Any, dataset: Any, device: str = "auto") -> dict[str, Any]:
                 total=report.steps,
                 status=f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s",
             )
+            poll()
 
         result: dict[str, Any] = train(run, training_data(run, dataset), fabric, on_step)
     return result

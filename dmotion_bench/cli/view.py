@@ -40,6 +40,9 @@ def view(
     split: Annotated[
         str | None, typer.Option(help="Take the episodes from train, validation or test; of a run, from test.")
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Follow a training or a recording that is going on, until it ends.")
+    ] = False,
 ) -> None:
     """Look at a data set, a run, its report beside the others', or several runs in Rerun."""
     from dmotion_bench.errors import UnknownName, UsageError
@@ -62,6 +65,11 @@ def view(
 
     if not web and save is None:
         require_display()  # said before the work, not after it
+    if live:
+        if len(targets) > 1 or target.kind == "recording":
+            raise UsageError("--live follows one training or one recording; name its run or its data set.")
+        _follow(target, web, save)
+        return
     if target.kind == "recording":
         _show(target.path, web)
         return
@@ -108,6 +116,31 @@ def scene_of(target: Target, episodes: list[int], split: SplitName | None) -> Sc
     chosen = choose_episodes(dataset, episodes or list(told), split or ("test" if not episodes else None))
     scene = run_scene(run, dataset, chosen, told)
     return replace(scene, front="Report") if target.kind == "report" else scene
+
+
+def _follow(target: Target, web: bool, save: Path | None) -> None:
+    """Show what is new in a folder until the work there ends, or Ctrl-C is pressed."""
+    import time
+
+    from dmotion_bench.cli.live import EVERY, live_recording
+    from dmotion_bench.storage.manifest import Manifest
+    from dmotion_bench.viewing.follow import Follower, RecordingFollower, TrainingFollower
+
+    follower: Follower = (
+        RecordingFollower(target.path, Manifest.read(target.path).spec)
+        if target.kind == "data set"
+        else TrainingFollower(target.path)
+    )
+    window = not web and save is None
+    with live_recording(follower.title, follower.blueprint(), window=window, web=web, save=save) as recording:
+        follower.start(recording)
+        try:
+            while not follower.done:
+                follower.poll(recording)
+                time.sleep(EVERY)
+        except KeyboardInterrupt:
+            pass
+        follower.poll(recording)
 
 
 def beside(target: Target, workspace: Workspace) -> list[Path]:

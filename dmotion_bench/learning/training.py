@@ -38,6 +38,7 @@ from dmotion_bench.learning.optimization import (
     set_learning_rate,
 )
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets, write_sample
 from dmotion_bench.learning.triplets import BatchOrder, TripletSet
 
 CHECKPOINT_SECONDS = 60.0
@@ -282,9 +283,24 @@ class _Trainer:
             if means["loss"] < self.state.best:
                 self.state.best, self.state.best_step = means["loss"], self.state.step
                 self._save_best()
+            self._sample()
             self.model.train()
         self.model.enter(part.phase)
         self._write(log, {f"validation_{name}": value for name, value in means.items()})
+
+    def _sample(self) -> None:
+        """Keep a picture of what the model predicts now."""
+        if not self.fabric.is_global_zero or not self.model.needs_pixels:
+            return
+        with autocast(self.config, self.fabric.device), _seeded(0, 0, self.fabric.device):
+            if self.demonstrations is not None:
+                picture = sample_of_demonstrations(self.model, self.demonstrations)
+            elif labelled := [part.validation for part in self.parts if part.phase.needs_actions]:
+                few = np.linspace(0, len(labelled[0]) - 1, COLUMNS).round().astype(np.int64)
+                picture = sample_of_triplets(self.model, labelled[0](few))
+            else:
+                return
+        write_sample(self.run.path, self.state.step, picture)
 
     def _save_best(self) -> None:
         if self.fabric.is_global_zero:

@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from jaxtyping import UInt8
 
+from dmotion_bench.learning.samples import read_sample
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, Curve, log_chart
 from dmotion_bench.viewing.labels import ACTION_COLORS
 from dmotion_bench.viewing.scene import Tab, picture_view
-from dmotion_bench.viewing.tracks import Color, log_curve
+from dmotion_bench.viewing.tracks import Color, log_curve, log_words
 
 STEP = "step"
 """The timeline that trainings run on."""
@@ -23,6 +25,11 @@ STEP = "step"
 VALIDATION = "validation_"
 NO_LOSSES = ("seconds", "triplets_per_s", "learning_rate")
 ROOT = "/training"
+SAMPLES = 5
+"""Pictures of predictions that stand side by side; more of them from the beginning, when most changes."""
+
+CAPTION, SPACE = 40, 12
+"""Room below and between the pictures [px]."""
 
 
 def read_curves(metrics: Path) -> dict[str, Curve]:
@@ -43,15 +50,23 @@ def read_curves(metrics: Path) -> dict[str, Curve]:
     }
 
 
-def training_tab(curves: Mapping[str, Curve], text: str) -> Tab:
+def training_tab(curves: Mapping[str, Curve], text: str, samples: Mapping[int, Path] | None = None) -> Tab:
     """The page of a training.
 
     Args:
         curves: As ``read_curves`` gives them.
         text: What is to be said beside them, in Markdown.
+        samples: As ``samples_of`` gives them.
     """
+    chart: rrb.Container | rrb.View = picture_view(f"{ROOT}/chart", "Losses (logarithmic)", round(WIDTH), round(HEIGHT))
+    shown = _spread(samples or {})
+    sheets = [read_sample(path) for path in shown.values()]
+    if sheets:
+        height, width = sheets[0].shape[0] + CAPTION, len(sheets) * (sheets[0].shape[1] + SPACE)
+        strip = picture_view(f"{ROOT}/samples", "Predictions through the training", width, height)
+        chart = rrb.Vertical(chart, strip, row_shares=[1.6, 1])
     layout = rrb.Horizontal(
-        picture_view(f"{ROOT}/chart", "Losses (logarithmic)", round(WIDTH), round(HEIGHT)),
+        chart,
         rrb.Tabs(
             rrb.TextDocumentView(origin=f"{ROOT}/about", name="What you see"),
             rrb.TimeSeriesView(origin=f"{ROOT}/losses", name="Losses"),
@@ -81,8 +96,30 @@ def training_tab(curves: Mapping[str, Curve], text: str) -> Tab:
             "training step",
         )
         recording.log(f"{ROOT}/about", rr.TextDocument(text, media_type="text/markdown"), static=True)
+        if sheets:
+            recording.log(f"{ROOT}/samples", rr.Image(_strip(sheets)), static=True)
+            middles = [(place + 0.5) * (sheets[0].shape[1] + SPACE) for place in range(len(sheets))]
+            words = [f"step {step}" for step in shown]
+            places = [(middle, sheets[0].shape[0] - 8.0) for middle in middles]
+            log_words(recording, f"{ROOT}/samples/steps", places, words)
 
     return Tab(name="Training", layout=layout, log=log)
+
+
+def _spread(samples: Mapping[int, Path]) -> dict[int, Path]:
+    """A few of the pictures, from the first to the last."""
+    steps = list(samples)
+    if not steps:
+        return {}
+    chosen = np.unique(np.geomspace(1, len(steps), min(len(steps), SAMPLES)).round().astype(int) - 1)
+    return {steps[place]: samples[steps[place]] for place in chosen}
+
+
+def _strip(sheets: list[UInt8[np.ndarray, "h w 3"]]) -> UInt8[np.ndarray, "y x 3"]:
+    """The pictures side by side, with room for a line of words below."""
+    padded = [np.pad(sheet, ((0, CAPTION), (0, SPACE), (0, 0)), constant_values=30) for sheet in sheets]
+    strip: UInt8[np.ndarray, "y x 3"] = np.concatenate(padded, axis=1)
+    return strip
 
 
 def _colors(losses: Mapping[str, Curve]) -> dict[str, Color]:

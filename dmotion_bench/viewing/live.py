@@ -11,6 +11,8 @@ import rerun.blueprint as rrb
 
 from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, sync_folder
 
+FLUSH_SECONDS = 60.0
+
 
 @contextlib.contextmanager
 def recording_to(
@@ -44,7 +46,8 @@ def recording_to(
             recording.set_sinks(*sinks, default_blueprint=blueprint)
         recording.send_recording_name(name)
         yield recording
-        recording.flush()
+        with contextlib.suppress(RuntimeError) if address is not None else contextlib.nullcontext():
+            recording.flush(timeout_sec=FLUSH_SECONDS)  # a viewer that was closed meanwhile is no failure
         recording.disconnect()
         if file is not None and temporary is not None:
             temporary.replace(file)

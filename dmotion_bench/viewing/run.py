@@ -10,6 +10,7 @@ import rerun.blueprint as rrb
 from jaxtyping import Float, UInt8
 
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.samples import samples_of
 from dmotion_bench.specs import EpisodeLabels
 from dmotion_bench.viewing.curves import read_curves, training_tab
 from dmotion_bench.viewing.dataset import ViewableDataset
@@ -56,9 +57,10 @@ def run_scene(
     notes = why or {}
     tabs = [_tab(run, dataset, episode, notes.get(episode, "")) for episode in episodes]
     figures = report_tab(run.path)
+    training = training_tab(read_curves(run.metrics), _of_training(run), samples_of(run.path))
     return Scene(
         name=run.name,
-        tabs=(*tabs, *((figures,) if figures else ()), training_tab(read_curves(run.metrics), _of_training(run))),
+        tabs=(*tabs, *((figures,) if figures else ()), training),
         step_ns=dataset.spec.step_ns,
         background=lambda recording: log_legend(recording, dataset.spec),
     )
@@ -236,6 +238,9 @@ def _of_training(run: Run) -> str:
     lines += [
         "",
         "The chart shows every loss, dimmed: in training, bright: in validation.",
+        "",
+        "Below it, a few transitions whose action the run was given: the frame before, the true next frame, and what "
+        "was predicted then.",
         "",
         "The plots on the tabs above can be read off and zoomed. They run over another timeline and are empty until "
         "you click **frame** at the bottom left and choose **step**; choose *frame* again for the episodes.",

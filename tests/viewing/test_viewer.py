@@ -15,15 +15,18 @@ from pathlib import Path
 
 import psutil
 import pytest
+import rerun as rr
+import rerun.blueprint as rrb
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing import viewer as programs
 from dmotion_bench.viewing.dataset import dataset_scene
 from dmotion_bench.viewing.file_server import FileServer, serving
+from dmotion_bench.viewing.live import recording_to
 from dmotion_bench.viewing.scene import write_scene
 from dmotion_bench.viewing.screenshot import BAR, camera, has_vulkan
-from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web
+from dmotion_bench.viewing.viewer import WebViewer, open_live, require_display, serve_web
 
 
 def listening(process: psutil.Process) -> set[str]:
@@ -120,6 +123,19 @@ def test_what_ignores_a_request_to_end_is_ended(tmp_path: Path) -> None:
     programs._end(process)
     psutil.wait_procs([child], timeout=5)
     assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
+
+
+def test_a_live_viewer_is_for_this_machine_alone_and_may_end_before_the_work() -> None:
+    with open_live(web=True) as viewer:
+        assert listening(psutil.Process(viewer.process.pid)) == {"127.0.0.1"}
+        assert viewer.page is not None
+        assert fetch(viewer.page)[0] == 200
+        with recording_to("work", rrb.Blueprint(), address=viewer.address) as recording:
+            recording.log("a", rr.Scalars([1.0]))
+            recording.flush(timeout_sec=30)
+            programs._end(viewer.process)
+            for value in range(10):
+                recording.log("a", rr.Scalars([float(value)]))
 
 
 @pytest.fixture

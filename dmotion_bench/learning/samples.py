@@ -1,0 +1,84 @@
+"""Pictures of what a model predicts while it is being trained: ``samples/00001200.png`` in the run's folder.
+
+One picture a validation, a column for each of a few transitions, and three rows: the frame before, the true next
+frame, and the prediction. The transitions are ones whose action the run has paid for, so that no label is read for
+the pictures: the demonstrations, for which a copy of the model is aligned with them; else labelled triplets of the
+validation episodes. A run without any label has no pictures.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from einops import rearrange
+from jaxtyping import Float, Int, UInt8
+from PIL import Image
+from torch import Tensor
+
+from dmotion_bench.learning.images import to_pixels
+from dmotion_bench.learning.model import Demonstrations, ForwardModel, TripletBatch
+from dmotion_bench.storage.atomic import atomic_file
+
+FOLDER: Final = "samples"
+COLUMNS: Final = 4
+GAP, GREY = 3, 90
+"""Width [px] and level of the lines between frames."""
+
+
+def sample_of_demonstrations(model: ForwardModel[Any], given: Demonstrations) -> UInt8[np.ndarray, "h w 3"]:
+    """What the model, aligned with the demonstrations as they are now, makes of a few of them; it stays as it is."""
+    aligned = copy.deepcopy(model).eval()
+    aligned.align(given)
+    few = _evenly(len(given.action))
+    return _sheet(aligned, given.previous[few], given.current[few], given.next[few], given.action[few])
+
+
+def sample_of_triplets(model: ForwardModel[Any], batch: TripletBatch) -> UInt8[np.ndarray, "h w 3"]:
+    """What the model makes of a few labelled triplets."""
+    assert batch.action is not None, "only phases with labels have their pictures made of triplets"
+    few = _evenly(len(batch.action))
+    return _sheet(model, batch.previous[few], batch.current[few], batch.next[few], batch.action[few])
+
+
+def write_sample(run: Path, step: int, picture: UInt8[np.ndarray, "h w 3"]) -> Path:
+    """Keep a picture in a run's folder."""
+    path = run / FOLDER / f"{step:08d}.png"
+    path.parent.mkdir(exist_ok=True)
+    with atomic_file(path) as file:
+        Image.fromarray(picture).save(file, format="png")
+    return path
+
+
+def samples_of(run: Path) -> Mapping[int, Path]:
+    """The pictures of a run by their steps, in order."""
+    found = {int(path.stem): path for path in (run / FOLDER).glob("*.png") if path.stem.isdecimal()}
+    return dict(sorted(found.items()))
+
+
+def read_sample(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture of ``write_sample``."""
+    with Image.open(path, formats=["PNG"]) as opened:
+        return np.asarray(opened.convert("RGB"))
+
+
+def _evenly(count: int) -> Int[Tensor, " n"]:
+    return torch.linspace(0, count - 1, min(count, COLUMNS)).round().long()
+
+
+def _sheet(
+    model: ForwardModel[Any],
+    previous: Float[Tensor, "n c h w"],
+    current: Float[Tensor, "n c h w"],
+    following: Float[Tensor, "n c h w"],
+    action: Int[Tensor, " n"],
+) -> UInt8[np.ndarray, "y x 3"]:
+    predicted = model.predict(previous, current, action)
+    rows = torch.stack([to_pixels(images.float()) for images in (current, following, predicted)]).cpu().numpy()
+    framed = np.pad(rows, ((0, 0), (0, 0), (0, GAP), (0, GAP), (0, 0)), constant_values=GREY)
+    sheet: UInt8[np.ndarray, "y x 3"] = rearrange(framed, "r n h w c -> (r h) (n w) c")
+    return sheet

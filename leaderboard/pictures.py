@@ -1,6 +1,6 @@
 """A few predictions to look at: the same single steps of the held-out episodes for every model of a data set.
 
-Which steps is decided by the samples' rows, which are the data set's: three at which something is pushed and two at
+Which steps is decided by the samples' rows, which are the data set's: two at which something is pushed and one at
 which nothing is, spread evenly. Nobody picks the ones that look well.
 """
 
@@ -28,8 +28,8 @@ from dmotion_bench.scoring.prediction import predicting
 from dmotion_bench.scoring.samples import column
 from dmotion_bench.storage.dataset import Dataset
 
-PUSHES: Final = 3
-OTHERS: Final = 2
+PUSHES: Final = 2
+OTHERS: Final = 1
 LARGEST_SIDE: Final = 512  # [px]
 _SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 

@@ -165,12 +165,15 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
     from dmotion_bench.learning.devices import launch
     from dmotion_bench.learning.start import training_data
     from dmotion_bench.learning.training import Report, train
+    from dmotion_bench.learning.twins import take_over
 
     if run.result is not None:
         note(f"{run.path} is already trained; here is its result.")
         finished: dict[str, Any] = run.result
         return finished
-    if run.last.exists():
+    if (twin := take_over(run)) is not None:
+        note(f"taking over the training of {twin.path}, which differs in its labels alone.")
+    elif run.last.exists():
         note(f"going on with {run.path}.")
     fabric = launch(device)
     with progress_bar() as bar:

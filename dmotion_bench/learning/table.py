@@ -20,7 +20,7 @@ from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
-BUDGETS = {Supervision.NONE: ("one-shot",), Supervision.ACTIONS: ("100%", "10%")}
+BUDGETS = {Supervision.NONE: ("one-shot", "5-shot", "20-shot"), Supervision.ACTIONS: ("100%", "10%")}
 """Label budgets of models that name none of their own."""
 
 

@@ -14,6 +14,7 @@ from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.twins import take_over
 from dmotion_bench.registry import MODELS, model_class
 from dmotion_bench.specs import DatasetRecipe, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
@@ -90,6 +91,28 @@ def test_without_the_labels_unsupervised_training_is_the_same_to_the_bit(name, r
     tables = {"table", "table.rows"}
     weights, same = told.model.state_dict(), untold.model.state_dict()
     assert [key for key in weights if not torch.equal(weights[key], same[key])] == [*(tables & {*weights})]
+
+
+@pytest.mark.parametrize("name", ["dmotion", "lapo"])
+def test_another_budget_takes_the_training_over_and_ends_with_the_same_bits(name, recorded, tmp_path) -> None:
+    settings, runs = SETTINGS, Workspace(tmp_path)
+    dataset = Dataset.open(recorded)
+
+    def request(labels: str, seed: int = 0) -> TrainingRequest:
+        return TrainingRequest(model=name, labels=labels, preset=Preset.TINY, settings=settings, seed=seed)
+
+    one = _train(name, recorded, tmp_path / "runs" / "one", labels="one-shot")
+    more = open_run(request("3-shot"), dataset, None, runs)
+    twin = take_over(more)
+    assert twin is not None
+    assert twin.path == one.path
+    steps: list[int] = []
+    train(more, training_data(more, dataset), launch("cpu"), lambda report: steps.append(report.step))
+    assert not steps
+    alone = _train(name, recorded, tmp_path / "alone", labels="3-shot")
+    assert more.result["weights"] == alone.result["weights"] != one.result["weights"]
+    assert (more.result["labels_total"], one.result["labels_total"]) == (6, 2)
+    assert take_over(open_run(request("3-shot", seed=1), dataset, None, runs)) is None
 
 
 @pytest.mark.parametrize("name", sorted({*NAMES} - {*UNSUPERVISED}))

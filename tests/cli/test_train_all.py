@@ -11,6 +11,7 @@ from dmbench_command import Outcome, dmbench
 from walking_square import record_walks
 
 from dmotion_bench.learning import table
+from dmotion_bench.specs import Supervision
 
 Command = Callable[..., Outcome]
 
@@ -24,6 +25,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def test_all_rows_are_trained_once(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["ed-cnn", "lapo"])
+    monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot", "2-shot"))
     outcome = run("train", "--all", "--json")
     assert (outcome.code, outcome.err) == (0, "")
     rows = json.loads(outcome.out)["rows"]
@@ -31,8 +33,10 @@ def test_all_rows_are_trained_once(run: Command, tmp_path: Path, monkeypatch: py
         ("ed-cnn", "100%", None),
         ("ed-cnn", "10%", None),
         ("lapo", "one-shot", None),
+        ("lapo", "2-shot", None),
     ]
-    assert rows[0]["labels"] > rows[1]["labels"] > rows[2]["labels"] == 4
+    assert rows[0]["labels"] > rows[1]["labels"]
+    assert [row["labels"] for row in rows[2:]] == [4, 8]
     assert {path.name for path in (tmp_path / "runs").iterdir()} == {Path(row["run"]).name for row in rows}
     assert json.loads(run("train", "--all", "--json").out)["rows"] == rows
 

@@ -58,6 +58,8 @@ def test_a_row_that_fails_does_not_stop_the_others(dataset, tmp_path, monkeypatc
         ("cswm", "10%", "ZeroDivisionError: by hand"),
         ("ed-cnm", "", outcomes[2].error),
         ("lapo", "one-shot", "training diverged."),
+        ("lapo", "5-shot", "training diverged."),
+        ("lapo", "20-shot", "training diverged."),
     ]
     assert "did you mean 'ed-cnn'?" in (outcomes[2].error or "")
     assert trained == ["cswm-noise-tiny-s3"]

@@ -43,6 +43,7 @@ def test_all_rows_are_trained_once(run: Command, tmp_path: Path, monkeypatch: py
 
 def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["ed-cnm", "lapo"])
+    monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
     outcome = run("train", "--all")
     assert outcome.code == 1
     assert "1 of 2 rows failed: ed-cnm" in outcome.sentence()

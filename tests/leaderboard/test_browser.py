@@ -202,6 +202,19 @@ def test_neighbouring_colours_differ_for_the_colour_blind(browser: Browser, page
         assert min(apart) > 0.1, apart
 
 
+def test_printed_the_tables_fit_a_sheet(browser: Browser, page: Path) -> None:
+    sheet = 1032  # A4 on its side, without its margins [px at 96 an inch]
+    _show(browser, page, (sheet, 700), dark=True)
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    try:
+        assert browser.ask("document.documentElement.scrollWidth") <= sheet
+        assert browser.ask("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert browser.ask("getComputedStyle(document.querySelector('tr.measured td')).color") == "rgb(0, 0, 0)"
+        assert browser.call("Page.printToPDF", preferCSSPageSize=True)["data"].startswith("JVBERi")  # %PDF
+    finally:
+        browser.call("Emulation.setEmulatedMedia", media="")
+
+
 def test_a_hostile_entry_runs_nothing(browser: Browser, sound: Entry, tmp_path: Path) -> None:
     path = tmp_path / "hostile.html"
     path.write_text(make_page([_hostile(sound)]))

@@ -33,13 +33,24 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import Final
+from typing import Any, Final
 
 _SAID_AT_MOST: Final = 12  # names that stand in a sentence beside the one that was probably meant
 
 
 class DmbenchError(Exception):
-    """Base of all errors that a user can cause and mend."""
+    """Base of all errors that a user can cause and mend. A worker process sends it back as it is."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self), self.args, self.__dict__)
+
+
+def _again(kind: type[DmbenchError], args: tuple[Any, ...], attributes: dict[str, Any]) -> DmbenchError:
+    """An error out of what it became, not out of what its constructor takes."""
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(attributes)
+    return error
 
 
 class UsageError(DmbenchError):

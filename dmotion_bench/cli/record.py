@@ -67,9 +67,11 @@ def record(
         typer.Option(help="The data set's folder; data/ENVIRONMENT-PRESET, with -varied or -shifted, if left out."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes; all processors if left out. Changes no byte.")
+        int | None, typer.Option(min=1, help="At a time; as many as there are processors if left out. Changes no byte.")
     ] = None,
-    executor: Annotated[str, typer.Option(help="Who records: local.")] = "local",
+    executor: Annotated[
+        str, typer.Option(help="Who records: local processes, ray or slurm. Changes no byte.")
+    ] = "local",
     live: Live = False,
     live_to: LiveTo = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
@@ -92,7 +94,13 @@ def record(
         settings=settings or (),
     )
     folder = out or Workspace.current().data / f"{environment}-{preset.value}{_suffix(recipe)}"
-    hands = make_executor(executor, min(workers or available_workers(), shard_count(recipe)))
+    if workers is None and executor == "local":
+        workers = available_workers()
+    hands = make_executor(
+        executor,
+        min(workers, shard_count(recipe)) if workers else None,
+        scratch=folder.with_name(f".{folder.name}-jobs"),
+    )
     with following(lambda: _follower(folder, recipe), live, live_to) as poll:
         _tell(record_with_progress(folder, recipe, hands, poll), as_json)
 

@@ -119,7 +119,7 @@ def record_dataset(
         episodes = recipe.episodes - sum(len(writer.episodes_of(index)) for index in writer.missing)
         progress = Progress(episodes=episodes, total=recipe.episodes, frames=0, seconds=0.0)
         on_progress(progress)
-        jobs = [ShardJob(dataset=path, recipe=recipe, spec=spec, index=index) for index in writer.missing]
+        jobs = [ShardJob(dataset=path.absolute(), recipe=recipe, spec=spec, index=index) for index in writer.missing]
         results = (executor or SerialExecutor()).map_unordered(record_shard, jobs)
         for receipt in results:
             writer.add(receipt)

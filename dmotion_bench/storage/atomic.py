@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -29,7 +30,8 @@ def sync_folder(folder: Path) -> None:
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """A file that appears under ``path`` when the block ends well, and leaves nothing when it does not.
 
-    A process that is killed leaves ``<name>.<process>.part``, which ``remove_leftovers`` takes away.
+    A process that is killed leaves ``<name>.<token>.part``, which ``remove_leftovers`` takes away.
+    Two processes may write the same file, even on two machines: the tokens keep their pieces apart.
 
     Raises:
         StorageFull: There is no space left.
@@ -49,7 +51,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
 @contextlib.contextmanager
 def _written(path: Path) -> Iterator[BinaryIO]:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}")
     try:
         with temporary.open("wb") as file:
             yield file

@@ -1,0 +1,94 @@
+"""Shards made by Ray: on this machine, or on the cluster that ``RAY_ADDRESS`` or ``ray.init`` names.
+
+Ray starts a killed worker's task anew by itself; that is bounded here. Each machine needs dmbench installed and
+the data set's folder under the same path.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Final
+
+from dmotion_bench.errors import DmbenchError, PackageNotInstalled
+from dmotion_bench.recording.executor import ATTEMPTS, Job, Result, available_workers, killed_too_often
+
+_USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
+_KNOCK: Final = 10.0  # [s]
+
+
+class RayExecutor:
+    """Ray's workers, one processor each. Ray is started where it does not run, and then stopped at the end.
+
+    Args:
+        workers: How many at a time; None: as many as there are processors.
+
+    Raises:
+        PackageNotInstalled: There is no Ray here.
+    """
+
+    def __init__(self, workers: int | None = None) -> None:
+        os.environ.setdefault(_USAGE_STATISTICS, "0")  # Ray would report to its makers; read when it is imported
+        try:
+            import ray
+        except ImportError as error:
+            raise PackageNotInstalled("ray", "--executor ray", "pip install 'dmbench[ray]'") from error
+        self._ray: Any = ray
+        self._workers = workers
+
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+        """The results, as they are ready."""
+        ray = self._ray
+        ours = not ray.is_initialized()
+        running: list[Any] = []
+        try:
+            if ours:
+                self._start()
+            limit = self._workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
+
+            def run(job: Job) -> Result:  # Ray takes functions, not whatever can be called
+                return function(job)
+
+            task = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(run)
+            waiting = iter(jobs)
+            while True:
+                for job in waiting:
+                    running.append(task.remote(job))
+                    if len(running) > limit:  # one more than can run, so that nobody waits
+                        break
+                if not running:
+                    break
+                done, running = ray.wait(running, num_returns=1)
+                yield ray.get(done[0])
+        except ray.exceptions.RayTaskError as error:
+            raise error.cause from None  # what the function raised
+        except (ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError, ray.exceptions.OutOfMemoryError):
+            raise killed_too_often("a worker of Ray") from None
+        finally:
+            for one in running:
+                ray.cancel(one, force=True)
+            if ours:
+                ray.shutdown()
+
+    def _start(self) -> None:
+        quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
+        if address := os.environ.get("RAY_ADDRESS"):
+            try:
+                _knock(address)
+                self._ray.init(**quiet)
+            except (OSError, ValueError) as error:
+                raise DmbenchError(
+                    f"there is no Ray at RAY_ADDRESS={address!r}: {str(error).splitlines()[0]}; start it with "
+                    "'ray start --head', or take the variable away to use this machine's processors."
+                ) from None
+            return
+        self._ray.init(num_cpus=self._workers or available_workers(), include_dashboard=False, **quiet)
+
+
+def _knock(address: str) -> None:
+    """Fail at once where nobody listens: Ray itself tries for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host, int(port)), timeout=_KNOCK).close()

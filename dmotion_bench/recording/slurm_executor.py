@@ -1,0 +1,161 @@
+"""Shards made by Slurm, one a task of a job array, through submitit.
+
+Which partition, account and time limit: in the variables that ``sbatch`` itself reads (``SBATCH_PARTITION``,
+``SBATCH_ACCOUNT``, ``SBATCH_TIMELIMIT``). Each machine needs dmbench installed and the data set's folder under the
+same path.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final, Generic, Literal
+
+from dmotion_bench.errors import DmbenchError, PackageNotInstalled
+from dmotion_bench.recording.executor import Job, JobQueue, Result
+
+_ARRAY: Final = 1000  # tasks in a job array that every Slurm allows
+_MINUTES: Final = 60  # a shard's, where SBATCH_TIMELIMIT says nothing else
+_LOOK_AGAIN: Final = {"slurm": 2.0, "local": 0.05}  # [s]
+_PATIENCE: Final = {"slurm": 15.0, "local": 0.0}  # [s] for a shared folder to show what a job that has ended wrote
+_GOODBYE: Final = 10.0  # [s] for cancelled processes on this machine to end
+
+
+class SlurmExecutor:
+    """Slurm's tasks, or processes that submitit starts on this machine in the same way.
+
+    Args:
+        workers: How many tasks at a time; None: as many as Slurm lets run, or one on this machine.
+        folder: For submitit's files; all machines see it. It is deleted at the end, unless jobs failed.
+        cluster: ``"local"`` is for trying it out where there is no Slurm.
+
+    Raises:
+        PackageNotInstalled: There is no submitit here.
+        DmbenchError: There is no Slurm here.
+    """
+
+    def __init__(self, workers: int | None, folder: Path, cluster: Literal["slurm", "local"] = "slurm") -> None:
+        try:
+            import submitit
+        except ImportError as error:
+            raise PackageNotInstalled("submitit", "--executor slurm", "pip install 'dmbench[slurm]'") from error
+        if cluster == "slurm" and not all(map(shutil.which, ("sbatch", "srun", "sacct"))):
+            raise DmbenchError(
+                "there is no Slurm here: 'sbatch', 'srun' and 'sacct' are not on the path; run this on a login node, "
+                "or record on this machine with '--executor local'."
+            )
+        self._submitit: Any = submitit
+        self._workers, self._folder, self._cluster = workers, folder.absolute(), cluster
+
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+        """The results, as they are ready."""
+        queue = JobQueue(jobs, "a job of Slurm")
+        at_once = _ARRAY if self._cluster == "slurm" else self._workers or 1
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        executor = self._executor()
+        running: list[_Submitted[Job]] = []
+        failed = False
+        try:
+            while True:
+                if len(running) <= at_once // 2:
+                    running += _submit(executor, function, queue, at_once - len(running))
+                if not running:
+                    break
+                ended = [one for one in running if one.ended(_PATIENCE[self._cluster])]
+                running = [one for one in running if one not in ended]
+                for one in ended:
+                    if one.lost:
+                        queue.lost(one.number, one.job)
+                    else:
+                        yield self._result(one)
+                if not ended:
+                    time.sleep(_LOOK_AGAIN[self._cluster])
+        except DmbenchError:
+            failed = True  # the logs may say why
+            raise
+        finally:
+            self._cancel(running)
+            if not failed:
+                shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _executor(self) -> Any:
+        executor = self._submitit.AutoExecutor(folder=str(self._folder / "%j"), cluster=self._cluster)
+        executor.update_parameters(name="dmbench", timeout_min=_MINUTES, cpus_per_task=1, mem_gb=2)
+        if self._workers:
+            executor.update_parameters(slurm_array_parallelism=self._workers)
+        return executor
+
+    def _result(self, one: _Submitted[Job]) -> Any:
+        try:
+            outcome = one.handle.result()
+        except self._submitit.core.utils.FailedJobError as error:
+            last = [line for line in str(error).splitlines() if line.strip() and not line.startswith("-")][-4:]
+            raise DmbenchError(
+                f"a job of Slurm failed: {' '.join(last)}; its logs are in {str(self._folder)!r}."
+            ) from None
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    def _cancel(self, running: list[_Submitted[Job]]) -> None:
+        """End what still runs; what it has not renamed was never there."""
+        if not running:
+            return
+        if self._cluster == "slurm":
+            arrays = {one.handle.job_id.split("_")[0] for one in running}
+            subprocess.run(["scancel", *sorted(arrays)], check=False, capture_output=True)
+            return
+        for one in running:
+            one.handle.cancel(check=False)
+        deadline = time.monotonic() + _GOODBYE
+        while not all(one.handle.done() for one in running) and time.monotonic() < deadline:
+            time.sleep(0.05)
+
+
+class _Submitted(Generic[Job]):
+    """A job that Slurm has."""
+
+    def __init__(self, number: int, job: Job, handle: Any) -> None:
+        self.number, self.job, self.handle = number, job, handle
+        self._done_since: float | None = None
+
+    @property
+    def lost(self) -> bool:
+        """Whether it left no result, as when its process was killed."""
+        return not self.handle.paths.result_pickle.exists()
+
+    def ended(self, patience: float) -> bool:
+        """Whether there is a result, or has been none for so long after its end [s]."""
+        if not self.handle.done():
+            return False
+        self._done_since = self._done_since or time.monotonic()
+        return not self.lost or time.monotonic() - self._done_since >= patience
+
+
+def _submit(
+    executor: Any, function: Callable[[Job], Result], queue: JobQueue[Job], count: int
+) -> list[_Submitted[Job]]:
+    """At most so many jobs, as one array."""
+    chosen = list[tuple[int, Job]]()
+    while len(chosen) < count and (numbered := queue.next()) is not None:
+        chosen.append(numbered)
+    if not chosen:
+        return []
+    handles = executor.map_array(_Guarded(function), [job for _, job in chosen])
+    return [_Submitted(number, job, handle) for (number, job), handle in zip(chosen, handles, strict=True)]
+
+
+class _Guarded(Generic[Job, Result]):
+    """Gives back what a function raises: submitit would keep the traceback's text only."""
+
+    def __init__(self, function: Callable[[Job], Result]) -> None:
+        self._function = function
+
+    def __call__(self, job: Job) -> Result | Exception:
+        try:
+            return self._function(job)
+        except Exception as error:
+            return error

@@ -1,0 +1,56 @@
+"""Slurm's four commands as far as submitit speaks to them: jobs are processes of this machine, all at once."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+_COMMANDS = {
+    "sbatch": """
+text = Path(sys.argv[1]).read_text()
+job = 1000 + len(list(state.glob("script-*")))
+(state / f"script-{job}").write_text(text)
+array = re.search(r"--array=0-(\\d+)%", text)
+for index in range(int(array[1]) + 1) if array else [None]:
+    name = str(job) if index is None else f"{job}_{index}"
+    alone = {"NTASKS": 1, "JOB_NUM_NODES": 1, "NODEID": 0, "PROCID": 0, "LOCALID": 0, "JOB_NODELIST": "here"}
+    said = {"JOB_ID": job, **alone}
+    if index is not None:
+        said |= {"ARRAY_JOB_ID": job, "ARRAY_TASK_ID": index}
+    env = os.environ | {f"SLURM_{key}": str(value) for key, value in said.items()}
+    log = (state / f"log-{name}").open("w")
+    child = subprocess.Popen(["bash", sys.argv[1]], env=env, stdout=log, stderr=log, start_new_session=True)
+    (state / f"task-{name}").write_text(str(child.pid))
+print(f"Submitted batch job {job}")
+""",
+    "srun": """
+start = next(place for place, word in enumerate(sys.argv) if word.endswith("python") or "/python" in word)
+os.execv(sys.argv[start], sys.argv[start:])
+""",
+    "sacct": """
+print("JobID|State|NodeList")
+for task in sorted(state.glob("task-*")):
+    try:
+        gone = Path(f"/proc/{task.read_text()}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except FileNotFoundError:
+        gone = True
+    print(f"{task.name.removeprefix('task-')}|{'COMPLETED' if gone else 'RUNNING'}|here")
+""",
+    "scancel": """
+for job in sys.argv[1:]:
+    for task in state.glob(f"task-{job}*"):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(int(task.read_text()), signal.SIGKILL)
+""",
+}
+
+
+def install_slurm(folder: Path) -> Path:
+    """Put the commands into ``folder``/bin, to be set before the PATH; the scripts that they are given stay beside."""
+    (folder / "bin").mkdir(parents=True)
+    for name, body in _COMMANDS.items():
+        head = f"#!{sys.executable}\nimport contextlib, os, re, signal, subprocess, sys\nfrom pathlib import Path\n"
+        file = folder / "bin" / name
+        file.write_text(f"{head}state = Path({str(folder)!r})\n{body}")
+        file.chmod(0o755)
+    return folder / "bin"

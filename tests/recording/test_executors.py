@@ -1,0 +1,234 @@
+"""Whoever makes the shards, wherever and however often their workers are killed, the bytes are the same."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pickle
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from mortal_workers import LeavesTraces, RecordsAndDiesOnce, dies_at_one, raises_at_one
+from noise_world import files_of
+from pretend_slurm import install_slurm
+
+from dmotion_bench import errors
+from dmotion_bench.errors import DmbenchError, PackageNotInstalled, UnknownName
+from dmotion_bench.recording import session
+from dmotion_bench.recording.executor import (
+    ATTEMPTS,
+    Executor,
+    JobQueue,
+    LocalExecutor,
+    make_executor,
+)
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.recording.slurm_executor import SlurmExecutor
+from dmotion_bench.specs import DatasetRecipe
+
+RECIPE = DatasetRecipe(environment="grid_world", episodes=6, frames=6, tasks=2, shard_episodes=2)
+needs_submitit = pytest.mark.skipif(find_spec("submitit") is None, reason="submitit is not installed")
+needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed")
+
+
+@pytest.fixture(autouse=True)
+def _workers_find_the_tests_modules(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent.parent))
+
+
+@pytest.fixture(scope="module")
+def at_once(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    path = tmp_path_factory.mktemp("executors") / "d"
+    record_dataset(path, RECIPE)
+    return files_of(path)
+
+
+def recorded_although_one_dies(executor: Executor, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
+    monkeypatch.setattr(session, "record_shard", RecordsAndDiesOnce(folder / "died"))
+    record_dataset(folder / "d", RECIPE, executor)
+    assert (folder / "died").exists()
+    record_dataset(folder / "d", RECIPE)  # nothing is missing; what the dead left is cleared away
+    return files_of(folder / "d")
+
+
+def test_a_killed_process_costs_nothing_but_time(
+    tmp_path: Path, at_once: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert recorded_although_one_dies(LocalExecutor(2), tmp_path, monkeypatch) == at_once
+
+
+def test_a_shard_that_kills_every_worker_is_given_up() -> None:
+    with pytest.raises(DmbenchError, match=rf"killed at the same shard {ATTEMPTS} times.*run the same command again"):
+        list(LocalExecutor(2).map_unordered(dies_at_one, [1, 2]))
+
+
+def test_what_a_worker_raises_arrives_as_it_was() -> None:
+    with pytest.raises(UnknownName, match="no shape named 'teapot'") as caught:
+        list(LocalExecutor(2).map_unordered(raises_at_one, range(3)))
+    assert caught.value.known == ["cube"]
+
+
+def test_every_error_survives_the_way_between_processes() -> None:
+    kinds = [one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, DmbenchError)]
+    made: dict[type[DmbenchError], DmbenchError] = {
+        UnknownName: UnknownName("model", "dmotoin", ["dmotion"]),
+        PackageNotInstalled: PackageNotInstalled("ray", "--executor ray", "pip install ray"),
+    }
+    for kind in kinds:
+        error = made.get(kind) or kind("a sentence")
+        again = pickle.loads(pickle.dumps(error))
+        assert type(again) is kind
+        assert str(again) == str(error)
+        assert vars(again) == vars(error)
+
+
+def test_lost_jobs_go_first_and_not_for_ever() -> None:
+    queue = JobQueue("ab", "a worker")
+    assert queue.next() == (0, "a")
+    queue.lost(0, "a")
+    assert [queue.next(), queue.next(), queue.next()] == [(0, "a"), (1, "b"), None]
+    queue.lost(0, "a")
+    with pytest.raises(DmbenchError, match="a worker was killed"):
+        queue.lost(0, "a")
+
+
+@pytest.mark.parametrize(("name", "package"), [("ray", "ray"), ("slurm", "submitit")])
+def test_an_absent_package_is_named_with_the_command_that_installs_it(
+    name: str, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(PackageNotInstalled, match=rf"--executor {name} needs .*pip install 'dmbench\[{name}\]'"):
+        make_executor(name)
+
+
+@needs_submitit
+def test_without_slurm_its_executor_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")
+    with pytest.raises(DmbenchError, match=r"no Slurm here.*'--executor local'"):
+        make_executor("slurm")
+
+
+@needs_submitit
+def test_submitits_jobs_make_the_same_bytes_although_one_is_killed(
+    tmp_path: Path, at_once: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executor = SlurmExecutor(2, tmp_path / "jobs", cluster="local")
+    assert recorded_although_one_dies(executor, tmp_path, monkeypatch) == at_once
+    assert not (tmp_path / "jobs").exists()
+
+
+@needs_submitit
+def test_submitits_jobs_are_given_up_after_so_many_deaths(tmp_path: Path) -> None:
+    executor = SlurmExecutor(1, tmp_path / "jobs", cluster="local")
+    with pytest.raises(DmbenchError, match=f"a job of Slurm was killed at the same shard {ATTEMPTS} times"):
+        list(executor.map_unordered(dies_at_one, [1]))
+    assert (tmp_path / "jobs").exists()  # with the logs
+
+
+@needs_submitit
+def test_what_a_job_raises_arrives_and_stops_the_others(tmp_path: Path) -> None:
+    executor = SlurmExecutor(1, tmp_path / "jobs", cluster="local")
+    with pytest.raises(UnknownName, match="no shape named 'teapot'"):
+        list(executor.map_unordered(raises_at_one, [1, 2, 3]))
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where a pretended Slurm keeps the scripts that it was given."""
+    monkeypatch.setenv("PATH", f"{install_slurm(tmp_path / 'slurm')}{os.pathsep}{os.environ['PATH']}")
+    return tmp_path / "slurm"
+
+
+@needs_submitit
+def test_a_job_array_makes_the_same_bytes(tmp_path: Path, slurm: Path, at_once: dict[str, bytes]) -> None:
+    record_dataset(tmp_path / "d", RECIPE, make_executor("slurm", 2, tmp_path / ".d-jobs"))
+    assert files_of(tmp_path / "d") == at_once
+    (script,) = slurm.glob("script-*")
+    assert "#SBATCH --array=0-2%2\n#SBATCH --cpus-per-task=1" in script.read_text()
+    assert not (tmp_path / ".d-jobs").exists()
+
+
+@needs_submitit
+def test_leaving_cancels_the_job_array(tmp_path: Path, slurm: Path) -> None:
+    results = make_executor("slurm", 2, tmp_path / "jobs").map_unordered(LeavesTraces(tmp_path, seconds=30), range(2))
+    assert next(iter(results)) == 0
+    results.close()  # type: ignore[attr-defined]
+    deadline = time.monotonic() + 10
+    while b"RUNNING" in subprocess.run(["sacct"], capture_output=True, check=True).stdout:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert not (tmp_path / "ended-1").exists()
+
+
+@needs_ray
+def test_an_address_where_no_ray_listens_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:9")
+    with pytest.raises(DmbenchError, match=r"no Ray at RAY_ADDRESS='127.0.0.1:9'.*ray start --head"):
+        list(make_executor("ray").map_unordered(dies_at_one, [1]))
+
+
+def test_closing_ends_what_runs(tmp_path: Path) -> None:
+    results = LocalExecutor(2).map_unordered(LeavesTraces(tmp_path, seconds=30), range(2))
+    assert next(results) == 0
+    results.close()  # type: ignore[attr-defined]
+    assert not (tmp_path / "ended-1").exists()
+
+
+RAY = """
+import json, sys, time
+from pathlib import Path
+from mortal_workers import LeavesTraces, RecordsAndDiesOnce, dies_at_one, raises_at_one
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.recording import session
+from dmotion_bench.recording.ray_executor import RayExecutor
+from dmotion_bench.specs import DatasetRecipe
+
+folder, recipe = Path(sys.argv[1]), DatasetRecipe(**json.loads(sys.argv[2]))
+executor = RayExecutor(2)  # before Ray is imported: it says what Ray may not report
+import ray
+
+ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+session.record_shard = RecordsAndDiesOnce(folder / "died")
+session.record_dataset(folder / "d", recipe, executor)
+said = {}
+for work in (dies_at_one, raises_at_one):
+    try:
+        list(executor.map_unordered(work, [0, 1]))
+    except DmbenchError as error:
+        said[work.__name__] = [type(error).__name__, str(error)]
+results = executor.map_unordered(LeavesTraces(folder, seconds=2), [1, 0])
+said["first"] = next(results)
+while not (folder / "begun-1").exists():
+    time.sleep(0.01)
+results.close()
+time.sleep(2.5)
+said["ray is still there"] = ray.is_initialized()  # it was not the executor's to stop
+(folder / "said.json").write_text(json.dumps(said))
+"""
+
+
+@pytest.mark.slow
+@needs_ray
+def test_ray_makes_the_same_bytes_although_one_is_killed(tmp_path: Path, at_once: dict[str, bytes]) -> None:
+    recipe = {key: value for key, value in dataclasses.asdict(RECIPE).items() if key not in ("parameters", "vary")}
+    (tmp_path / "with_ray.py").write_text(RAY)
+    words = [sys.executable, str(tmp_path / "with_ray.py"), str(tmp_path), json.dumps(recipe)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    said = json.loads((tmp_path / "said.json").read_text())
+    kind, sentence = said["dies_at_one"]
+    assert kind == "DmbenchError"
+    assert f"a worker of Ray was killed at the same shard {ATTEMPTS} times" in sentence
+    assert said["raises_at_one"][0] == "UnknownName"
+    assert "no shape named 'teapot'" in said["raises_at_one"][1]
+    assert said["first"] == 0
+    assert not (tmp_path / "ended-1").exists()
+    assert said["ray is still there"]
+    assert (tmp_path / "died").exists()
+    record_dataset(tmp_path / "d", RECIPE)  # nothing is missing; what the dead left is cleared away
+    assert files_of(tmp_path / "d") == at_once

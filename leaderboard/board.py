@@ -189,14 +189,25 @@ def _measured_row(entries: Sequence[Entry]) -> Row:
 
 
 def _told_apart(rows: list[Row]) -> list[Row]:
-    """Rows of the same model, architecture and budget bear their run's name."""
+    """Rows of the same model, architecture and budget bear what their runs' names have beyond that."""
     counts: dict[tuple[str, ...], int] = defaultdict(int)
     for row in rows:
         counts[row.model, row.variant, row.labels] += 1
     return [
-        replace(row, variant=_without_seed(row.entries[0])) if counts[row.model, row.variant, row.labels] > 1 else row
-        for row in rows
+        replace(row, variant=_beyond(row)) if counts[row.model, row.variant, row.labels] > 1 else row for row in rows
     ]
+
+
+def _beyond(row: Row) -> str:
+    """What a run's name says beside its model, data set and budget, as ``epochs 3``; the name itself if that is odd."""
+    entry = row.entries[0]
+    name, dataset = _without_seed(entry), str(entry.content["dataset"]["name"])
+    prefixes = (f"{entry.model}-{dataset}", f"{entry.model}-{entry.content['arch']}-{dataset}")
+    known = next((one for one in prefixes if f"{name}-".startswith(f"{one}-")), None)
+    if known is None:
+        return name
+    beyond = name.removeprefix(known).strip("-").removeprefix(entry.labels.replace("%", "pct")).strip("-")
+    return ", ".join(part for part in (row.variant, beyond.replace("_", " ")) if part)
 
 
 def _values(seeds: Sequence[Mapping[str, Any]]) -> dict[str, Value]:

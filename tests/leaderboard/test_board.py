@@ -137,6 +137,27 @@ def test_runs_of_the_same_model_and_budget_are_told_apart_by_their_names(result:
     assert {row.variant for row in board.rows if row.kind == "measured"} == {"a-affine", "a-plain"}
 
 
+@pytest.mark.parametrize(
+    ("run", "variant"),
+    [
+        ("a-DATASET-s0", ""),
+        ("a-DATASET-epochs_3-s0", "epochs 3"),
+        ("a-DATASET-5-shot-epochs_3-s1", "epochs 3"),
+        ("a-DATASETx-s0", "a-DATASETx"),
+    ],
+)
+def test_what_a_run_s_name_says_beyond_model_data_and_budget(
+    result: Callable[..., Entry], run: str, variant: str
+) -> None:
+    one = result("a", np.ones(40))
+    name, variant = (words.replace("DATASET", str(one.content["dataset"]["name"])) for words in (run, variant))
+    entries = [result("a", np.ones(40), run=own, labels="5-shot") for own in (name, "another-s0")]
+
+    (board,) = make_boards(entries)
+
+    assert {row.variant for row in board.rows if row.kind == "measured"} == {variant, "another"}
+
+
 def test_a_figure_that_one_seed_lacks_is_nobody_s_mean(result: Callable[..., Entry]) -> None:
     full = result("a", np.ones(40))
     entries = [full, result("a", np.ones(40), seed=1, figures={"mse": full.figures["mse"]})]

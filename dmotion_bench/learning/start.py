@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.learning.curriculum import TrainingData
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.learning.settings import to_json, with_settings
-from dmotion_bench.learning.training import TrainingData
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Preset

@@ -8,15 +8,12 @@ one that never stopped.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
-import signal
-import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,10 +23,10 @@ from torch import Tensor
 
 from dmotion_bench.errors import RunError
 from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.batches import TripletBatches
-from dmotion_bench.learning.images import to_model
-from dmotion_bench.learning.labels import LabelBudget
-from dmotion_bench.learning.model import Demonstrations, ForwardModel, Phase, TrainingConfig, TripletBatch
+from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of
+from dmotion_bench.learning.interrupts import stop_between_steps
+from dmotion_bench.learning.metrics_log import MetricsLog
+from dmotion_bench.learning.model import ForwardModel, TrainingConfig
 from dmotion_bench.learning.optimization import (
     AveragedWeights,
     autocast,
@@ -37,27 +34,12 @@ from dmotion_bench.learning.optimization import (
     make_optimizer,
     set_learning_rate,
 )
+from dmotion_bench.learning.randomness import seeded
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets, write_sample
-from dmotion_bench.learning.triplets import BatchOrder, TripletSet
 
 CHECKPOINT_SECONDS = 60.0
-VALIDATION_TRIPLETS = 1024
 LOG_ROWS = 200  # rows of metrics.jsonl in a training
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainingData:
-    """What a run learns from.
-
-    Attributes:
-        train, validation: Triplets whose frames may be seen.
-        budget: The door to the labels.
-    """
-
-    train: TripletSet
-    validation: TripletSet
-    budget: LabelBudget
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,18 +70,6 @@ class _State:
     best: float = math.inf
     best_step: int = -1
     clock: _Clock = field(default_factory=_Clock)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Part:
-    """A phase with its place among the steps, its batches and its order of them."""
-
-    phase: Phase
-    start: int
-    stop: int
-    batches: TripletBatches
-    order: BatchOrder
-    validation: TripletBatches
 
 
 def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Report], None]) -> dict[str, Any]:
@@ -133,8 +103,10 @@ class _Trainer:
         self.model: ForwardModel[Any] = run.spec.build()
         if self.config.channels_last:
             self.model = self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.demonstrations = self._demonstrations()  # asked for first: what is missing is said before the work
-        self.parts = self._parts()
+        self.demonstrations = demonstrations_of(
+            data, fabric.device
+        )  # asked for first: what is missing is said before the work
+        self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device)
         self.steps = self.parts[-1].stop
         wrapped, self.optimizer = fabric.setup(self.model, make_optimizer(self.model, self.config))
         wrapped.mark_forward_method("losses")
@@ -144,46 +116,6 @@ class _Trainer:
         self.state = _State()
         self._resume()
 
-    def _demonstrations(self) -> Demonstrations | None:
-        if self.data.budget.request.kind != "shots":
-            return None
-        given = self.data.budget.demonstrations(self.data.train)
-        images = to_model(torch.from_numpy(given.frames)).to(self.fabric.device)
-        return Demonstrations(
-            previous=images[:, 0],
-            current=images[:, 1],
-            next=images[:, 2],
-            action=torch.from_numpy(given.actions).to(self.fabric.device),
-        )
-
-    def _parts(self) -> tuple[_Part, ...]:
-        device, budget = self.fabric.device, self.data.budget
-        video = TripletBatches(self.data.train, None, device)
-        watched = TripletBatches(_evenly(self.data.validation, VALIDATION_TRIPLETS), None, device)
-        labelled, labelled_watched = video, watched
-        phases = self.model.phases()
-        if any(phase.needs_actions for phase in phases):
-            paid = budget.actions(self.data.train, "training")
-            labelled = TripletBatches(paid.triplets, paid.actions, device)
-            held = budget.actions(_evenly(self.data.validation, VALIDATION_TRIPLETS), "validation")
-            labelled_watched = TripletBatches(held.triplets, held.actions, device)
-        total = BatchOrder(len(video), self.config.batch_size, 0).steps(self.config.epochs)
-        parts: list[_Part] = []
-        for number, phase in enumerate(phases):
-            batches = labelled if phase.needs_actions else video
-            start = parts[-1].stop if parts else 0
-            parts.append(
-                _Part(
-                    phase=phase,
-                    start=start,
-                    stop=start + max(1, round(phase.fraction * total)),
-                    batches=batches,
-                    order=BatchOrder(len(batches), self.config.batch_size, self.run.spec.seed + number),
-                    validation=labelled_watched if phase.needs_actions else watched,
-                )
-            )
-        return tuple(parts)
-
     def fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)
@@ -191,7 +123,7 @@ class _Trainer:
         counted = 0
         saved = time.monotonic()
         self.model.train()
-        with self._log() as log, _stop_between_steps() as stopping:
+        with self._log() as log, stop_between_steps() as stopping:
             for part in self.parts:
                 if self.state.step >= part.stop:
                     continue
@@ -226,7 +158,7 @@ class _Trainer:
                         raise KeyboardInterrupt
         return self._finish()
 
-    def _step(self, part: _Part, step: int) -> dict[str, Tensor]:
+    def _step(self, part: Part, step: int) -> dict[str, Tensor]:
         began = time.perf_counter()
         progress = (step - part.start) / (part.stop - part.start)
         set_learning_rate(self.optimizer, learning_rate(self.config, progress))
@@ -234,7 +166,7 @@ class _Trainer:
         chosen = part.order.mixed_batch(step - part.start, hardness, self.config.hard_share)
         index = chosen[self.fabric.global_rank :: self.fabric.world_size]
         self.model.progress(progress)
-        with _seeded(self.run.spec.seed, step, self.fabric.device):
+        with seeded(self.run.spec.seed, step, self.fabric.device):
             with autocast(self.config, self.fabric.device):
                 losses = self.wrapped.losses(part.batches(index))
             self.fabric.backward(losses.total)
@@ -263,14 +195,14 @@ class _Trainer:
         return clock.triplets / clock.sitting if clock.sitting else 0.0
 
     @torch.no_grad()
-    def _validate(self, part: _Part, log: IO[str] | None) -> None:
+    def _validate(self, part: Part, log: MetricsLog) -> None:
         """Average the losses over the validation triplets; keep the weights if they are the best so far."""
         chosen = self.average.swapped_into(self.model) if self.average else contextlib.nullcontext()
         with chosen:
             self.model.eval()
             sums: dict[str, float] = defaultdict(float)
             for index in _chunks(len(part.validation), self.config.batch_size):
-                with autocast(self.config, self.fabric.device), _seeded(0, 0, self.fabric.device):
+                with autocast(self.config, self.fabric.device), seeded(0, 0, self.fabric.device):
                     losses = self.model.losses(part.validation(index))
                 for name, value in {"loss": losses.total, **losses.terms}.items():
                     sums[name] += float(value) * len(index)
@@ -292,7 +224,7 @@ class _Trainer:
         """Keep a picture of what the model predicts now."""
         if not self.fabric.is_global_zero or not self.model.needs_pixels:
             return
-        with autocast(self.config, self.fabric.device), _seeded(0, 0, self.fabric.device):
+        with autocast(self.config, self.fabric.device), seeded(0, 0, self.fabric.device):
             if self.demonstrations is not None:
                 picture = sample_of_demonstrations(self.model, self.demonstrations)
             elif labelled := [part.validation for part in self.parts if part.phase.needs_actions]:
@@ -340,28 +272,19 @@ class _Trainer:
         self.state.best_step = facts["best_step"]
         self.state.clock.before = facts["seconds"]
 
-    @contextlib.contextmanager
-    def _log(self) -> Iterator[IO[str] | None]:
-        """``metrics.jsonl``, opened for appending, without the rows after the step resumed from."""
+    def _log(self) -> contextlib.AbstractContextManager[MetricsLog]:
         if not self.fabric.is_global_zero:
-            yield None
-            return
-        rows = self.run.metrics.read_text().splitlines() if self.run.metrics.exists() else []
-        kept = [row for row in rows if _step_of(row) <= self.state.step]
-        with self.run.metrics.open("w", buffering=1) as log:
-            log.writelines(f"{row}\n" for row in kept)
-            yield log
+            return contextlib.nullcontext(MetricsLog(None))
+        return MetricsLog.resumed(self.run.metrics, self.state.step)
 
-    def _write(self, log: IO[str] | None, values: dict[str, float]) -> None:
-        if log is not None:
-            row = {
-                "step": self.state.step,
-                "seconds": round(self.state.clock.before + self.state.clock.sitting, 3),
-                "triplets_per_s": round(self._rate(), 1),
-                "learning_rate": self.optimizer.param_groups[0]["lr"],
-                **values,
-            }
-            log.write(json.dumps(row) + "\n")
+    def _write(self, log: MetricsLog, values: Mapping[str, float]) -> None:
+        log.write(
+            step=self.state.step,
+            seconds=self.state.clock.before + self.state.clock.sitting,
+            triplets_per_s=self._rate(),
+            learning_rate=self.optimizer.param_groups[0]["lr"],
+            values=values,
+        )
 
     def _finish(self) -> dict[str, Any]:
         """Align the best weights, write them, and say what the training came to."""
@@ -395,53 +318,6 @@ class _Trainer:
         return result
 
 
-def _evenly(triplets: TripletSet, most: int) -> TripletSet:
-    """At most so many triplets, spread evenly."""
-    if len(triplets) <= most:
-        return triplets
-    return triplets.subset(np.linspace(0, len(triplets) - 1, most).round().astype(np.int64))
-
-
 def _chunks(total: int, size: int) -> Iterator[Int[np.ndarray, " b"]]:
     for start in range(0, total, size):
         yield np.arange(start, min(start + size, total))
-
-
-def _step_of(row: str) -> int:
-    """The step of a log's row; a row cut short by a kill counts as one to drop."""
-    try:
-        return int(json.loads(row)["step"])
-    except (json.JSONDecodeError, KeyError, TypeError):
-        return np.iinfo(np.int64).max
-
-
-@contextlib.contextmanager
-def _seeded(seed: int, step: int, device: torch.device) -> Iterator[None]:
-    """Random numbers inside the block depend on (seed, step); outside nothing changes."""
-    with torch.random.fork_rng([device.index or 0] if device.type == "cuda" else []):
-        torch.manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1))
-        yield
-
-
-@contextlib.contextmanager
-def _stop_between_steps() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C is noticed between two steps, never within one; a second Ctrl-C does not wait."""
-    asked = False
-
-    def ask(_signal: int, _frame: object) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-    before = signal.signal(signal.SIGINT, ask)
-    try:
-        yield lambda: asked
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-__all__ = ["Report", "TrainingData", "TripletBatch", "train"]

@@ -7,7 +7,7 @@ lies on one side of zero. It speaks of these two trained models on episodes like
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -25,7 +25,9 @@ from dmotion_bench.scoring.statistics import Estimate, paired_difference
 HIGHER_IS_BETTER: Final = frozenset({"psnr", "ssim", "agent_iou", "motion_probe_accuracy", "control_success"})
 NEITHER_IS_BETTER: Final = frozenset({"motion_swap_change"})
 Better = Literal["first", "second"]
-_KEY: Final = ("metric", "episode", "step", "ahead")
+CONTROL: Final = "control"
+_KEY: Final = ("episode", "step", "ahead")
+_TASK_KEY: Final = ("task", "ahead")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,10 +98,11 @@ def compare_runs(first: Path, second: Path) -> list[Difference]:
 def behind(samples: pa.Table, best: pa.Table, figure: str = "mse") -> Estimate | None:
     """How much higher a figure of single steps is than the best's, paired; None where no sample is of both."""
     one, other = (_single_steps(_of_model(table)) for table in (samples, best))
-    one, other = _aligned(one, other)
+    one, other = _aligned(one, other, _KEY)
     if not len(one):
         return None
-    return paired_difference(column(one, figure), column(other, figure), column(one, "episode"))
+    left, right = (column(table, figure).astype(np.float64) for table in (one, other))
+    return paired_difference(left, right, column(one, "episode"))
 
 
 def ties(difference: Estimate) -> bool:
@@ -116,37 +119,43 @@ def _of_model(samples: pa.Table) -> pa.Table:
 
 
 def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
-    for metric in ("prediction", "rollout"):
+    for metric in ("prediction", "rollout", CONTROL):
         one, other = (samples.filter(pc.equal(samples["metric"], metric)) for samples in (first, second))
-        one, other = _aligned(one, other)
+        one, other = _aligned(one, other, _TASK_KEY if metric == CONTROL else _KEY)
         if not len(one):
             continue
         episode, ahead = column(one, "episode"), column(one, "ahead")
-        pushed = column(one, "pushed").astype(bool)
+        pushed = np.nan_to_num(column(one, "pushed").astype(np.float64)).astype(bool)
         parts: list[tuple[str, str, Any]] = []
         if metric == "prediction":
             everything = np.ones(len(one), bool)
             parts += [(name, name, everything) for name in FIGURE_COLUMNS]
             parts += [(name + PUSH, name, pushed) for name in FIGURE_COLUMNS if name not in IDENTIFICATION_COLUMNS]
+        elif metric == CONTROL:
+            steps = [step for step in np.unique(ahead).tolist() if step > 0]  # at the start all are 1 away
+            parts += [(f"control_distance[{step}]", "control_distance", ahead == step) for step in steps]
+            parts.append(("control_lost", "control_lost", ahead == ahead.max()))
         else:
             steps = np.unique(ahead).tolist()
             parts += [(f"rollout_{name}[{step}]", name, ahead == step) for name in ROLLOUT_COLUMNS for step in steps]
         for figure, name, rows in parts:
-            left, right = column(one, name)[rows], column(other, name)[rows]
+            left, right = (column(table, name)[rows].astype(np.float64) for table in (one, other))
             estimate = paired_difference(left, right, episode[rows])
             if estimate is not None:
                 both = np.isfinite(left) & np.isfinite(right)
                 yield Difference(
                     figure=figure,
-                    first=float(left[both].astype(np.float64).mean()),
-                    second=float(right[both].astype(np.float64).mean()),
+                    first=float(left[both].mean()),
+                    second=float(right[both].mean()),
                     difference=estimate,
                 )
 
 
-def _aligned(first: pa.Table, second: pa.Table) -> tuple[pa.Table, pa.Table]:
+def _aligned(first: pa.Table, second: pa.Table, key: Sequence[str]) -> tuple[pa.Table, pa.Table]:
     """The rows that both have, in the same order."""
-    keys = [np.stack([column(table, name) for name in _KEY[1:]], axis=1) for table in (first, second)]
+    if not len(first) or not len(second):
+        return first.slice(0, 0), second.slice(0, 0)
+    keys = [np.stack([column(table, name) for name in key], axis=1) for table in (first, second)]
     places = [{tuple(key): place for place, key in enumerate(table.tolist())} for table in keys]
     common = [key for key in places[0] if key in places[1]]
     left, right = ([own[key] for key in common] for own in places)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from dmotion_bench.cli.report_table import show_overview
 from dmotion_bench.errors import RunMismatch, RunMissing
-from dmotion_bench.pairing import behind, better, compare_runs, scored, ties
+from dmotion_bench.pairing import _differences, behind, better, compare_runs, scored, ties
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.statistics import paired_difference
 from dmotion_bench.workspace import Workspace
@@ -167,3 +168,34 @@ def test_a_run_whose_samples_are_gone_is_not_compared(workspace: Workspace, caps
 
     assert " best " in lines[S1]
     assert "(" not in lines[CSWM].partition("10%")[2].replace("(4)", "")
+
+
+def test_control_is_paired_by_task() -> None:
+    """Two models on the same tasks, of which one was given them in another order."""
+    tasks, moments = np.arange(20), 4
+    generator = np.random.default_rng(0)
+    first = 1 - 0.2 * np.arange(moments) + generator.normal(0, 0.3, (20, 1)) * np.array([0, 1, 1, 1])
+
+    def table(distance: np.ndarray, order: np.ndarray) -> pa.Table:
+        return pa.table(
+            {
+                "metric": ["control"] * (20 * moments),
+                "episode": np.repeat(tasks[order] // 2, moments),
+                "step": np.repeat(tasks[order], moments),
+                "ahead": np.tile(np.arange(moments), 20),
+                "task": np.repeat(tasks[order], moments),
+                "pushed": pa.nulls(20 * moments, pa.bool_()),
+                "control_distance": distance[order].reshape(-1),
+                "control_lost": np.zeros(20 * moments),
+            }
+        )
+
+    second = first + np.array([0, 0.05, 0.05, 0.0])
+    found = {one.figure: one for one in _differences(table(first, tasks), table(second, tasks[::-1]))}
+
+    assert set(found) == {"control_distance[1]", "control_distance[2]", "control_distance[3]", "control_lost"}
+    assert found["control_distance[2]"].difference.mean == pytest.approx(-0.05)  # of 0.3 between tasks nothing is left
+    assert found["control_distance[2]"].difference.std == pytest.approx(0, abs=1e-9)
+    assert found["control_distance[2]"].better == "first"
+    assert found["control_distance[3]"].better is None
+    assert found["control_distance[2]"].difference.n == 20

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Final, Literal
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 
 from dmotion_bench.environment import Environment, EpisodeGenerator, Policy
 from dmotion_bench.errors import InvalidSetting, UnknownName
@@ -70,10 +70,10 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     generator = policy_generator(seed)
     frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
     factors = {name: _plain(value) for name, value in info.get("factors", {}).items()}
-    images, masks, agents, objects = [frame], [env.masks()], [env.agent()], [env.objects()]
+    images, masks, agents, objects = _Film(frame), _Film(env.masks()), [env.agent()], [env.objects()]
     actions: list[int] = []
     ended: Literal["truncated", "terminated"] = "truncated"
-    while len(images) < frames:
+    while len(objects) < frames:
         action = policy(env, generator)
         frame, _, terminated, truncated, _ = env.step(action)
         actions.append(action)
@@ -87,18 +87,35 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
             break
     states = _stacked(objects)
     return Episode(
-        frames=np.stack(images),
+        frames=images.developed(),
         labels=EpisodeLabels(
             actions=np.array(actions, np.int64),
             pushed=_pushed(states, env.facts.push_threshold),
             agent=_stacked(agents),
             objects=states,
-            masks=np.stack(masks),
+            masks=masks.developed(),
             factors=factors,
         ),
         seed=seed,
         ended=ended,
     )
+
+
+class _Film:
+    """Pictures in one array that doubles when it is full: each is copied while it is still in the cache."""
+
+    def __init__(self, first: UInt8[np.ndarray, "h w *c"]) -> None:
+        self._pictures, self._count = np.empty((64, *first.shape), np.uint8), 0
+        self.append(first)
+
+    def append(self, picture: UInt8[np.ndarray, "h w *c"]) -> None:
+        if self._count == len(self._pictures):
+            self._pictures = np.concatenate([self._pictures, np.empty_like(self._pictures)])
+        self._pictures[self._count] = picture
+        self._count += 1
+
+    def developed(self) -> UInt8[np.ndarray, "t h w *c"]:
+        return self._pictures[: self._count]
 
 
 def _stacked(states: Sequence[ObjectStates]) -> ObjectStates:

@@ -134,6 +134,26 @@ def test_a_worker_that_is_killed_is_a_sentence(tmp_path: Path) -> None:
         list(LocalExecutor(2).map_unordered(os._exit, [1, 2, 3]))
 
 
+MEMORY = """
+import dataclasses, resource, sys
+from pathlib import Path
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.specs import DatasetRecipe
+
+recipe = DatasetRecipe(environment="grid_world", episodes=100, frames=12, tasks=5, shard_episodes=20)
+for episodes in (100, 400):
+    record_dataset(Path(sys.argv[1]) / str(episodes), dataclasses.replace(recipe, episodes=episodes))
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)  # [KiB]
+"""
+
+
+def test_memory_does_not_grow_with_the_number_of_episodes(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", MEMORY, tmp_path], capture_output=True, text=True, check=True)
+    few, four_times_as_many = map(int, done.stdout.split())
+    kept = 300 * 12 * 128 * 128 * 3 // 1024  # what the pictures alone would take
+    assert four_times_as_many - few < kept / 8
+
+
 def test_tasks_are_stored_and_can_be_reached(tmp_path: Path) -> None:
     record_dataset(tmp_path / "d", DatasetRecipe(environment="grid_world", episodes=40, frames=32, tasks=12))
     dataset = Dataset.open(tmp_path / "d")

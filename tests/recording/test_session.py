@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import random
 import subprocess
@@ -22,17 +23,28 @@ from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
 
 RECIPE = DatasetRecipe(environment="grid_world", episodes=90, frames=6, tasks=5, shard_episodes=3)
+VARIED = DatasetRecipe(
+    environment="robot_push",
+    policy="push",
+    episodes=24,
+    frames=5,
+    tasks=5,
+    shard_episodes=2,
+    parameters={"ranges": "shifted"},
+    vary=("camera", "colour", "distractors", "friction", "light", "mass"),
+)
 RECORD = """
-import sys
+import json, sys
 from pathlib import Path
 from dmotion_bench.recording.executor import local_executor
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe
 
 if __name__ == "__main__":
-    recipe = DatasetRecipe(environment="grid_world", episodes=90, frames=6, tasks=5, shard_episodes=3)
+    recipe = json.loads(sys.argv[2])
+    recipe["vary"] = tuple(recipe["vary"])
     show = lambda progress: print(progress.episodes, flush=True)
-    record_dataset(Path(sys.argv[1]), recipe, local_executor(int(sys.argv[2])), show)
+    record_dataset(Path(sys.argv[1]), DatasetRecipe(**recipe), local_executor(int(sys.argv[3])), show)
 """
 
 
@@ -43,9 +55,10 @@ def at_once(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return files_of(path)
 
 
-def start(script: Path, dataset: Path, workers: int) -> subprocess.Popen[str]:
+def start(script: Path, dataset: Path, recipe: DatasetRecipe, workers: int) -> subprocess.Popen[str]:
     script.write_text(RECORD)
-    return subprocess.Popen([sys.executable, script, dataset, str(workers)], stdout=subprocess.PIPE, text=True)
+    words = [sys.executable, str(script), str(dataset), json.dumps(dataclasses.asdict(recipe)), str(workers)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
 def children(process: int) -> list[int]:
@@ -60,18 +73,23 @@ def runs(process: int) -> bool:
         return False
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize(
+    ("recipe", "workers", "kills"),
+    [(RECIPE, 1, 3), (RECIPE, 2, 2), (VARIED, 1, 3)],
+    ids=["grid_world", "grid_world by two", "robot_push"],
+)
 def test_killed_at_any_moment_it_goes_on_and_gives_the_same_bytes(
-    tmp_path: Path, at_once: dict[str, bytes], workers: int
+    tmp_path: Path, recipe: DatasetRecipe, workers: int, kills: int
 ) -> None:
     generator = random.Random(workers)
-    for _ in range(4 - workers):
-        recording = start(tmp_path / "record.py", tmp_path / "d", workers)
+    shards = -(-recipe.episodes // recipe.shard_episodes)
+    for _ in range(kills):
+        recording = start(tmp_path / "record.py", tmp_path / "d", recipe, workers)
         assert recording.stdout is not None
-        recording.stdout.readline()  # it has begun
-        for _ in range(generator.randrange(6)):
+        assert recording.stdout.readline()  # it has begun
+        for _ in range(generator.randrange(shards // kills)):
             recording.stdout.readline()  # a shard is done
-        time.sleep(generator.random() * 0.02)
+        time.sleep(generator.random() * 0.04)
         workers_of_it = children(recording.pid)
         recording.kill()
         recording.wait()
@@ -80,8 +98,9 @@ def test_killed_at_any_moment_it_goes_on_and_gives_the_same_bytes(
             time.sleep(0.05)
         assert not any(runs(one) for one in workers_of_it)  # nobody goes on writing
         recording.stdout.close()
-    record_dataset(tmp_path / "d", RECIPE)
-    assert files_of(tmp_path / "d") == at_once
+    record_dataset(tmp_path / "d", recipe)
+    record_dataset(tmp_path / "at once", recipe)
+    assert files_of(tmp_path / "d") == files_of(tmp_path / "at once")
 
 
 def test_two_workers_write_the_same_bytes(tmp_path: Path, at_once: dict[str, bytes]) -> None:

@@ -18,6 +18,7 @@ from leaderboard.comparison import difference_by_episode
 from leaderboard.entry import Entry
 
 RANKED_BY: Final = "mse"
+_CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
 RowKind = Literal["measured", "published", "reference"]
 
 REFERENCE_WORDS: Final = {
@@ -62,6 +63,7 @@ class Row:
         figures: By their fixed names.
         behind: How much higher its error is than the best's, paired; None where that is not known.
         is_best: Whether it is the one the others are compared with.
+        leads: Other figures in which it is the best, or cannot be told from the best.
     """
 
     kind: RowKind
@@ -74,6 +76,7 @@ class Row:
     figures: Mapping[str, Value]
     behind: Estimate | None = None
     is_best: bool = False
+    leads: frozenset[str] = frozenset()
 
     @property
     def title(self) -> str:
@@ -255,18 +258,37 @@ def _reference_rows(entries: Sequence[Entry]) -> list[Row]:
 
 
 def _ranked(rows: list[Row]) -> list[Row]:
-    """The measured rows, each with its paired difference to the best."""
+    """The measured rows, each with its paired difference to the best, and whether it leads in control."""
+    controlled = sorted((int(found[1]), name) for name in _all_figures(rows) if (found := _CONTROL.fullmatch(name)))
+    if controlled:
+        rows = _leading(rows, controlled[-1][1])
     ranked = [row for row in rows if RANKED_BY in row.figures]
     if not ranked:
         return rows
     best = min(ranked, key=lambda row: row.figures[RANKED_BY].mean)
-    return [replace(row, is_best=True) if row is best else replace(row, behind=_difference(row, best)) for row in rows]
-
-
-def _difference(row: Row, best: Row) -> Estimate | None:
-    sums = [
-        [entry.by_episode[RANKED_BY] for entry in one.entries if RANKED_BY in entry.by_episode] for one in (row, best)
+    return [
+        replace(row, is_best=True) if row is best else replace(row, behind=_difference(row, best, RANKED_BY))
+        for row in rows
     ]
+
+
+def _all_figures(rows: Iterable[Row]) -> set[str]:
+    return {name for row in rows for name in row.figures}
+
+
+def _leading(rows: list[Row], figure: str) -> list[Row]:
+    """The rows, of which those know it that have the lowest value of a figure or cannot be told from it."""
+    best = min((row for row in rows if figure in row.figures), key=lambda row: row.figures[figure].mean)
+    marked = []
+    for row in rows:
+        apart = None if row is best or figure not in row.figures else _difference(row, best, figure)
+        leads = row is best or (apart is not None and apart.low is not None and apart.low <= 0 <= (apart.high or 0))
+        marked.append(replace(row, leads=row.leads | {figure}) if leads else row)
+    return marked
+
+
+def _difference(row: Row, best: Row, figure: str) -> Estimate | None:
+    sums = [[entry.by_episode[figure] for entry in one.entries if figure in entry.by_episode] for one in (row, best)]
     if any(len(own) != len(one.entries) for own, one in zip(sums, (row, best), strict=True)):
         return None
     return difference_by_episode(*sums)

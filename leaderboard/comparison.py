@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from dmotion_bench.pairing import Difference, better, compare_runs, scored
+from dmotion_bench.pairing import CONTROL, Difference, better, compare_runs, scored
 from dmotion_bench.scoring.figures import PUSH
 from dmotion_bench.scoring.samples import column
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
@@ -25,24 +25,35 @@ BY_EPISODE: Final = ("mse", "mse_push", "position_error_paper")
 
 
 def sums_by_episode(samples: pa.Table) -> dict[str, dict[str, list[Any]]]:
-    """For the figures of ``BY_EPISODE``: each episode's sum over its samples, and how many they are."""
-    rows = samples.filter(pc.equal(samples["predictor"], "model"))
-    rows = rows.filter(pc.equal(rows["metric"], "prediction"))
+    """For some figures, each episode's sum over its samples, and how many they are.
+
+    They are those of ``BY_EPISODE``, and of control the distance at the end, over the tasks of an episode.
+    """
+    mine = samples.filter(pc.equal(samples["predictor"], "model"))
+    single, controlled = (mine.filter(pc.equal(mine["metric"], metric)) for metric in ("prediction", CONTROL))
     found: dict[str, dict[str, list[Any]]] = {}
-    if not len(rows):
-        return found
-    episode, pushed = column(rows, "episode"), column(rows, "pushed").astype(bool)
-    for figure in BY_EPISODE:
-        values = column(rows, figure.removesuffix(PUSH)).astype(np.float64)
-        counted = np.isfinite(values) & (pushed if figure.endswith(PUSH) else True)
-        numbers, index = np.unique(episode[counted], return_inverse=True)
-        if len(numbers):
-            found[figure] = {
-                "episode": numbers.tolist(),
-                "n": np.bincount(index).tolist(),
-                "sum": np.bincount(index, values[counted]).tolist(),
-            }
+    if len(single):
+        episode, pushed = column(single, "episode"), column(single, "pushed").astype(bool)
+        for figure in BY_EPISODE:
+            values = column(single, figure.removesuffix(PUSH)).astype(np.float64)
+            counted = np.isfinite(values) & (pushed if figure.endswith(PUSH) else True)
+            if counted.any():
+                found[figure] = _sums(episode[counted], values[counted])
+    if len(controlled):
+        last = int(column(controlled, "ahead").max())
+        ended = controlled.filter(pc.equal(controlled["ahead"], last))
+        distance = column(ended, "control_distance").astype(np.float64)
+        found[f"control_distance[{last}]"] = _sums(column(ended, "episode"), distance)
     return found
+
+
+def _sums(episode: Int[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> dict[str, list[Any]]:
+    numbers, index = np.unique(episode, return_inverse=True)
+    return {
+        "episode": numbers.tolist(),
+        "n": np.bincount(index).tolist(),
+        "sum": np.bincount(index, values).tolist(),
+    }
 
 
 def difference_by_episode(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> Estimate | None:

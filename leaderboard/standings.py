@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from leaderboard.board import Board, Row, Value
+from leaderboard.board import RANKED_BY, Board, Row, Value
 from leaderboard.columns import Column, columns_for, count, interval, number, signed
 from leaderboard.markup import Markup, element, joined
 
@@ -53,7 +53,7 @@ def _heading(text: str, meaning: str = "", *, unit: str = "", sorted_up: bool = 
 def _row(row: Row, columns: list[Column], *, compared: bool, compute: bool) -> Markup:
     cells = [_name(row), _labels(row)]
     for column in columns:
-        cells.append(_value(row, row.figures.get(column.figure), strong=column.figure == "mse" and row.ties))
+        cells.append(_value(row, row.figures.get(column.figure), strong=_is_strong(row, column.figure)))
         if column.figure == "mse" and compared:
             cells.append(_behind(row))
     if compute:
@@ -80,6 +80,11 @@ def _labels(row: Row) -> Markup:
         return element("td", "")
     known = "?" if row.label_count is None else count(row.label_count)
     return element("td", known, element("small", row.labels), data_value=row.label_count)
+
+
+def _is_strong(row: Row, figure: str) -> bool:
+    """Whether nobody is better than it, as far as can be told."""
+    return row.ties if figure == RANKED_BY else figure in row.leads
 
 
 def _value(row: Row, value: Value | None, *, strong: bool) -> Markup:

@@ -165,3 +165,32 @@ def test_a_figure_that_one_seed_lacks_is_nobody_s_mean(result: Callable[..., Ent
     (board,) = make_boards(entries)
 
     assert set(_row(board, "a").figures) == {"mse"}
+
+
+def test_in_control_those_lead_that_cannot_be_told_from_the_best(result: Callable[..., Entry]) -> None:
+    generator = np.random.default_rng(0)
+    hardness = generator.normal(0, 0.2, len(EPISODES))  # of the tasks: the same for all
+
+    def controlled(model: str, distance: np.ndarray) -> Entry:
+        entry = result(model, np.ones(len(EPISODES)))
+        figure = {"mean": float(distance.mean()), "std": 0.2, "low": None, "high": None, "n": len(EPISODES)}
+        sums = {"episode": EPISODES, "n": [1] * len(EPISODES), "sum": distance.tolist()}
+        figures = {**entry.figures, "control_distance[40]": figure, "control_distance[100]": figure}
+        return Entry(
+            dict(entry.content)
+            | {"figures": figures, "by_episode": {**entry.by_episode, "control_distance[100]": sums}}
+        )
+
+    close = 0.505 + hardness + 0.05 * (-1) ** np.arange(len(EPISODES))
+    (board,) = make_boards(
+        [
+            controlled("best", 0.5 + hardness),
+            controlled("close", close),
+            controlled("far", 0.55 + hardness),
+            result("uncontrolled", np.ones(len(EPISODES))),
+        ]
+    )
+
+    leads = {row.name: row.leads for row in board.rows if row.kind == "measured"}
+    assert leads["best"] == leads["close"] == {"control_distance[100]"}
+    assert leads["far"] == leads["uncontrolled"] == set()  # .05 behind, of .2 between the tasks nothing is left

@@ -199,3 +199,9 @@ def test_control_is_paired_by_task() -> None:
     assert found["control_distance[2]"].better == "first"
     assert found["control_distance[3]"].better is None
     assert found["control_distance[2]"].difference.n == 20
+
+    sums = sums_by_episode(table(first, tasks).append_column("predictor", pa.array(["model"] * (20 * moments))))
+    assert list(sums) == ["control_distance[3]"]
+    assert sums["control_distance[3]"]["episode"] == list(range(10))
+    assert sums["control_distance[3]"]["n"] == [2] * 10
+    np.testing.assert_allclose(sums["control_distance[3]"]["sum"], first[:, 3].reshape(10, 2).sum(1))

@@ -152,7 +152,7 @@ def test_pictures_give_way_before_the_page_grows_too_large(
     entries: list[Entry], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = make_page(entries)
-    monkeypatch.setattr("leaderboard.gallery.BUDGET", 8_000)
+    monkeypatch.setattr("leaderboard.gallery.BUDGET", 4_000)
 
     fewer = make_page(entries)
     monkeypatch.setattr("leaderboard.page.LARGEST", 1_000)

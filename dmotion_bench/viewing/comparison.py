@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from dmotion_bench.viewing.tracks import Color, log_curve, log_images, log_mark,
 MOST = 10
 """Models that fit beside each other."""
 
-WIDE = 4
+WIDE = 3
 """Models whose four pictures stand in a square; of more they stand one below the other."""
 
 COLORS: tuple[Color, ...] = (*ACTION_COLORS, (0, 114, 178), (200, 200, 200), (150, 110, 60), (170, 220, 120))
@@ -33,10 +34,10 @@ WORST: Color = (255, 70, 70)
 ROOT = "/comparison"
 COLUMNS = ("mse", "mse_push", "position_error", "miss_rate", "rollout_mse[15]", "control_distance[100]")
 ROWS = (
-    ("one_step", "frame", "one step"),
-    ("one_step", "difference", f"its error, {AMPLIFIED}x"),
-    ("imagined", "frame", "imagined"),
-    ("imagined", "difference", f"its error, {AMPLIFIED}x"),
+    ("one_step", "frame", "{}: one step"),
+    ("one_step", "difference", f"error x{AMPLIFIED}: {{}}"),
+    ("imagined", "frame", "imagined: {}"),
+    ("imagined", "difference", f"error x{AMPLIFIED}: {{}}, imagined"),
 )
 
 
@@ -125,10 +126,18 @@ def _told_apart(runs: Sequence[Run]) -> dict[str, Run]:
     telling = [place == 0 or len(set(column)) > 1 for place, column in enumerate(zip(*parts, strict=True))]
     names = [" ".join(part for part, tells in zip(own, telling, strict=True) if tells) for own in parts]
     if len(set(names)) < len(runs):
-        names = [run.name for run in runs]
+        names = [_beside_data_and_seed(run, telling[-1]) for run in runs]
     if len(set(names)) < len(runs):
         names = [str(run.path) for run in runs]
     return dict(zip(names, runs, strict=True))
+
+
+def _beside_data_and_seed(run: Run, with_seed: bool) -> str:
+    """A run's name without what is the same of all: ``dmotion epochs 3``."""
+    name = run.name if with_seed else re.sub(r"-s\d+$", "", run.name)
+    before, found, after = name.partition(run.spec.dataset)
+    parts = (before, after) if found else (name,)
+    return " ".join(part.strip("-").replace("_", " ") for part in parts if part.strip("-"))
 
 
 def _tab(names: Mapping[str, Run], dataset: ViewableDataset, episode: int, note: str) -> Tab:
@@ -162,7 +171,7 @@ def _layout(title: str, root: str, dataset: ViewableDataset, seen: Mapping[str, 
     columns = []
     for number, name in enumerate(seen):
         views = [
-            picture_view(f"{root}/model_{number}/{kind}/{part}", f"{words}: {name}", width, height)
+            picture_view(f"{root}/model_{number}/{kind}/{part}", words.format(name), width, height)
             for kind, part, words in ROWS
         ]
         columns.append(rrb.Grid(*views, grid_columns=2) if len(seen) <= WIDE else rrb.Vertical(*views))

@@ -201,12 +201,12 @@ for work in (dies_at_one, raises_at_one):
         list(executor.map_unordered(work, [0, 1]))
     except DmbenchError as error:
         said[work.__name__] = [type(error).__name__, str(error)]
-results = executor.map_unordered(LeavesTraces(folder, seconds=2), [1, 0])
+results = executor.map_unordered(LeavesTraces(folder, seconds=1), [1, 0])
 said["first"] = next(results)
 while not (folder / "begun-1").exists():
     time.sleep(0.01)
 results.close()
-time.sleep(2.5)
+time.sleep(1.5)
 said["ray is still there"] = ray.is_initialized()  # it was not the executor's to stop
 (folder / "said.json").write_text(json.dumps(said))
 """

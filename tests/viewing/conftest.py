@@ -26,7 +26,7 @@ METRICS = [
 ]
 
 
-HANGS = 240
+HANGS = 420
 """Seconds after which a test that waits inside Rerun is ended, and its process with it."""
 
 

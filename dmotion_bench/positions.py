@@ -78,8 +78,25 @@ class PositionFinder:
 
     def find(self, frames: UInt8[Tensor, "*b h w 3"]) -> Positions:
         """The objects' places in each frame, on the frames' device."""
-        leading = frames.shape[:-3]
-        rows, columns = self._counts(frames.reshape(-1, *frames.shape[-3:]))
+        return self._positions(*self._counts(frames.reshape(-1, *frames.shape[-3:])), frames.shape[:-3])
+
+    def find_extents(self, frames: UInt8[Tensor, "b h w 3"]) -> tuple[Positions, Float[Tensor, "b k 2 2"]]:
+        """The objects' places, and the first and the last column and row of each (the last axis) [px].
+
+        Only rows and columns with two pixels count, so that a stray one does not. NaN for what was not found.
+        """
+        rows, columns = self._counts(frames)
+        found = self._positions(rows, columns, frames.shape[:1])
+        extents = []
+        for counts in (columns, rows):
+            there = (counts >= 2).to(torch.uint8)
+            first, last = there.argmax(-1), counts.shape[-1] - 1 - there.flip(-1).argmax(-1)
+            extents.append(torch.stack([first, last], dim=-1).float())
+        return found, torch.stack(extents, dim=-2).masked_fill(~found.found[..., None, None], torch.nan)
+
+    def _positions(
+        self, rows: Int[Tensor, "n k h"], columns: Int[Tensor, "n k w"], leading: tuple[int, ...]
+    ) -> Positions:
         pixels = rows.sum(-1)
         along = [
             counts.double() @ torch.arange(counts.shape[-1], dtype=torch.float64, device=counts.device)

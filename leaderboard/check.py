@@ -31,7 +31,14 @@ from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
 from dmotion_bench.scoring.references import REFERENCES, published_results
 from dmotion_bench.scoring.report import REPORT_FOLDER, SAMPLES_FILE
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, column, read_samples
-from dmotion_bench.scoring.score import METRICS, ReferenceScores, Scores, ScoreSettings, code_version, score_model
+from dmotion_bench.scoring.score import (
+    DEFAULT_METRICS,
+    ReferenceScores,
+    Scores,
+    ScoreSettings,
+    code_version,
+    score_model,
+)
 from dmotion_bench.storage.shard import file_facts
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.workspace import RUN_MANIFEST, Workspace
@@ -105,7 +112,7 @@ def check_entry(
     if not settings.score:
         check.remarks.append("not scored anew")
         return check.verdict()
-    metrics = tuple(metric for metric in METRICS if metric in entry.content["settings"]["metrics"])
+    metrics = tuple(metric for metric in DEFAULT_METRICS if metric in entry.content["settings"]["metrics"])
     try:
         scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, references=references)
         _same_scores(check, scores)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dmotion_bench.planning.problems import Problem
     from dmotion_bench.storage.dataset import Dataset
 
+COSTS = ("position", "tracked", "pixel", "feature")
 REFERENCES = ("idle", "random", "oracle", "scripted")
 
 
@@ -31,7 +32,7 @@ def plan(
     task: Annotated[int, typer.Option(min=0, help="The number of one of the data set's control tasks.")] = 0,
     planner: Annotated[str | None, typer.Option(help="cem is the paper's; a wrong name lists them all.")] = None,
     cost: Annotated[
-        str | None, typer.Option(help="position, pixel or feature; what suits the model if left out.")
+        str | None, typer.Option(help="tracked, position (the paper's), pixel or feature; what suits the model.")
     ] = None,
     steps: Annotated[int, typer.Option(min=1, help="Actions to take.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the planner's random numbers.")] = 0,
@@ -47,8 +48,8 @@ def plan(
 
     if save is not None and save.suffix != ".rrd":
         raise UsageError(f"--save {str(save)!r} must end in .rrd, as Rerun knows its files by it.")
-    if cost is not None and cost not in ("position", "pixel", "feature"):
-        raise UnknownName("cost", cost, ("position", "pixel", "feature"))
+    if cost is not None and cost not in COSTS:
+        raise UnknownName("cost", cost, COSTS)
     name = planner or DEFAULT_PLANNER
     chosen = make_planner(name)
     window = not (web or save or as_json)
@@ -107,7 +108,7 @@ def _solve(
 
     spec = dataset.spec
     controller = (
-        make_reference(who, spec, lambda: task_environment(dataset.recipe), planner)
+        make_reference(who, spec, lambda: task_environment(dataset.recipe), planner, cost)
         if model is None
         else ModelController(model, spec, planner, cost=cost)
     )

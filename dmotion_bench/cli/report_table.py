@@ -31,15 +31,21 @@ WORDS = {
     "mse_true_motion": "MSE with the true motion",
     "motion_swap_change": "change by a swapped motion",
     "motion_within_over_between": "motion within/between",
+    "control_distance": "control, distance",
+    "control_success": "control, tasks solved",
+    "control_lost": "control, objects lost",
 }
+CONTROL_STEPS = (10, 20, 40, 60, 80, 100)
+"""Steps of control that stand in a table; the report has all of them."""
 
+BESIDE = ("paper", "copy_last", "agent_moves", "idle", "random", "scripted", "oracle")
 OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_rate")
 
 
 def show_report(report: Report, run: Path) -> None:
     """One run in full, beside its references; ``run`` is its folder."""
     console = _console()
-    beside = [name for name in ("paper", "copy_last", "agent_moves") if name in report.reference]
+    beside = [name for name in BESIDE if name in report.reference]
     table = Table(title=_headline(report), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("figure", no_wrap=True)
     for heading in ("mean ± std", "95% interval", "n", *beside):
@@ -54,6 +60,21 @@ def show_report(report: Report, run: Path) -> None:
         if name in report.remarks:
             console.print(f"  {name}: {report.remarks[name]}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run}/report/")
+
+
+def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
+    """What some references come to, a column each."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("figure", no_wrap=True)
+    for name in figures:
+        table.add_column(name, justify="right", no_wrap=True)
+        table.add_column("95% interval", justify="right", no_wrap=True)
+    everything = list(dict.fromkeys(figure for one in figures.values() for figure in one))
+    for figure in everything:
+        if _is_shown(figure) or figure == everything[-1]:
+            cells = [(_mean_std(one[figure]), _interval(one[figure])) for one in figures.values() if figure in one]
+            table.add_row(_words(figure), *(cell for pair in cells for cell in pair))
+    _console().print(table)
 
 
 def show_overview(reports: Mapping[Path, Report]) -> None:
@@ -71,7 +92,11 @@ def show_overview(reports: Mapping[Path, Report]) -> None:
         table.add_column("run", overflow="fold")
         table.add_column("labels", justify="right")
         furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
-        shown = [name for name in (*OVERVIEW, furthest) if any(name in report.figures for report in here)]
+        shown = [
+            name
+            for name in (*OVERVIEW, furthest, "control_distance[100]")
+            if any(name in report.figures for report in here)
+        ]
         shown = shown or ["mse_true_motion"]  # all there is where actions are not known
         behind = _behind(paths, here)
         for name in shown:
@@ -170,6 +195,8 @@ def _headline(report: Report) -> str:
 def _is_shown(name: str) -> bool:
     if "_objects" in name or name.startswith("rollout_position_error_paper"):
         return False
+    if name.startswith("control_distance"):
+        return name.endswith(tuple(f"[{step}]" for step in CONTROL_STEPS))
     return not name.startswith("rollout_") or name.endswith(tuple(f"[{ahead}]" for ahead in SHOWN_AHEAD))
 
 
@@ -177,6 +204,10 @@ def _words(name: str) -> str:
     if name.startswith("rollout_"):
         base, _, ahead = name.removeprefix("rollout_").rstrip("]").partition("[")
         return f"{WORDS.get(base, base)} {ahead} ahead"
+    if name.startswith("control_"):
+        base, _, at = name.rstrip("]").partition("[")
+        how = {"control_distance": f" after {at} steps", "control_success": f" to {at}"}.get(base, "") if at else ""
+        return WORDS.get(base, base) + how
     if name.endswith("_push"):
         return f"{_words(name.removesuffix('_push'))}, pushes"
     return WORDS.get(name, name)

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from dmotion_bench.scoring.control import ControlScoring
     from dmotion_bench.scoring.report import Report
     from dmotion_bench.scoring.score import Metric
 
-METRICS = ("prediction", "rollout", "control")
+METRICS: tuple[Metric, ...] = ("prediction", "rollout", "control")
+REFERENCES = ("idle", "random", "oracle", "scripted")
 
 
 def register(app: typer.Typer) -> None:
@@ -22,7 +24,11 @@ def register(app: typer.Typer) -> None:
 
 def score(
     runs: Annotated[
-        list[Path] | None, typer.Argument(metavar="RUN", help="Runs; the only one of the workspace if left out.")
+        list[Path] | None,
+        typer.Argument(
+            metavar="RUN",
+            help="Runs; the only one of the workspace if left out. For control also idle, random, oracle, scripted.",
+        ),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="Every run; reports that are up to date are kept.")] = False,
     metrics: Annotated[
@@ -30,6 +36,13 @@ def score(
     ] = "prediction,rollout",
     split: Annotated[str, typer.Option(help="The episodes to score on: test or validation.")] = "test",
     horizon: Annotated[int, typer.Option(min=1, help="Steps of a rollout.")] = 15,
+    tasks: Annotated[int | None, typer.Option(min=1, help="Control: only so many tasks, the first.")] = None,
+    planner: Annotated[str | None, typer.Option(help="Control: a wrong name lists them all.")] = None,
+    cost: Annotated[
+        str | None,
+        typer.Option(help="Control: tracked, position (the paper's), pixel or feature; what suits the model."),
+    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Control by a reference: the data set.")] = None,
     batch_size: Annotated[int, typer.Option(min=1, help="Triplets predicted at once; changes no figure.")] = 64,
     precision: Annotated[
         str, typer.Option(help="float32, or bf16: faster where the hardware has it, and the report says so.")
@@ -50,6 +63,17 @@ def score(
             raise UnknownName(kind, given, allowed)
     asked = _metrics(metrics)
     workspace = Workspace.current()
+    if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):
+        if len(named) < len(runs) or every:
+            raise UsageError("references are scored for themselves; name no runs beside them.")
+        if asked != ("control",):
+            raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
+        _references(
+            [str(one) for one in named], workspace.dataset(data), _control(tasks, planner, cost), as_json=as_json
+        )
+        return
+    if data is not None:
+        raise UsageError("--data is for references; a run is scored on the data set that it was trained on.")
     if every and runs:
         raise UsageError("--all scores every run; name runs or give --all, not both.")
     paths = workspace.all_runs() if every else [workspace.run(run) for run in runs or []]
@@ -62,6 +86,7 @@ def score(
         split="validation" if split == "validation" else "test",
         horizon=horizon,
         precision="bf16" if precision == "bf16" else "float32",
+        control=_control(tasks, planner, cost),
     )
     reports, failures = score_runs(paths, asked, settings, batch_size=batch_size, device=device, keep=every)
     if as_json:
@@ -134,16 +159,50 @@ def _metrics(text: str) -> tuple[Metric, ...]:
     for name in asked:
         if name not in METRICS:
             raise UnknownName("group of figures", name, METRICS)
-    if "control" in asked:
-        raise UsageError("control cannot be scored yet: there is no planner; leave it out of --metrics.")
     if not asked:
         raise UsageError(f"--metrics names no group of figures; known: {', '.join(METRICS)}.")
-    chosen: list[Metric] = []
-    if "prediction" in asked:
-        chosen.append("prediction")
-    if "rollout" in asked:
-        chosen.append("rollout")
-    return tuple(chosen)
+    return tuple(name for name in METRICS if name in asked)
+
+
+def _control(tasks: int | None, planner: str | None, cost: str | None) -> ControlScoring:
+    from dmotion_bench.planning.planner import DEFAULT_PLANNER
+    from dmotion_bench.scoring.control import ControlScoring
+
+    return ControlScoring(tasks=tasks, planner=planner or DEFAULT_PLANNER, cost=cost)
+
+
+def _references(names: list[str], path: Path, scoring: ControlScoring, *, as_json: bool) -> None:
+    """Score references for control; what they did stays in the data set's cache."""
+    from dmotion_bench.cli.progress import progress_bar
+    from dmotion_bench.cli.report_table import show_control
+    from dmotion_bench.planning.control import ControlProgress
+    from dmotion_bench.scoring.control import control_samples, score_reference
+    from dmotion_bench.scoring.figures import figures_of
+    from dmotion_bench.storage.dataset import Dataset
+
+    dataset, figures = Dataset.open(path), {}
+    with progress_bar() as bar:
+        for name in names:
+            row = bar.add_task(f"control by {name}", total=None, status="")
+
+            def show(progress: ControlProgress, row: Any = row) -> None:
+                bar.update(row, completed=progress.steps, total=progress.total)
+
+            result = score_reference(name, dataset, scoring, progress=show)
+            found = figures_of(control_samples(name, result), name)
+            figures[name] = {figure: estimate.to_json() for figure, estimate in found.items()}
+    if as_json:
+        plain: dict[str, Any] = {
+            "arch": None,
+            "dataset": dataset.name,
+            "labels": None,
+            "seed": scoring.seed,
+            "reference": {},
+        }
+        reports = [{"run": name, "model": name, **plain, "figures": figures[name]} for name in names]
+        typer.echo(json.dumps({"reports": reports}))
+    else:
+        show_control(figures, f"control on {dataset.name}")
 
 
 def _show(reports: dict[Path, Report], *, overview: bool) -> None:

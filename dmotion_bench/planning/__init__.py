@@ -3,13 +3,15 @@
 ::
 
     costs.py          how far a predicted frame is from the goal
+    tracking.py       where objects are, also those that something hides
+    journal.py        how far control is, on disk
+    driving.py        a model's imagination, driven by hand
     futures.py        what can be imagined from where some tasks stand: a model's futures
     simulation.py     the same with the true simulator: the oracle's futures
     tree.py           futures of many action sequences, each shared beginning imagined once
     planner.py        what a planner is, and the planners by name
     cross_entropy.py  the cross-entropy method, the paper's and with variations
     exhaustive.py     all sequences there are
-    graph_search.py   breadth-first over places that look different
     problems.py       stored tasks as problems: start state by replay, goal image, goal positions
     controllers.py    who chooses the actions: a model with a planner, idle, random, the oracle
     pusher.py         a scripted controller that reads the simulator

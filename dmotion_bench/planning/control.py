@@ -15,12 +15,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.environment import Environment
 from dmotion_bench.planning.controllers import NO_ACTION, Controller, Decision, KnowsSimulator, Seen
 from dmotion_bench.planning.journal import Journal, TaskRecord
 from dmotion_bench.planning.problems import Problem, World
+from dmotion_bench.planning.tracking import Tracker
+from dmotion_bench.specs import EnvSpec
 
 STEPS = 100
 GROUP = 4
@@ -78,7 +81,7 @@ class ControlResult:
 
     Attributes:
         tasks: Their numbers.
-        episodes: The episodes they are cut out of.
+        episodes, starts: The episodes they are cut out of, and the frame there that they start at.
         distance: Normalised, at the start and after each step.
         lost: Objects that are gone, likewise.
         actions: Taken; ``NO_ACTION`` where none was.
@@ -89,6 +92,7 @@ class ControlResult:
 
     tasks: tuple[int, ...]
     episodes: tuple[int, ...]
+    starts: tuple[int, ...]
     distance: Float[np.ndarray, "n moments"]
     lost: Int[np.ndarray, "n moments"]
     actions: Int[np.ndarray, "n t"]
@@ -156,6 +160,7 @@ def control(
     return ControlResult(
         tasks=tuple(problem.number for problem in problems),
         episodes=tuple(problem.task.episode for problem in problems),
+        starts=tuple(problem.task.start for problem in problems),
         distance=np.array([record.distance for record in records]).reshape(len(records), -1),
         lost=np.array([record.lost for record in records], np.int64).reshape(len(records), -1),
         actions=np.array([record.actions for record in records], np.int64).reshape(len(records), -1),
@@ -174,7 +179,7 @@ def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
         return
     worlds = [World(env, problem) for env, problem in zip(loop.envs, problems, strict=False)]
     memory = loop.journal.memory(problems)
-    gaze = _Gaze(worlds, loop.actions)
+    gaze = _Gaze(worlds, loop.actions, loop.envs[0].facts)
     for past in np.array([record.actions for record in records.values()], np.int64).T:
         _act(worlds, past)
         gaze.after(worlds, past)
@@ -216,11 +221,15 @@ def _act(worlds: Sequence[World], actions: Int[np.ndarray, " b"]) -> None:
 class _Gaze:
     """What has been seen of a group's tasks, from pictures alone."""
 
-    def __init__(self, worlds: Sequence[World], actions: int) -> None:
+    def __init__(self, worlds: Sequence[World], actions: int, spec: EnvSpec) -> None:
         self._current: UInt8[np.ndarray, "b h w 3"] = np.stack([world.frame for world in worlds])
         self._previous = self._current
         self._goals = np.stack([world.problem.goal_frame for world in worlds])
         self._blocked: Bool[np.ndarray, "b a"] = np.zeros((len(worlds), actions), np.bool_)
+        self._tracker = Tracker(spec) if spec.objects else None
+        if self._tracker is not None:
+            images = (torch.from_numpy(frames) for frames in (self._current, self._goals))
+            self._known, self._wanted = self._tracker.meet(*images)
 
     def after(self, worlds: Sequence[World], actions: Int[np.ndarray, " b"]) -> None:
         """Look at what the actions did."""
@@ -232,6 +241,8 @@ class _Gaze:
         still = ~changed[:, None, None, None]
         self._previous = np.where(still, self._previous, self._current)
         self._current = frames
+        if self._tracker is not None:
+            self._known = self._tracker.follow(self._known, torch.from_numpy(frames))
 
     def seen(self, worlds: Sequence[World], step: int, seed: int, memory: Int[np.ndarray, "b n t"] | None) -> Seen:
         """What a controller is told."""
@@ -243,6 +254,7 @@ class _Gaze:
             blocked=self._blocked.copy(),
             generators=tuple(task_generator(seed, world.problem, step) for world in worlds),
             memory=memory,
+            tracked=None if self._tracker is None else (self._known, self._wanted),
         )
 
 

@@ -16,13 +16,14 @@ import torch
 from jaxtyping import Bool, Int, UInt8
 
 from dmotion_bench.environment import Environment
-from dmotion_bench.errors import ModelContractBroken, UnknownName
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.costs import PositionCost, make_cost
+from dmotion_bench.planning.costs import PositionCost, TrackedCost, make_cost
 from dmotion_bench.planning.futures import ModelFutures
-from dmotion_bench.planning.planner import Moment, Plan, Planner, make_planner
+from dmotion_bench.planning.planner import DEFAULT_PLANNER, Moment, Plan, Planner, make_planner
 from dmotion_bench.planning.problems import World
 from dmotion_bench.planning.simulation import Simulation, SimulatorFutures
+from dmotion_bench.planning.tracking import Outlines, Tracker
 from dmotion_bench.specs import EnvSpec
 
 NO_ACTION = -1
@@ -41,6 +42,7 @@ class Seen:
         blocked: Actions that left the picture as it is, since it last changed.
         generators: See ``Moment``.
         memory: See ``Moment``.
+        tracked: Where the objects are, by all that was seen, and where they should be; None where there are none.
     """
 
     previous: UInt8[np.ndarray, "b h w 3"]
@@ -50,6 +52,7 @@ class Seen:
     blocked: Bool[np.ndarray, "b a"]
     generators: tuple[np.random.Generator, ...]
     memory: Int[np.ndarray, "b n t"] | None = None
+    tracked: tuple[Outlines, Outlines] | None = None
 
     @property
     def moment(self) -> Moment:
@@ -120,8 +123,9 @@ class ModelController:
         previous, current, goals = (
             torch.from_numpy(images).to(self.device) for images in (seen.previous, seen.current, seen.goals)
         )
+        tracked = None if seen.tracked is None else (seen.tracked[0].to(self.device), seen.tracked[1].to(self.device))
         with torch.inference_mode():
-            cost = make_cost(self.cost, self.model, self.spec, goals)
+            cost = make_cost(self.cost, self.model, self.spec, goals, tracked)
         return ModelFutures(self.model, cost, previous, current, bf16=self.bf16)
 
     def act(self, seen: Seen) -> Decision:
@@ -153,10 +157,16 @@ class OracleController:
         spec: What the objects look like.
         planner: Searches the simulator's futures.
         make_env: Makes simulators to try things out in.
+        cost: "position" or "tracked"; None for the latter.
     """
 
-    def __init__(self, spec: EnvSpec, planner: Planner, make_env: Callable[[], Environment]) -> None:
-        self._spec, self._planner, self._make_env = spec, planner, make_env
+    def __init__(
+        self, spec: EnvSpec, planner: Planner, make_env: Callable[[], Environment], cost: str | None = None
+    ) -> None:
+        if not spec.objects or cost not in (None, "position", "tracked"):
+            raise InvalidSetting(f"the oracle plans with objects' positions; it cannot use the cost {cost!r} here.")
+        self._spec, self._planner, self._make_env, self._cost = spec, planner, make_env, cost
+        self._tracker = Tracker(spec)
         self._simulations: dict[int, Simulation] = {}
 
     def act(self, seen: Seen) -> Decision:
@@ -165,26 +175,37 @@ class OracleController:
 
     def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
         """The first action of the best plan."""
-        simulations = [self._simulation(place, world) for place, world in enumerate(worlds)]
+        simulations = [self._simulation(place, world, seen) for place, world in enumerate(worlds)]
         plan = self._planner.plan(SimulatorFutures(simulations, seen.blocked.shape[1]), seen.moment)
         return Decision(action=plan.action, plan=plan)
 
-    def _simulation(self, place: int, world: World) -> Simulation:
+    def _simulation(self, place: int, world: World, seen: Seen) -> Simulation:
         """A simulator for the tasks that come by at one place of the group, where the world is."""
         known = self._simulations.get(place)
         if known is None or known.problem is not world.problem:
             env = known.env if known else self._make_env()
-            goal = torch.from_numpy(world.problem.goal_frame)[None]
-            cost, first = PositionCost(self._spec, goal), torch.zeros(1, dtype=torch.long)
-            known = self._simulations[place] = Simulation(
-                env, world.problem, lambda frame: float(cost.of_frames(torch.from_numpy(frame)[None], first))
-            )
+            known = self._simulations[place] = Simulation(env, world.problem, self._look)
+        assert seen.tracked is not None, "there are objects"
+        cost: PositionCost | TrackedCost
+        if self._cost == "position":
+            cost = PositionCost(self._spec, torch.from_numpy(seen.goals[place])[None])
+        else:
+            here = torch.tensor([place])
+            cost = TrackedCost(self._spec, seen.tracked[0].of(here), seen.tracked[1].of(here))
+        known.price = lambda look: float(cost.of_looks(look, torch.zeros(1, dtype=torch.long)))
         known.follow(world)
         return known
 
+    def _look(self, frame: UInt8[np.ndarray, "h w 3"]) -> Outlines:
+        return self._tracker.look(torch.from_numpy(frame)[None])
+
 
 def make_reference(
-    name: str, spec: EnvSpec, make_env: Callable[[], Environment], planner: Planner | None = None
+    name: str,
+    spec: EnvSpec,
+    make_env: Callable[[], Environment],
+    planner: Planner | None = None,
+    cost: str | None = None,
 ) -> Controller:
     """A reference by its name.
 
@@ -194,7 +215,7 @@ def make_reference(
     from dmotion_bench.planning.pusher import ScriptedPusher
 
     if name == "oracle":
-        return OracleController(spec, planner or make_planner("cem"), make_env)
+        return OracleController(spec, planner or make_planner(DEFAULT_PLANNER), make_env, cost)
     simple: dict[str, Callable[[], Controller]] = {
         "idle": IdleController,
         "random": RandomController,

@@ -13,16 +13,17 @@ from __future__ import annotations
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, State
+from dmotion_bench.planning.tracking import Outlines, Tracker, believed
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec
 
-COSTS = ("position", "pixel", "feature")
+COSTS = ("position", "tracked", "pixel", "feature")
 MISSING = 0.5
 """What a missing object costs: this share of the frame's width, as a distance."""
 
@@ -63,7 +64,15 @@ class PositionCost:
     def of_frames(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
         """The cost of pictures."""
         seen = self._finder.find(frames)
-        centre, found = seen.centre[:, : self._objects], seen.found[:, : self._objects]
+        return self._of(seen.centre[:, : self._objects], seen.found[:, : self._objects], task)
+
+    def of_looks(self, now: Outlines, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """The cost of what pictures show."""
+        return self._of(now.centre, now.seen, task)
+
+    def _of(
+        self, centre: Float[Tensor, "n k 2"], found: Bool[Tensor, "n k"], task: Int[Tensor, " n"]
+    ) -> Float[Tensor, " n"]:
         squared = (centre - self._centre[task]).square().sum(-1)
         squared = squared.where(found, squared.new_tensor(self._missing**2))
         return torch.where(self._wanted[task], squared, 0.0).sum(-1)
@@ -71,6 +80,33 @@ class PositionCost:
     def __call__(self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
         """The cost of the frames that the states look like."""
         return self.of_frames(to_pixels(model.frame(state)), task)
+
+
+class TrackedCost:
+    """The same distances with objects that are hidden where they are believed to be (``tracking.py``) [px^2].
+
+    An object that is seen now and not in the prediction costs as in ``PositionCost``: it may have been lost.
+
+    Args:
+        spec: Says what the objects look like.
+        known: Where they are now, by all that has been seen.
+        wanted: Where they should be; what the goal image does not show at all does not count.
+    """
+
+    def __init__(self, spec: EnvSpec, known: Outlines, wanted: Outlines) -> None:
+        self._tracker, self._known, self._wanted = Tracker(spec), known, wanted
+        self._missing = float(spec.width * MISSING)
+
+    def of_looks(self, now: Outlines, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """The cost of what pictures show."""
+        known = self._known.of(task)
+        squared = (believed(known, now).centre - self._wanted.centre[task]).square().sum(-1)
+        squared = squared.where(now.seen | ~known.seen, squared.new_tensor(self._missing**2))
+        return torch.where(self._wanted.seen[task], squared.nan_to_num(self._missing**2), 0.0).sum(-1)
+
+    def __call__(self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """The cost of the frames that the states look like."""
+        return self.of_looks(self._tracker.look(to_pixels(model.frame(state))), task)
 
 
 class PixelCost:
@@ -107,16 +143,27 @@ def features_of(model: ForwardModel[Any], state: State) -> Float[Tensor, "b d"]:
     return torch.cat([part.flatten(1).float() for part in parts], dim=1)
 
 
-def make_cost(name: str | None, model: ForwardModel[Any], spec: EnvSpec, goals: UInt8[Tensor, "b h w 3"]) -> Cost:
-    """A cost by its name; None is the paper's for models of pixels, else features.
+def make_cost(
+    name: str | None,
+    model: ForwardModel[Any],
+    spec: EnvSpec,
+    goals: UInt8[Tensor, "b h w 3"],
+    tracked: tuple[Outlines, Outlines] | None = None,
+) -> Cost:
+    """A cost by its name; None is that of object positions for models of pixels, else that of features.
+
+    Args:
+        tracked: Where objects are and where they should be; without it both images are looked at by themselves.
 
     Raises:
         UnknownName: There is no such cost.
     """
     if name is None:
-        name = "position" if model.needs_pixels and spec.objects else "feature"
-    if name == "position":
+        name = "feature" if not (model.needs_pixels and spec.objects) else "position" if tracked is None else "tracked"
+    if name == "position" or (name == "tracked" and tracked is None):
         return PositionCost(spec, goals)
+    if name == "tracked" and tracked is not None:
+        return TrackedCost(spec, *tracked)
     if name == "pixel":
         return PixelCost(goals)
     if name == "feature":

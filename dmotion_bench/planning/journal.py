@@ -66,9 +66,13 @@ class Journal:
         """A journal that keeps nothing."""
         return cls(None, {})
 
+    def all_records(self, problems: Sequence[Problem]) -> dict[int, TaskRecord]:
+        """What is known of each of some tasks."""
+        return {problem.number: self._records.get(problem.number, TaskRecord()) for problem in problems}
+
     def records(self, problems: Sequence[Problem]) -> dict[int, TaskRecord]:
         """What is known of some tasks that are worked on together: all at the same step, or all at the start."""
-        known = {problem.number: self._records.get(problem.number, TaskRecord()) for problem in problems}
+        known = self.all_records(problems)
         if len({len(record.actions) for record in known.values()}) > 1:
             known = {number: TaskRecord() for number in known}
         return known

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -28,6 +29,9 @@ from dmotion_bench.storage.tasks import ControlTask
 @runtime_checkable
 class TaskDataset(Protocol):
     """What planning needs of a ``storage.dataset.Dataset``."""
+
+    @property
+    def path(self) -> Path: ...
 
     @property
     def name(self) -> str: ...

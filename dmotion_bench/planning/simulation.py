@@ -23,8 +23,8 @@ from dmotion_bench.environment import Environment, Restorable
 from dmotion_bench.planning.futures import States
 from dmotion_bench.planning.problems import Problem, World, start
 
-Price = Callable[[UInt8[np.ndarray, "h w 3"]], float]
-"""The cost of a picture."""
+Look = Callable[[UInt8[np.ndarray, "h w 3"]], Any]
+"""What of a picture its cost is made of; it is kept for as long as the task lasts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,13 +35,13 @@ class Place:
         actions: What leads there from the problem's start.
         snapshot: Of the environment, where it can be restored.
         name: Where everything is, bit by bit: places of the same name are the same.
-        cost: Of what is seen there.
+        look: Of what is seen there.
     """
 
     actions: tuple[int, ...]
     snapshot: Any
     name: bytes
-    cost: float
+    look: Any
 
 
 class Simulation:
@@ -50,19 +50,22 @@ class Simulation:
     Args:
         env: Used by nobody else meanwhile.
         problem: Whose start it is brought to.
-        price: The cost of a picture.
+        look: Looks at a picture.
 
     Attributes:
         here: Where the problem's world is.
+        price: The cost of a look, at the present step.
         tried: How many steps were simulated.
     """
 
-    def __init__(self, env: Environment, problem: Problem, price: Price) -> None:
+    price: Callable[[Any], float]
+
+    def __init__(self, env: Environment, problem: Problem, look: Look) -> None:
         self.env, self.problem, self.tried = env, problem, 0
-        self._price = price
+        self._look = look
         self._after: dict[tuple[bytes, int], Place] = {}
         frame = start(env, problem)
-        self.here = self._now = _place(env, (), price(frame))
+        self.here = self._now = _place(env, (), look(frame))
 
     def follow(self, world: World) -> None:
         """Be where the world is."""
@@ -70,7 +73,7 @@ class Simulation:
         if actions == self.here.actions:
             return
         if isinstance(self.env, Restorable):  # a restored state may differ from the true one in its last bits
-            self.here = _place(world.env, actions, np.nan)
+            self.here = _place(world.env, actions, None)
         else:
             for action in actions[len(self.here.actions) :]:
                 self.here = self.step(self.here, action)
@@ -82,10 +85,10 @@ class Simulation:
             self._go(place)
             frame = self.env.step(action)[0]
             self.tried += 1
-            known = self._now = _place(self.env, (*place.actions, action), self._price(frame))
+            known = self._now = _place(self.env, (*place.actions, action), self._look(frame))
             self._after[place.name, action] = known
         if known.actions[:-1] != place.actions:  # the same place, reached on another way
-            known = Place(actions=(*place.actions, action), snapshot=known.snapshot, name=known.name, cost=known.cost)
+            known = Place(actions=(*place.actions, action), snapshot=known.snapshot, name=known.name, look=known.look)
         return known
 
     def _go(self, place: Place) -> None:
@@ -97,14 +100,14 @@ class Simulation:
             start(self.env, self.problem, place.actions)
 
 
-def _place(env: Environment, actions: tuple[int, ...], cost: float) -> Place:
+def _place(env: Environment, actions: tuple[int, ...], look: Any) -> Place:
     agent, objects = env.agent(), env.objects()
     parts = (agent.position, objects.position, objects.orientation)
     return Place(
         actions=actions,
         snapshot=env.snapshot() if isinstance(env, Restorable) else None,
         name=b"".join(np.ascontiguousarray(part).tobytes() for part in parts),
-        cost=cost,
+        look=look,
     )
 
 
@@ -131,8 +134,9 @@ class SimulatorFutures:
         self, states: States, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
     ) -> tuple[States, Float[Tensor, " n"]]:
         """What truly comes next."""
-        first = len(self._places)
+        first, costs = len(self._places), list[float]()
         for number, of_task, taken in zip(states[0].tolist(), task.tolist(), action.tolist(), strict=True):
-            self._places.append(self._simulations[of_task].step(self._places[number], taken))
-        costs = torch.tensor([place.cost for place in self._places[first:]], dtype=torch.float32)
-        return (torch.arange(first, len(self._places)),), costs
+            simulation = self._simulations[of_task]
+            self._places.append(simulation.step(self._places[number], taken))
+            costs.append(simulation.price(self._places[-1].look))
+        return (torch.arange(first, len(self._places)),), torch.tensor(costs, dtype=torch.float32)

@@ -1,57 +1,93 @@
 """Control: how near a model, a planner and a hundred steps bring the objects to where they should be.
 
 A task's figure is its normalised distance: 1 at the start, 0 at the goal, from the simulator's positions, whatever
-the model saw (``planning/problems.py``). ``control_distance[t]`` is the mean over tasks after t steps;
-``control_success`` the share of tasks that end at 0.2 or less, ``control_success[x]`` at x or less;
-``control_lost`` the number of objects that a task loses. Intervals are over the episodes that the tasks come from.
+the model saw (``planning/problems.py``). What becomes of the samples of it stands in ``figures.py``.
 
-The references say what a figure means: ``idle`` (1 by definition), ``random``, ``oracle`` (the same planner with the
-true simulator as its model) and ``scripted`` (rules that read the simulator).
+The references say what a figure means: ``idle`` (1 by definition), ``random``, ``scripted`` (rules that read the
+simulator) and ``oracle`` (the same planner with the true simulator as its model). They depend on the data set alone,
+so what they did is kept in its ``cache/``. The oracle takes much longer than any model: it stands beside a model
+once it has been scored for itself (``dmbench score oracle``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 import torch
 
 from dmotion_bench import __version__
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName
 from dmotion_bench.learning.checkpoint import weights_hash
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.control import (
-    GROUP,
-    STEPS,
-    ControlProgress,
-    ControlResult,
-    ControlSettings,
-    control,
-)
-from dmotion_bench.planning.controllers import Controller, ModelController, make_reference
+from dmotion_bench.planning.control import GROUP, STEPS, ControlProgress, ControlResult, ControlSettings, control
+from dmotion_bench.planning.controllers import REFERENCES, Controller, ModelController, make_reference
+from dmotion_bench.planning.costs import COSTS
 from dmotion_bench.planning.journal import Journal
 from dmotion_bench.planning.planner import DEFAULT_PLANNER, make_planner
-from dmotion_bench.planning.problems import TaskDataset, load_problems, task_environment
-from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
+from dmotion_bench.planning.problems import Moving, TaskDataset, load_problems, task_environment
+from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.samples import SampleRows
 
-READ_AT = (10, 20, 40, 60, 80, 100)
-SUCCESS = 0.2
-THRESHOLDS = (0.1, 0.2, 0.5)
+METRIC: Final = "control"
+QUICK: Final = ("idle", "random", "scripted")
+"""References that take seconds."""
+
+Advance = Callable[[ControlProgress], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlScoring:
+    """What decides the figures of control beside the weights and the data.
+
+    Attributes:
+        tasks: So many of the data set's first tasks; None for all.
+        steps: Actions a task.
+        planner: Of ``planner_names()``; references that do not plan ignore it.
+        cost: Of ``planning.costs.COSTS``; None for what suits the model.
+        seed: Of the planner's random numbers.
+        group: Tasks side by side; it only decides which numbers are rounded together.
+    """
+
+    tasks: int | None = None
+    steps: int = STEPS
+    planner: str = DEFAULT_PLANNER
+    cost: str | None = None
+    seed: int = 0
+    group: int = GROUP
+
+    def __post_init__(self) -> None:
+        if self.tasks is not None and self.tasks < 1:
+            raise InvalidSetting(f"tasks is {self.tasks}; control is scored on 1 or more.")
+        make_planner(self.planner)
+        if self.cost is not None and self.cost not in COSTS:
+            raise UnknownName("cost", self.cost, COSTS)
+
+    def to_json(self) -> dict[str, Any]:
+        """As it stands among a report's settings, flat, with the version of the code that plans."""
+        return {f"{METRIC}_{name}": value for name, value in (asdict(self) | {"code": planning_version()}).items()}
+
+    @classmethod
+    def from_json(cls, settings: Mapping[str, Any]) -> ControlScoring:
+        """What ``to_json`` made, among others."""
+        return cls(**{one.name: settings[f"{METRIC}_{one.name}"] for one in fields(cls)})
 
 
 def score_control(
     model: ForwardModel[Any] | str,
     dataset: TaskDataset,
+    scoring: ControlScoring | None = None,
     *,
-    tasks: Sequence[int] | int | None = None,
-    steps: int = STEPS,
-    planner: str = DEFAULT_PLANNER,
-    cost: str | None = None,
-    seed: int = 0,
-    group: int = GROUP,
     device: torch.device | None = None,
-    progress: Callable[[ControlProgress], None] = lambda _: None,
+    progress: Advance = lambda _: None,
     checkpoint: Path | None = None,
 ) -> ControlResult:
     """Let a model, or a reference, work on the data set's stored tasks.
@@ -59,66 +95,151 @@ def score_control(
     Args:
         model: Aligned, or the name of a reference.
         dataset: With labels; its environment must be installed.
-        tasks: Which; a number asks for the first so many, None for all.
-        steps: Actions a task.
-        planner: Of ``planner_names()``; references that do not plan ignore it.
-        cost: Of ``planning.costs.COSTS``; None for what suits the model.
-        seed: Of the planner's random numbers.
-        group: Tasks side by side.
+        scoring: Which tasks, and how.
         device: Where the model runs.
         progress: Called after every control step.
         checkpoint: A file to go on from after an interruption; it is left there when all is done, so that asking
-            again costs nothing. One that belongs to something else is overwritten.
+            again costs nothing, and asking for more tasks only those. One that belongs to something else is
+            overwritten.
 
     Raises:
         DatasetError: The data set stores no tasks, or this machine's simulator does not repeat the recording.
+        LabelsNotAvailable: It is a recording of something that is not here to be controlled.
         UnknownName: No such task, planner, cost or reference.
     """
-    problems = load_problems(dataset, tasks)
-    settings = ControlSettings(steps=steps, seed=seed, group=group)
-    controller = _controller(model, dataset, planner, cost, device)
-    journal = Journal(
-        checkpoint,
-        {
-            "version": __version__,
-            "dataset": dataset.fingerprint,
-            "who": model if isinstance(model, str) else weights_hash(model.state_dict()),
-            "planner": repr(make_planner(planner)),
-            "cost": cost,
-            "device": "cpu" if device is None else device.type,
-            "tasks": [problem.number for problem in problems],
-            "steps": steps,
-            "seed": seed,
-            "group": group,
-        },
-    )
+    scoring = scoring or ControlScoring()
+    require_tasks(dataset)
+    problems = load_problems(dataset, scoring.tasks)
     return control(
-        controller,
+        _controller(model, dataset, scoring, device),
         problems,
         lambda: task_environment(dataset.recipe),
-        settings,
-        journal=journal,
+        ControlSettings(steps=scoring.steps, seed=scoring.seed, group=scoring.group),
+        journal=Journal(checkpoint, _key(model, dataset, scoring, device)),
         on_progress=progress,
     )
 
 
-def control_figures(result: ControlResult, *, seed: int = 0) -> Mapping[str, Estimate]:
-    """The figures of a report, by their fixed names."""
-    bootstrap = EpisodeBootstrap(np.array(result.episodes), seed=seed)
-    steps = result.distance.shape[1] - 1
-    final = result.distance[:, -1]
-    values = {f"control_distance[{at}]": result.distance[:, at] for at in sorted({*READ_AT, steps}) if at <= steps}
-    values["control_success"] = (final <= SUCCESS).astype(np.float64)
-    values |= {f"control_success[{limit}]": (final <= limit).astype(np.float64) for limit in THRESHOLDS}
-    values["control_lost"] = result.lost[:, -1].astype(np.float64)
-    estimates = {name: bootstrap.mean(samples) for name, samples in values.items()}
-    return {name: estimate for name, estimate in estimates.items() if estimate is not None}
+def score_reference(
+    name: str, dataset: TaskDataset, scoring: ControlScoring | None = None, *, progress: Advance = lambda _: None
+) -> ControlResult:
+    """What a reference does; it is kept in the data set's cache, and interrupted it goes on from there.
+
+    Raises:
+        UnknownName: There is no such reference; else as ``score_control``.
+    """
+    scoring = scoring or ControlScoring()
+    return score_control(name, dataset, scoring, progress=progress, checkpoint=_kept(name, dataset, scoring))
+
+
+def require_tasks(dataset: TaskDataset) -> None:
+    """Say what is missing where control cannot be scored.
+
+    Raises:
+        DatasetError: The data set stores no tasks.
+        LabelsNotAvailable: It is a recording of something that is not here to be controlled.
+    """
+    if dataset.recipe.environment == "imported":
+        raise LabelsNotAvailable(
+            f"{dataset.name!r} was imported, so there is no environment to act in and control cannot be scored; "
+            "leave it out: '--metrics prediction,rollout'."
+        )
+    if not dataset.tasks():
+        load_problems(dataset)
+
+
+def control_tables(
+    model: ForwardModel[Any], dataset: TaskDataset, scoring: ControlScoring, how: Execution, journal: Path | None
+) -> list[pa.Table]:
+    """The samples of a model's control and of the references beside it."""
+
+    def advance(what: str) -> Advance:
+        return lambda progress: how.progress(
+            f"control by {what}" + ("" if np.isnan(progress.distance) else f", distance {progress.distance:.3f}"),
+            progress.steps,
+            progress.total,
+        )
+
+    tables = [
+        control_samples(name, score_reference(name, dataset, scoring, progress=advance(name)))
+        for name in known_references(dataset, scoring)
+    ]
+    result = score_control(
+        model, dataset, scoring, device=how.device, progress=advance("the model"), checkpoint=journal
+    )
+    return [*tables, control_samples(MODEL, result)]
+
+
+def known_references(dataset: TaskDataset, scoring: ControlScoring) -> tuple[str, ...]:
+    """The references that can stand beside a model at once: those that take seconds, and what has been scored."""
+    problems = load_problems(dataset, scoring.tasks)
+
+    def is_done(name: str) -> bool:
+        journal = Journal(_kept(name, dataset, scoring), _key(name, dataset, scoring, None))
+        return all(len(record.actions) >= scoring.steps for record in journal.all_records(problems).values())
+
+    (env := task_environment(dataset.recipe)).close()
+    possible = [name for name in REFERENCES if name != "scripted" or isinstance(env, Moving)]
+    return tuple(name for name in possible if name in QUICK or is_done(name))
+
+
+def control_samples(predictor: str, result: ControlResult) -> pa.Table:
+    """One row for each task and moment, the start among them."""
+    moments = result.distance.shape[1]
+    rows = SampleRows(METRIC, predictor)
+    for place, (task, episode) in enumerate(zip(result.tasks, result.episodes, strict=True)):
+        rows.add(
+            {
+                "episode": np.full(moments, episode),
+                "step": np.full(moments, result.starts[place]),
+                "ahead": np.arange(moments),
+                "action": np.append(result.actions[place], -1),
+                "task": np.full(moments, task),
+                "control_distance": result.distance[place],
+                "control_lost": result.lost[place],
+            }
+        )
+    return rows.table()
 
 
 def _controller(
-    model: ForwardModel[Any] | str, dataset: TaskDataset, planner: str, cost: str | None, device: torch.device | None
+    model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None
 ) -> Controller:
-    chosen = make_planner(planner)
+    planner = make_planner(scoring.planner)
     if isinstance(model, str):
-        return make_reference(model, dataset.spec, lambda: task_environment(dataset.recipe), chosen)
-    return ModelController(model, dataset.spec, chosen, cost=cost, device=device)
+        return make_reference(model, dataset.spec, lambda: task_environment(dataset.recipe), planner, scoring.cost)
+    return ModelController(model, dataset.spec, planner, cost=scoring.cost, device=device)
+
+
+def _key(
+    model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None
+) -> dict[str, Any]:
+    """All that decides what becomes of a task."""
+    return {
+        "code": planning_version(),
+        "dataset": dataset.fingerprint,
+        "who": model if isinstance(model, str) else weights_hash(model.state_dict()),
+        "device": "cpu" if device is None else device.type,
+        "planner": repr(make_planner(scoring.planner)),
+        "cost": scoring.cost,
+        "steps": scoring.steps,
+        "seed": scoring.seed,
+        "group": scoring.group,
+    }
+
+
+def _kept(name: str, dataset: TaskDataset, scoring: ControlScoring) -> Path:
+    key = json.dumps(_key(name, dataset, scoring, None), sort_keys=True)
+    return dataset.path / "cache" / f"control-{name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
+
+
+@cache
+def planning_version() -> str:
+    """The version of dmbench and a hash over the code that plans: what other code did is not gone on with."""
+    digest = hashlib.sha256()
+    package = resources.files("dmotion_bench")
+    files = sorted(package.joinpath("planning").iterdir(), key=lambda file: file.name)
+    for file in (*files, package.joinpath("positions.py")):
+        if file.name.endswith(".py"):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return f"{__version__}+{digest.hexdigest()[:12]}"

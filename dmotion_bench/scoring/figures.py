@@ -17,6 +17,10 @@ from dmotion_bench.scoring.statistics import RESAMPLES, EpisodeBootstrap, Estima
 
 PUSH = "_push"
 ROLLOUT_COLUMNS = ("mse", "position_error", "position_error_paper", "miss_rate")
+SUCCESS = 0.2
+"""Normalised distance at the end of a control task that counts as solved."""
+
+THRESHOLDS = (0.1, 0.2, 0.5)
 
 Figures = dict[str, Estimate]
 
@@ -24,9 +28,10 @@ Figures = dict[str, Estimate]
 def figures_of(samples: pa.Table, predictor: str, *, resamples: int = RESAMPLES, seed: int = 0) -> Figures:
     """Every figure that the samples of a predictor allow; one without a single value is not there."""
     mine = _where(samples, "predictor", predictor)
-    single, rollout = (_where(mine, "metric", metric) for metric in ("prediction", "rollout"))
+    single, rollout, controlled = (_where(mine, "metric", metric) for metric in ("prediction", "rollout", "control"))
     found = _single_steps(single, resamples, seed) if len(single) else {}
-    return found | _rollouts(rollout, resamples, seed)
+    found |= _rollouts(rollout, resamples, seed)
+    return found | _control(controlled, resamples, seed)
 
 
 def _where(samples: pa.Table, name: str, value: str) -> pa.Table:
@@ -63,3 +68,21 @@ def _rollouts(rollout: pa.Table, resamples: int, seed: int) -> Figures:
             if (estimate := bootstrap.mean(values[at])) is not None:
                 found[f"rollout_{name}[{step}]"] = estimate
     return found
+
+
+def _control(samples: pa.Table, resamples: int, seed: int) -> Figures:
+    """The mean distance over tasks after each step, and the shares of those that end near enough."""
+    if not len(samples):
+        return {}
+    ahead, episode = column(samples, "ahead"), column(samples, "episode")
+    distance = column(samples, "control_distance").astype(np.float64)
+    final = ahead == ahead.max()
+    bootstrap = EpisodeBootstrap(episode[final], resamples=resamples, seed=seed)  # rows of a moment: the same tasks
+    steps = range(1, int(ahead.max()) + 1)
+    values = {f"control_distance[{step}]": distance[ahead == step] for step in steps}
+    values["control_success"] = (distance[final] <= SUCCESS).astype(np.float64)
+    for limit in THRESHOLDS:
+        values[f"control_success[{limit}]"] = (distance[final] <= limit).astype(np.float64)
+    values["control_lost"] = column(samples, "control_lost")[final].astype(np.float64)
+    estimates = {name: bootstrap.mean(one) for name, one in values.items()}
+    return {name: estimate for name, estimate in estimates.items() if estimate is not None}

@@ -1,8 +1,8 @@
 """``samples.parquet``: every number that a report's figures are made of, one row a predicted frame.
 
 ================== ==================================================================================
-``metric``         ``"prediction"`` (single steps) or ``"rollout"``
-``predictor``      ``"model"``, or a reference: ``"copy_last"``, ``"agent_moves"``
+``metric``         ``"prediction"`` (single steps), ``"rollout"``, or ``"control"`` (see below)
+``predictor``      ``"model"``, or a reference: ``"copy_last"``, ``"agent_moves"``; in control ``"idle"`` and so on
 ``episode, step``  the action taken at frame ``step`` leads to the predicted frame ``step + 1``
 ``ahead``          predicted so many steps after the last true frame: 1 for single steps
 ``action, pushed`` the recorded action, and whether it moves an object
@@ -14,6 +14,10 @@ figures            as in the report; null where the frame has no value (see ``po
 
 A figure of the report is the mean of its column over the rows of its predictor and metric: all of them, those with
 ``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``.
+
+In control a row is one moment of one task: ``task`` is its number, ``episode`` and ``step`` where it starts, ``ahead``
+how many steps have been taken, ``action`` the next (-1 for none), ``control_distance`` and ``control_lost`` how things
+stand then.
 """
 
 from __future__ import annotations
@@ -40,6 +44,7 @@ IDENTIFICATION_COLUMNS = (
     "mse_true_motion",
     "motion_swap_change",
 )
+CONTROL_COLUMNS = ("task", "control_distance", "control_lost")
 FIGURE_COLUMNS = PIXEL_COLUMNS + POSITION_COLUMNS + OBJECT_COLUMNS + IDENTIFICATION_COLUMNS
 
 SCHEMA = pa.schema(
@@ -56,6 +61,9 @@ SCHEMA = pa.schema(
         ("found", pa.list_(pa.bool_())),
         ("found_truth", pa.list_(pa.bool_())),
         ("motion", pa.list_(pa.float32())),
+        ("task", pa.int32()),
+        ("control_distance", pa.float32()),
+        ("control_lost", pa.int16()),
     ]
 )
 
@@ -120,4 +128,7 @@ def read_samples(path: Path) -> pa.Table:
         OSError, pa.ArrowInvalid: There is none, or it is no such table.
     """
     table: Any = pq.read_table(path)
+    for field in SCHEMA:
+        if field.name not in table.column_names and field.name in CONTROL_COLUMNS:  # of before control was scored
+            table = table.append_column(field, pa.nulls(len(table), field.type))
     return table.cast(SCHEMA)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -19,6 +19,8 @@ from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.triplets import SplitProtocol
+from dmotion_bench.planning.controllers import REFERENCES as CONTROL_REFERENCES
+from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
@@ -41,12 +43,22 @@ from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.versions import versions
 
-Metric = Literal["prediction", "rollout"]
+Metric = Literal["prediction", "rollout", "control"]
 METRICS: tuple[Metric, ...] = get_args(Metric)
+DEFAULT_METRICS: tuple[Metric, ...] = ("prediction", "rollout")
+"""Those that take seconds; control acts in a simulator and takes minutes."""
 
+DECIDES = {"rollout": "horizon", "control": "control_"}
+"""How the settings begin that decide one group of figures alone."""
+
+BESIDE = (*REFERENCES, *CONTROL_REFERENCES)
 REMARKS = {
     "copy_last": "predicts that nothing changes",
     "agent_moves": "moves the agent as it truly moves, and nothing else; what it uncovers is taken from the truth",
+    "idle": "does nothing",
+    "random": "takes any action, each as likely",
+    "scripted": "pushes by rules that read the simulator",
+    "oracle": "plans like the model, with the true simulator in its place",
 }
 
 
@@ -60,6 +72,7 @@ class ScoreSettings:
         horizon: Steps of a rollout.
         precision: Of the model's arithmetic: ``"float32"``, or ``"bf16"`` autocast.
         resamples: Draws of the bootstrap.
+        control: Which control tasks are worked on, and how.
     """
 
     split: SplitName = "test"
@@ -67,10 +80,16 @@ class ScoreSettings:
     horizon: int = 15
     precision: Precision = "float32"
     resamples: int = RESAMPLES
+    control: ControlScoring = field(default_factory=ControlScoring)
 
     def __post_init__(self) -> None:
         if self.horizon < 1:
             raise InvalidSetting(f"the horizon is {self.horizon}; a rollout has at least 1 step.")
+
+    def to_json(self, metrics: tuple[str, ...]) -> dict[str, Any]:
+        """As they stand in a report in which these groups of figures are; flat."""
+        plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "control"}
+        return plain | (self.control.to_json() if "control" in metrics else {}) | {"metrics": list(metrics)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,11 +124,12 @@ def score_model(
     model: ForwardModel[Any],
     dataset: Dataset,
     *,
-    metrics: tuple[Metric, ...] = METRICS,
+    metrics: tuple[Metric, ...] = DEFAULT_METRICS,
     settings: ScoreSettings | None = None,
     how: Execution | None = None,
     references: ReferenceScores | None = None,
     earlier: pa.Table | None = None,
+    journal: Path | None = None,
 ) -> Scores:
     """Score a model on held-out episodes; one that draws no frames (``needs_pixels``) has none to compare.
 
@@ -121,6 +141,7 @@ def score_model(
         how: Batch size, device, progress; the frames of one batch are in memory, and one episode's labels.
         references: Keeps the references' samples for the next model of this process.
         earlier: Samples of groups that are not asked for now; kept.
+        journal: A file in which control keeps how far it is, to go on from there after an interruption.
     """
     settings, how = settings or ScoreSettings(), how or Execution()
     references = references or ReferenceScores()
@@ -130,7 +151,7 @@ def score_model(
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
-        metrics = ()
+        metrics = tuple(metric for metric in metrics if metric == "control")
     identity = (dataset.fingerprint, settings.split, settings.protocol)
     tables = [] if earlier is None else [earlier]
     with predicting(how.device):
@@ -146,22 +167,24 @@ def score_model(
             tables.append(score_steps(model, held_out, how))
         if "rollout" in metrics:
             tables.append(score_rollouts(model, held_out, how, horizon=settings.horizon))
+    if "control" in metrics:
+        tables += control_tables(model, dataset, settings.control, how, journal)
     return _scores(pa.concat_tables(tables) if tables else SCHEMA.empty_table(), settings)
 
 
 def _scores(samples: pa.Table, settings: ScoreSettings) -> Scores:
-    found = {name: figures_of(samples, name, resamples=settings.resamples) for name in (MODEL, *REFERENCES)}
+    found = {name: figures_of(samples, name, resamples=settings.resamples) for name in (MODEL, *BESIDE)}
     return Scores(
         samples=samples,
         figures=found[MODEL],
-        reference={name: found[name] for name in REFERENCES if found[name]},
+        reference={name: found[name] for name in BESIDE if found[name]},
     )
 
 
 def score_run(
     path: Path,
     *,
-    metrics: tuple[Metric, ...] = METRICS,
+    metrics: tuple[Metric, ...] = DEFAULT_METRICS,
     settings: ScoreSettings | None = None,
     how: Execution | None = None,
     references: ReferenceScores | None = None,
@@ -178,6 +201,7 @@ def score_run(
     Raises:
         RunMissing, RunCorrupt: There is no trained run at this path.
         RunMismatch: The data set is not the one that the run was trained on.
+        DatasetError, LabelsNotAvailable: Control is asked for where it cannot be scored.
     """
     run = Run.open(path)
     dataset = Dataset.open(run.dataset_path)
@@ -189,6 +213,8 @@ def score_run(
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
     settings = replace(settings or ScoreSettings(), protocol=protocol)
     folder = run.path / REPORT_FOLDER
+    if "control" in metrics:
+        require_tasks(dataset)  # said before the work, not after it
     if not dataset.spec.actions:
         metrics = ("prediction",)
     held: tuple[str, ...] = ()
@@ -198,20 +224,32 @@ def score_run(
         report, samples = old
         if "rollout" not in metrics:
             settings = replace(settings, horizon=report.settings["horizon"])
+        if "control" not in metrics and "control" in report.settings["metrics"]:
+            settings = replace(settings, control=ControlScoring.from_json(report.settings))
+        said = settings.to_json(METRICS)
         held = tuple(
             metric
             for metric in report.settings["metrics"]
-            if metric != "rollout" or report.settings["horizon"] == settings.horizon
+            if all(said[name] == report.settings[name] for name in said if name.startswith(DECIDES.get(metric, "-")))
         )
         if not renew and set(metrics) <= set(held):
             return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in held)
         kept = samples.filter(pc.is_in(samples["metric"], pa.array(set(held) - set(metrics), pa.string())))
     scores = score_model(
-        run.model, dataset, metrics=metrics, settings=settings, how=how, references=references, earlier=kept
+        run.model,
+        dataset,
+        metrics=metrics,
+        settings=settings,
+        how=how,
+        references=references,
+        earlier=kept,
+        journal=(journal := folder / "control.json"),
     )
     scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*held, *metrics))))
-    return write_report(folder, scored, scores.samples)
+    written = write_report(folder, scored, scores.samples)
+    journal.unlink(missing_ok=True)
+    return written
 
 
 def _still_true(folder: Path, run: Run, settings: ScoreSettings) -> tuple[Report, pa.Table] | None:
@@ -219,12 +257,15 @@ def _still_true(folder: Path, run: Run, settings: ScoreSettings) -> tuple[Report
     report = read_report(folder)
     if report is None or run.result is None:
         return None
-    apart = {"metrics": None, "horizon": None}
+    mine, theirs = (
+        {name: value for name, value in said.items() if not name.startswith(("metrics", *DECIDES.values()))}
+        for said in (settings.to_json(()), report.settings)
+    )
     same = (
         report.weights == run.result["weights"]
         and report.dataset["fingerprint"] == run.spec.fingerprint
         and report.code == code_version()
-        and {**report.settings, **apart} == {**asdict(settings), **apart}
+        and mine == theirs
     )
     samples = read_report_samples(folder, report) if same else None
     return None if samples is None else (report, samples)
@@ -268,7 +309,7 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             "fingerprint": dataset.fingerprint,
         },
         weights=result["weights"],
-        settings={**asdict(settings), "metrics": list(metrics)},
+        settings=settings.to_json(metrics),
         training={
             key: result[key]
             for key in ("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes")

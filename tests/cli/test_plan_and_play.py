@@ -81,6 +81,21 @@ def test_references_are_planned_with_by_name(
     assert again["actions"] == oracle["actions"]
 
 
+def test_references_are_scored_by_name(
+    workspace: Workspace, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["score", "idle", "random", "--metrics", "control", "--tasks", "2"]
+    said = dmbench([*words, "--json"], capsys, monkeypatch)
+    assert (said.code, said.err) == (0, "")
+    idle, random = json.loads(said.out)["reports"]
+    assert (idle["run"], random["run"], idle["dataset"]) == ("idle", "random", "grid")
+    assert idle["figures"]["control_distance[100]"] == {"mean": 1, "std": 0, "low": 1, "high": 1, "n": 2}
+    assert len(list((workspace.data / "grid/cache").glob("control-random-*.json"))) == 1
+    table = dmbench(words, capsys, monkeypatch).out
+    assert "control, distance after 40 steps" in table
+    assert table.count("95% interval") == 2
+
+
 @pytest.mark.parametrize(
     ("words", "code", "sentence"),
     [

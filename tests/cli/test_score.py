@@ -101,7 +101,10 @@ def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
     [
         (["a", "--metrics", "predicton"], UnknownName, "did you mean 'prediction'"),
         (["a", "--metrics", ""], UsageError, "names no group"),
-        (["a", "--metrics", "control"], UsageError, "there is no planner"),
+        (["oracle"], UsageError, "score it with '--metrics control'"),
+        (["a", "oracle", "--metrics", "control"], UsageError, "name no runs beside them"),
+        (["a", "--data", "grid"], UsageError, "--data is for references"),
+        (["a", "--metrics", "control", "--planner", "cen"], UnknownName, "did you mean 'cem'"),
         (["a", "--split", "train"], UnknownName, "known: test, validation"),
         (["a", "--precision", "fp16"], UnknownName, "bf16"),
         (["a", "--device", "tpu"], UnknownName, "did you mean 'cpu'"),

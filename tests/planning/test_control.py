@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import torch
 from planning.worlds import PerfectGridModel
 
 from dmotion_bench.environment import Environment
-from dmotion_bench.errors import DatasetError, ModelContractBroken, UnknownName
+from dmotion_bench.errors import DatasetError, InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.planning.control import ControlProgress, ControlResult, ControlSettings, Scene, control
 from dmotion_bench.planning.controllers import (
     NO_ACTION,
@@ -31,7 +32,8 @@ from dmotion_bench.planning.exhaustive import ExhaustivePlanner
 from dmotion_bench.planning.journal import Journal
 from dmotion_bench.planning.problems import Problem, load_problems, start, task_environment
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.scoring.control import control_figures, score_control
+from dmotion_bench.scoring.control import ControlScoring, control_samples, score_control
+from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from recorders.grid_world import FACTS, GridWorld
@@ -84,7 +86,7 @@ def test_doing_nothing_stays_at_one(problems: list[Problem]) -> None:
     result = solve(IdleController(), problems, steps=5)
     np.testing.assert_array_equal(result.distance, 1)
     np.testing.assert_array_equal(result.actions, NO_ACTION)
-    assert control_figures(result)["control_distance[5]"].mean == 1
+    assert figures_of(control_samples("idle", result), "idle")["control_distance[5]"].mean == 1
 
 
 def test_a_perfect_model_solves_what_random_actions_do_not(problems: list[Problem]) -> None:
@@ -223,23 +225,26 @@ def test_a_killed_run_goes_on_with_the_same_result(
 
 def test_progress_of_something_else_is_not_taken_up(dataset: Dataset, tmp_path: Path) -> None:
     file = tmp_path / "control.json"
-    first = score_control("random", dataset, tasks=2, steps=4, checkpoint=file)
-    assert score_control("random", dataset, tasks=2, steps=4, checkpoint=file).planned == 0
-    assert score_control("random", dataset, tasks=2, steps=4, seed=1, checkpoint=file).planned == 8
+    scoring = ControlScoring(tasks=2, steps=4, group=2)
+    first = score_control("random", dataset, scoring, checkpoint=file)
+    assert score_control("random", dataset, scoring, checkpoint=file).planned == 0
+    more = score_control("random", dataset, replace(scoring, tasks=6), checkpoint=file)
+    assert more.planned == 16  # the first two tasks are done
+    np.testing.assert_array_equal(more.actions[:2], first.actions)
+    assert score_control("random", dataset, replace(scoring, seed=1), checkpoint=file).planned == 8
     for spoilt in ("", "[]", '{"format": "dmbench-control/1"}', file.read_text().replace("distance", "distant")):
         file.write_text(spoilt)
-        again = score_control("random", dataset, tasks=2, steps=4, checkpoint=file)
+        again = score_control("random", dataset, scoring, checkpoint=file)
         assert again.planned == 8
         np.testing.assert_array_equal(again.actions, first.actions)
 
 
 def test_figures_are_means_over_tasks(dataset: Dataset) -> None:
     reports: list[ControlProgress] = []
-    result = score_control("random", dataset, steps=12, progress=reports.append)
-    figures = control_figures(result)
+    result = score_control("random", dataset, ControlScoring(steps=12), progress=reports.append)
+    figures = figures_of(control_samples("random", result), "random")
     assert list(figures) == [
-        "control_distance[10]",
-        "control_distance[12]",
+        *(f"control_distance[{step}]" for step in range(1, 13)),
         "control_success",
         "control_success[0.1]",
         "control_success[0.2]",
@@ -260,7 +265,9 @@ def test_mistakes_get_sentences(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(UnknownName, match="no task named '6'; known: 0 to 5"):
         load_problems(dataset, [6])
     with pytest.raises(UnknownName, match="no planner named 'cen'; did you mean 'cem'"):
-        score_control("random", dataset, planner="cen")
+        ControlScoring(planner="cen")
+    with pytest.raises(InvalidSetting, match="tasks is 0"):
+        ControlScoring(tasks=0)
     record_dataset(tmp_path / "none", DatasetRecipe(environment="grid_world", episodes=2, frames=4))
     with pytest.raises(DatasetError, match="'dmbench record grid_world --tasks 20'"):
         load_problems(Dataset.open(tmp_path / "none"))

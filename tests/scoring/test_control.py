@@ -1,0 +1,171 @@
+"""Control in a run's report: its figures follow from the samples, its references stand beside it, it can be killed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+from torch import Tensor
+
+from dmotion_bench.errors import DatasetError
+from dmotion_bench.learning.run import Run
+from dmotion_bench.planning.control import ControlProgress
+from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.control import ControlScoring, known_references, require_tasks, score_reference
+from dmotion_bench.scoring.prediction import Execution
+from dmotion_bench.scoring.report import Report
+from dmotion_bench.scoring.samples import read_samples
+from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+
+from .conftest import Known
+
+MakeRun = Callable[..., Run]
+SCORING = ControlScoring(tasks=3, steps=3, group=2)
+QUICK = ScoreSettings(horizon=3, resamples=100, control=SCORING)
+
+
+@pytest.fixture(autouse=True)
+def _few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick = partial(CrossEntropyPlanner, samples=3, horizon=2, iterations=1, elites=2)
+    monkeypatch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": quick})
+
+
+@pytest.fixture
+def tasks(tmp_path: Path) -> Dataset:
+    """A Grid World with tasks; its cache is empty."""
+    recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=4)
+    record_dataset(tmp_path / "grid", recipe)
+    return Dataset.open(tmp_path / "grid")
+
+
+@pytest.fixture
+def run(tasks: Dataset, make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    made = make_run(tmp_path / "run", fingerprint=tasks.fingerprint)
+    monkeypatch.setattr(Run, "dataset_path", tasks.path)
+    return made
+
+
+def score(run: Run, *metrics: Any, settings: ScoreSettings = QUICK, **options: Any) -> Report:
+    return score_run(run.path, metrics=metrics or ("control",), settings=settings, **options)
+
+
+def test_figures_follow_from_the_samples_and_references_stand_beside_them(run: Run) -> None:
+    report = score(run)
+    samples = pq.read_table(run.path / "report/samples.parquet")
+    assert set(report.reference) >= {"idle", "random", "scripted"}
+    assert "oracle" not in report.reference
+    assert report.reference["idle"]["control_distance[3]"]["mean"] == 1
+    for predictor, figures in {"model": report.figures, **report.reference}.items():
+        if predictor == "paper":
+            continue
+        rows = samples.filter(pc.equal(samples["predictor"], predictor))
+        assert len(rows) == 3 * 4
+        assert set(rows["metric"].to_pylist()) == {"control"}
+        assert sorted(set(rows["task"].to_pylist())) == [0, 1, 2]
+        for step in range(1, 4):
+            values = rows.filter(pc.equal(rows["ahead"], step))["control_distance"].to_numpy()
+            assert figures[f"control_distance[{step}]"]["mean"] == pytest.approx(values.mean(dtype=float), rel=1e-9)
+            assert figures[f"control_distance[{step}]"]["n"] == 3
+        assert figures["control_success[0.5]"]["mean"] == pytest.approx((values <= 0.5).mean())
+    assert report.settings["control_tasks"] == 3
+    assert not (run.path / "report/control.json").exists()
+
+
+def test_the_oracle_stands_beside_a_model_once_it_is_scored(run: Run, tasks: Dataset) -> None:
+    assert known_references(tasks, SCORING) == ("idle", "random", "scripted")
+    result = score_reference("oracle", tasks, SCORING)
+    assert score_reference("oracle", tasks, SCORING).planned == 0
+    assert known_references(tasks, replace(SCORING, tasks=4)) == ("idle", "random", "scripted")
+    assert score(run).reference["oracle"]["control_distance[3]"]["mean"] == pytest.approx(
+        result.distance[:, 3].mean(), rel=1e-6
+    )
+
+
+class Killed(Exception):
+    """The process is gone."""
+
+
+@pytest.mark.parametrize("dies_at", [2, 5])
+def test_a_killed_scoring_goes_on_to_the_same_report(
+    run: Run, tmp_path: Path, dies_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
+    whole = score(run)
+    planned: list[int] = []
+
+    def note(what: str, done: int, total: int) -> None:
+        if what.startswith("control by the model"):
+            planned.append(done)
+            if len(planned) == dies_at:
+                raise Killed
+
+    with pytest.raises(Killed):
+        score(run, how=Execution(progress=note))
+    assert (run.path / "report/control.json").exists()
+    begun = len(planned)
+    again = score(run, how=Execution(progress=note))
+    assert len(planned) - begun == 6 - dies_at + (dies_at > 3)  # two groups of three steps; a done one reports once
+    assert (again.figures, again.samples) == (whole.figures, whole.samples)
+
+
+def test_control_is_kept_while_it_is_true(run: Run) -> None:
+    asked: list[str] = []
+    how = Execution(progress=lambda what, done, total: asked.append(what.partition(",")[0]))
+    control = {name: one for name, one in score(run).figures.items() if name.startswith("control_")}
+    both = score(run, "prediction", how=how)
+    assert not any(what.startswith("control") for what in asked)
+    assert "mse" in both.figures
+    assert {name: one for name, one in both.figures.items() if name.startswith("control_")} == control
+    assert score(run, "control", how=how, renew=False) == both
+    fewer = replace(QUICK, control=replace(SCORING, tasks=2))
+    assert score(run, "control", how=how, settings=fewer, renew=False).figures["control_lost"]["n"] == 2
+    assert "control by the model" in asked
+
+
+def test_a_model_that_draws_nothing_is_controlled_by_its_features(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Blind(Known):
+        needs_pixels = False
+
+        def frame(self, state: Any) -> Tensor:
+            raise AssertionError("nobody should look")
+
+    monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Blind)
+    report = score(run, "prediction", "control")
+    assert "mse" not in report.figures
+    assert report.figures["control_distance[3]"]["n"] == 3
+
+
+def test_samples_of_before_control_was_scored_can_be_read(run: Run, tmp_path: Path) -> None:
+    score(run, "prediction")
+    table = pq.read_table(run.path / "report/samples.parquet")
+    pq.write_table(table.drop_columns(["task", "control_distance", "control_lost"]), tmp_path / "old.parquet")
+    old = read_samples(tmp_path / "old.parquet")
+    assert old.schema == read_samples(run.path / "report/samples.parquet").schema
+    assert old["control_distance"].null_count == len(old)
+
+
+def test_what_cannot_be_controlled_gets_a_sentence(make_run: MakeRun, tmp_path: Path, grid: Dataset) -> None:
+    with pytest.raises(DatasetError, match="stores no control tasks; record a data set with some"):
+        score_run(make_run(tmp_path / "run").path, metrics=("prediction", "control"))
+    assert not (tmp_path / "run/report").exists()
+    with pytest.raises(DatasetError, match="--tasks"):
+        require_tasks(grid)
+
+
+def test_progress_counts_control_steps(tasks: Dataset) -> None:
+    seen: list[ControlProgress] = []
+    score_reference("random", tasks, SCORING, progress=seen.append)
+    assert (seen[-1].steps, seen[-1].total) == (9, 9)
+    kept = json.loads(next((tasks.path / "cache").glob("control-random-*.json")).read_text())
+    assert np.array([one["distance"] for one in kept["tasks"].values()]).shape == (3, 4)

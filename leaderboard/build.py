@@ -11,6 +11,7 @@ The folder can be copied anywhere, put on any static host, or opened from the di
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -66,7 +67,7 @@ def build(
     Args:
         runs: Scored runs; those that are not are left out, and it is said why.
         given: Entry files, or folders of them.
-        out: The folder; made if need be, its other files are left alone.
+        out: The folder; made if need be. Outdated entries of these runs are taken away, other files left alone.
         on_progress: Told which run is at work, how many are done, and of how many.
 
     Raises:
@@ -85,10 +86,24 @@ def build(
     entries = list({entry.slug: entry for entry in found}.values())
     for entry in entries:
         entry.write(out / ENTRIES)
+    _remove_outdated(out / ENTRIES, entries)
     write_atomically(out / SCHEMA, schema_text().encode())
     write_atomically(out / PAGE, make_page(entries).encode())
     measured = sum(entry.is_measured for entry in entries)
     return Built(page=out / PAGE, measured=measured, published=len(entries) - measured, left_out=left_out)
+
+
+def _remove_outdated(folder: Path, entries: Sequence[Entry]) -> None:
+    """Take away what an earlier building wrote of a run that has been trained or scored otherwise since."""
+    current = {entry.slug for entry in entries}
+    runs = {entry.name for entry in entries if entry.is_measured}
+    for path in folder.glob("*.json"):
+        if path.stem in current:
+            continue
+        with contextlib.suppress(EntryInvalid):  # what is no entry is somebody else's
+            old = read_entry(path)
+            if old.is_measured and old.name in runs and path.stem == old.slug:
+                path.unlink()
 
 
 def _given(paths: Iterable[Path]) -> list[Entry]:

@@ -91,3 +91,22 @@ def test_what_is_no_entry_stops_the_build(tmp_path: Path) -> None:
     with pytest.raises(EntryInvalid, match="holds no entry"):
         build([], [tmp_path / "empty"], tmp_path / "out")
     assert not (tmp_path / "out/index.html").exists()
+
+
+def test_an_outdated_entry_of_a_run_is_taken_away_and_nothing_else(
+    workspace: Workspace, changed: Callable[..., Entry], tmp_path: Path
+) -> None:
+    folder = tmp_path / "out/entries"
+    (run, *_) = [path for path in workspace.all_runs() if path.name == "dmotion-grid_world-tiny-s0"]
+    outdated = changed(weights="2" * 64).write(folder)
+    of_another_run = changed(run="theirs-s0", weights="1" * 64).write(folder)
+    renamed = folder / "kept.json"
+    renamed.write_bytes(outdated.read_bytes())
+    (folder / "notes.json").write_text("mine")
+
+    build([run], [], tmp_path / "out")
+
+    assert not outdated.exists()
+    assert of_another_run.exists()
+    assert renamed.exists()
+    assert (folder / "notes.json").read_text() == "mine"

@@ -7,6 +7,7 @@
       metrics.jsonl       a row every few steps: losses, learning rate, triplets/s; a row a validation
       last.safetensors    all that resuming needs
       best.safetensors    the weights that validated best, with the actions aligned once training is done
+      samples/            pictures of what the model predicted at each validation
       report/             written by ``dmbench score``
 """
 

@@ -11,19 +11,22 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import UInt8
 from torch.utils.flop_counter import FlopCounterMode
 
 from dmotion_bench.benchmarks import machine
 from dmotion_bench.errors import UnknownName
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ModelInputs, TrainingConfig, TripletBatch
-from dmotion_bench.learning.optimization import autocast, make_optimizer
+from dmotion_bench.learning.optimization import autocast, has_bf16, make_optimizer
 from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.planning.speed import measure_one_by_one, measure_planning
+from dmotion_bench.positions import PositionFinder
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.recording.speed import measure_recording
-from dmotion_bench.registry import environment_names, model_class, model_names
-from dmotion_bench.specs import Preset, Supervision
+from dmotion_bench.registry import environment_class, environment_names, model_class, model_names
+from dmotion_bench.specs import EnvSpec, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 
 SIZE = 128
@@ -68,6 +71,11 @@ def measure(only: str, seconds: float, announce: Callable[[str], None]) -> Itera
             works[f"train[{name}-{arch}]"] = partial(training, name, arch, None, seconds)
     if "dmotion" in model_names():
         works["train[dmotion-paper-reference]"] = partial(training, "dmotion", "paper", ORIGINAL, seconds)
+    for name in model_names():
+        works[f"plan[{name}]"] = partial(planning, name, seconds, together=True)
+    if "dmotion" in model_names():
+        works["plan[dmotion-one-by-one]"] = partial(planning, "dmotion", seconds, together=False)
+    works["find_centres"] = partial(finding, seconds)
     chosen = {name: work for name, work in works.items() if only in name}
     if not chosen:
         raise UnknownName("speed", only, works)
@@ -147,6 +155,54 @@ def training(name: str, arch: str, config: TrainingConfig | None, seconds: float
         limit=machine.matrix_products(config.precision) / flops if flops else None,
         limit_name="matrix products alone, all cores",
     )
+
+
+def planning(name: str, seconds: float, *, together: bool) -> Result:
+    """Control steps a second of the paper's planner: as the control loop takes them, or candidate by candidate."""
+    kind, images = model_class(name), _frames()
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        model = kind(kind.configure(kind.architectures[0]), ModelInputs(height=SIZE, width=SIZE, actions=4))
+    model = model.to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    with FlopCounterMode(display=False) as counter, torch.inference_mode():
+        image = to_model(torch.from_numpy(images[:1]))
+        model.advance(model.begin(image, image), torch.zeros(1, dtype=torch.long))
+    speed = (measure_planning if together else measure_one_by_one)(model, _environment_facts(), images, seconds)
+    flops = counter.get_total_flops() * speed.frames / speed.steps
+    precision = "bf16" if has_bf16(torch.device("cpu")) else "float32"
+    return Result(
+        name=f"plan[{name}{'' if together else '-one-by-one'}]",
+        value=speed.steps_per_s,
+        unit="control steps/s",
+        limit=machine.matrix_products(precision) / flops if flops else None,
+        limit_name="matrix products alone, all cores",
+    )
+
+
+def finding(seconds: float) -> Result:
+    """Pictures a second in which every object's centre is found."""
+    finder, images = PositionFinder(_environment_facts()), torch.from_numpy(_frames())
+    return Result(
+        name="find_centres",
+        value=machine.rate(lambda: finder.find(images), len(images), seconds),
+        unit="images/s",
+        limit=machine.memory_copy() / images[0].numpy().nbytes,
+        limit_name="memory copy, one core",
+    )
+
+
+def _environment_facts() -> EnvSpec:
+    return environment_class("grid_world")().facts
+
+
+def _frames() -> UInt8[np.ndarray, "n h w 3"]:
+    """Some pictures of Grid World."""
+    with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
+        record_dataset(
+            Path(folder) / "data", replace(recipe_for("grid_world", Preset.TINY, tasks=0), episodes=2, frames=32)
+        )
+        dataset = Dataset.open(Path(folder) / "data")
+        return np.concatenate([dataset.video(episode) for episode in range(2)])
 
 
 def _noise(size: int, labelled: bool) -> TripletBatch:

@@ -16,6 +16,8 @@ from dmotion_bench.errors import DmbenchError, PackageNotInstalled
 from dmotion_bench.recording.executor import ATTEMPTS, Job, Result, available_workers, killed_too_often
 
 _USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
+_MORE_MACHINES: Final = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""0, on any system: a Ray of this machine alone, whose servers listen on the loopback address and on no other."""
 _KNOCK: Final = 10.0  # [s]
 
 
@@ -31,6 +33,8 @@ class RayExecutor:
 
     def __init__(self, workers: int | None = None) -> None:
         os.environ.setdefault(_USAGE_STATISTICS, "0")  # Ray would report to its makers; read when it is imported
+        if "RAY_ADDRESS" not in os.environ:
+            os.environ.setdefault(_MORE_MACHINES, "0")
         try:
             import ray
         except ImportError as error:

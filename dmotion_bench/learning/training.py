@@ -319,5 +319,7 @@ class _Trainer:
 
 
 def _chunks(total: int, size: int) -> Iterator[Int[np.ndarray, " b"]]:
-    for start in range(0, total, size):
-        yield np.arange(start, min(start + size, total))
+    """Batches that each span the whole set: losses that compare a batch's members must not get neighbours alone."""
+    count = math.ceil(total / size)
+    for start in range(count):
+        yield np.arange(start, total, count)

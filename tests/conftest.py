@@ -1,11 +1,15 @@
-"""Shape annotations are checked while the tests run, and only then."""
+"""Shape annotations are checked while the tests run, and only then; Ctrl-C reaches the commands that tests start."""
 
 from __future__ import annotations
+
+import signal
 
 import torch
 from jaxtyping import install_import_hook
 
 torch.set_num_threads(1)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job; children would inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _hook = install_import_hook(
     [

@@ -25,11 +25,19 @@ ACTION_COLORS: tuple[Color, ...] = (
 GONE: Color = (90, 90, 90)
 SEVERAL: Color = (150, 150, 150)
 BACKGROUND: Color = (30, 30, 34)
+LEAST_BRIGHTNESS = 110
+"""Of a thing's brightest channel, 0-255, so that it is seen before the background and in Rerun's dark views."""
 
 
 def plain(name: str) -> str:
     """A name in plain words: ``red_circle`` as ``red circle``."""
     return name.replace("_", " ")
+
+
+def brightened(color: Color) -> Color:
+    """A colour as it is, a dark one lifted toward white as far as ``LEAST_BRIGHTNESS``."""
+    red, green, blue = (channel + max(0, LEAST_BRIGHTNESS - max(color)) for channel in color)
+    return red, green, blue
 
 
 def classes_of(spec: EnvSpec) -> list[int]:
@@ -39,8 +47,9 @@ def classes_of(spec: EnvSpec) -> list[int]:
 
 def log_legend(recording: rr.RecordingStream, spec: EnvSpec) -> None:
     """Name and colour every mask value, for masks, dots and trails alike."""
-    known = [(MASK_BACKGROUND, "background", BACKGROUND), (MASK_AGENT, plain(spec.agent.name), spec.agent.color)]
-    known += [(MASK_FIRST_OBJECT + number, plain(it.name), it.color) for number, it in enumerate(spec.objects)]
+    things = [(MASK_AGENT, spec.agent), *enumerate(spec.objects, start=MASK_FIRST_OBJECT)]
+    known = [(MASK_BACKGROUND, "background", BACKGROUND)]
+    known += [(number, plain(thing.name), brightened(thing.color)) for number, thing in things]
     recording.log("/", rr.AnnotationContext(known), static=True)
 
 

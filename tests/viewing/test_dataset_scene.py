@@ -13,6 +13,7 @@ from rrd_contents import lane, layout_of, read, rgba, static, tabs_of, values
 from dmotion_bench.specs import MASK_AGENT
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.dataset import dataset_scene
+from dmotion_bench.viewing.labels import brightened
 from dmotion_bench.viewing.scene import write_scene
 
 EPISODE = 3
@@ -51,6 +52,13 @@ def test_masks_and_their_legend_have_the_objects_own_colours(dataset: Dataset, w
     }
     for number, thing in ((1, SPEC.agent), (2, SPEC.objects[0]), (3, SPEC.objects[1])):
         assert known[number]["color"] == rgba(thing.color)
+
+
+@pytest.mark.parametrize(
+    ("color", "shown"), [((35, 35, 40), (105, 105, 110)), ((0, 200, 0), (0, 200, 0)), ((0, 0, 0), (110, 110, 110))]
+)
+def test_dark_things_are_lifted_from_the_dark(color, shown) -> None:
+    assert brightened(color) == shown
 
 
 def test_rings_are_around_the_things_and_gone_ones_have_none(dataset: Dataset, written: Path) -> None:

@@ -25,6 +25,7 @@ from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from leaderboard.comparison import scored, sums_by_episode
+from leaderboard.control import actions_of
 from leaderboard.entry import FORMAT, REPORT_FIELDS, Entry, published_entry, read_entries, read_entry, schema_text
 from leaderboard.layout import ENTRIES, PAGE, SCHEMA
 from leaderboard.page import make_page
@@ -143,7 +144,7 @@ def entry_of_run(path: Path, *, earlier: Path | None = None) -> Entry:
     stored = json.loads((path / REPORT_FOLDER / REPORT_FILE).read_text())
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
     content |= {name: stored[name] for name in REPORT_FIELDS}
-    content |= {"by_episode": sums_by_episode(samples), "pictures": []}
+    content |= {"by_episode": sums_by_episode(samples), "control": actions_of(samples), "pictures": []}
     entry = Entry(content)
     old = _standing(earlier, entry)
     if old is not None:

@@ -5,8 +5,9 @@ In this order:
 1. the run of this workspace whose weights have the entry's hash, and what it says of itself (``sources.py``);
 2. the data set that has the entry's fingerprint: every file's hash, and the frame cache against the video;
 3. the run's stored samples: their hash; the figures and the sums by episode, computed from them once more;
-4. the weights' own hash, and the held-out episodes scored anew: sample by sample, then figure by figure;
-5. the pictures, predicted anew.
+4. control: the actions repeated in the simulator, and some of them planned anew (``control.py``);
+5. the weights' own hash, and the held-out episodes scored anew: sample by sample, then figure by figure;
+6. the pictures, predicted anew.
 
 What cannot be shown so: that the training used the seed and the labels that it says, how long it took, and which
 packages were installed. That takes training again; a run is reproducible from its ``run.json`` and its data set.
@@ -39,11 +40,14 @@ from dmotion_bench.scoring.score import (
     code_version,
     score_model,
 )
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import file_facts
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.comparison import sums_by_episode
+from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.control import check_control
 from leaderboard.entry import Entry, published_entry, read_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, identity, take_pictures
@@ -109,19 +113,34 @@ def check_entry(
         return check.verdict()
     if samples is not None:
         _against_samples(check, samples, asked)
-    if not settings.score:
-        check.remarks.append("not scored anew")
-        return check.verdict()
-    metrics = tuple(metric for metric in DEFAULT_METRICS if metric in entry.content["settings"]["metrics"])
+    how = how or Execution()
     try:
-        scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, references=references)
-        _same_scores(check, scores)
-        if samples is not None:
-            _same_samples(check, samples, scores.samples, settings.differing)
-            _same_pictures(check, take_pictures(run, dataset, scores.samples))
+        if settings.score:
+            _score_anew(check, run, dataset, samples, asked, settings, how, references)
+        else:
+            check.remarks.append("not scored anew")
+        check_control(check, run, dataset, samples, anew=settings.score, differing=settings.differing, how=how)
     except DmbenchError as error:
         check.wrong.append(f"scoring anew fails: {error}")
     return check.verdict()
+
+
+def _score_anew(
+    check: Findings,
+    run: Run,
+    dataset: Dataset,
+    samples: pa.Table | None,
+    asked: ScoreSettings,
+    settings: CheckSettings,
+    how: Execution,
+    references: ReferenceScores | None,
+) -> None:
+    metrics = tuple(metric for metric in DEFAULT_METRICS if metric in check.entry.content["settings"]["metrics"])
+    scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, references=references)
+    _same_scores(check, scores)
+    if samples is not None:
+        _same_samples(check, samples, scores.samples, settings.differing)
+        _same_pictures(check, take_pictures(run, dataset, scores.samples))
 
 
 def check_paths(
@@ -221,14 +240,15 @@ def _stored_samples(check: Findings, run: Run) -> pa.Table | None:
 def _against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings) -> None:
     """Every figure, computed from the stored samples."""
     content = check.entry.content
-    everything = {MODEL: content["figures"], **{key: {} for key in REFERENCES}, **content["reference"]}
+    stored = np.unique(column(samples, "predictor").astype(str)).tolist()
+    everything = {**{name: {} for name in (*REFERENCES, *stored)}, **content["reference"], MODEL: content["figures"]}
     for predictor, said in everything.items():
         if predictor == "paper":
             continue
         found = figures_of(samples, predictor, resamples=settings.resamples)
         mine = {name: one.to_json() for name, one in found.items()}
         where = "figures" if predictor == MODEL else f"reference.{predictor}"
-        check.expect_figures(f"{where}, from the samples", _without_control(said, mine), mine)
+        check.expect_figures(f"{where}, from the samples", said, mine)
     said, ours = content["by_episode"], sums_by_episode(samples)
     if said.keys() != ours.keys() or not all(_same_sums(said[name], ours[name]) for name in ours):
         check.wrong.append("by_episode: other sums than those of the samples")
@@ -247,16 +267,9 @@ def _same_scores(check: Findings, scores: Scores) -> None:
         everything[f"reference.{name}"] = (content["reference"].get(name, {}), figures)
     for where, (said, figures) in everything.items():
         mine = {name: one.to_json() for name, one in figures.items()}
-        kept = _without_control(said, mine)
-        check.expect_figures(f"{where}, scored anew", kept, mine, ROUNDING, means_only=True)
-        if len(kept) < len(said):
-            check.remarks.append(f"{where}: {len(said) - len(kept)} figures of control are not scored anew")
+        others = {name: figure for name, figure in said.items() if not name.startswith(CONTROLLED)}
+        check.expect_figures(f"{where}, scored anew", others, mine, ROUNDING, means_only=True)
     check.figures = len(scores.figures)
-
-
-def _without_control(said: Mapping[str, Any], mine: Mapping[str, Any]) -> dict[str, Any]:
-    """The figures but for those of control, which take a simulator and minutes."""
-    return {name: figure for name, figure in said.items() if name in mine or not name.startswith("control_")}
 
 
 def _same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing: float) -> None:

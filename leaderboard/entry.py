@@ -1,7 +1,8 @@
 """An entry of the leaderboard: one result, as one JSON file that conforms to ``schema.json``.
 
-A measured entry is a run's report word for word, and with it what a page or a comparison needs and a report leaves
-to other files: the errors by episode, so that two entries can be compared on the same triplets, and a few pictures.
+A measured entry is a run's report word for word, and with it what a page, a comparison or a check needs and a report
+leaves to other files: the errors by episode, so that two entries can be compared on the same triplets, the actions of
+control, and a few pictures.
 A published entry is a row of somebody's table.
 
 Entries come from anybody. A file is read up to a limit, checked against the schema, and nothing in it is taken for a

@@ -1,0 +1,279 @@
+"""Do the figures of control hold? The actions that were taken are taken again.
+
+An entry holds the actions of whoever planned, task by task (``actions_of``). The simulator is exact: the same actions
+from the same start give the same places, so the distances follow from the actions without any model, and the figures
+from the distances. That the model chose these actions, and nobody else, shows where it is asked again: the first
+steps of one group of tasks are planned anew from the weights, each from where the entry's own actions have led.
+References that take seconds are scored anew as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import torch
+
+from dmotion_bench.learning.run import Run
+from dmotion_bench.planning.control import ControlProgress, ControlResult, ControlSettings, control
+from dmotion_bench.planning.controllers import Controller, Decision, ModelController, Seen
+from dmotion_bench.planning.planner import make_planner
+from dmotion_bench.planning.problems import Moving, Problem, World, load_problems, task_environment
+from dmotion_bench.scoring.control import QUICK, ControlScoring, control_samples, planning_version, score_control
+from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.samples import column
+from dmotion_bench.storage.dataset import Dataset
+from leaderboard.verdict import SHOWN, Findings, short
+
+METRIC: Final = "control"
+FIGURES: Final = "control_"
+"""How the names of control's figures and settings begin."""
+
+PLANNED: Final = 3
+"""Steps of a group of tasks that are planned anew."""
+
+MOST_STEPS: Final = 1000
+MOST_GROUP: Final = 64
+ROUNDING: Final = 1e-4
+"""Relative and absolute; between the distances of two simulations, kept as float32."""
+
+
+def actions_of(samples: pa.Table) -> dict[str, list[dict[str, Any]]]:
+    """What was done in each task by all who planned, as an entry holds it; the quick references can be had anew."""
+    rows = _of(samples, METRIC, "metric")
+    planned = [name for name in np.unique(rows["predictor"].to_numpy(zero_copy_only=False)) if name not in QUICK]
+    return {name: list(_tasks(_of(rows, name, "predictor"))) for name in planned}
+
+
+def _tasks(rows: pa.Table) -> Iterator[dict[str, Any]]:
+    task, ahead, action = (column(rows, name) for name in ("task", "ahead", "action"))
+    for number in np.unique(task).tolist():
+        mine = np.flatnonzero(task == number)
+        taken = action[mine[np.argsort(ahead[mine])]][:-1]  # behind the last moment stands no action
+        yield {"task": int(number), "actions": " ".join(str(int(one)) for one in taken)}
+
+
+def check_control(
+    check: Findings,
+    run: Run,
+    dataset: Dataset,
+    samples: pa.Table | None,
+    *,
+    anew: bool,
+    differing: float,
+    how: Execution,
+) -> None:
+    """Hold everything that an entry says of control against the simulator, and against its model if so asked.
+
+    Args:
+        check: Takes down what is found.
+        run: Has the entry's weights.
+        dataset: Has its tasks.
+        samples: Those of the run's report, if they are there.
+        anew: Whether to plan, and to score the quick references, anew.
+        differing: Share of the actions that may be planned otherwise, on another kind of processor.
+        how: Device and progress.
+
+    Raises:
+        DatasetError, LabelsNotAvailable: The tasks cannot be worked on here.
+    """
+    content = check.entry.content
+    if METRIC not in content["settings"]["metrics"]:
+        if content[METRIC]:
+            check.wrong.append("control: the entry holds actions, and says that control was not scored")
+        return
+    scoring = _scoring(check)
+    if scoring is None:
+        return
+    problems = load_problems(dataset, scoring.tasks)
+    found = dict[str, pa.Table]()
+    for name in sorted({MODEL, *content[METRIC]}):
+        actions = _actions(check, name, problems, scoring.steps, len(dataset.spec.actions))
+        if actions is None:
+            continue
+        repeater = _Repeater(actions)
+        result = _control(repeater, problems, dataset, scoring, how, f"control by {name}, again")
+        found[name] = control_samples(name, result)
+        if name == MODEL and anew:
+            _plan_anew(check, run, dataset, problems, scoring, actions, differing, how)
+    if anew:
+        found |= {name: _reference(name, dataset, scoring, how) for name in _quick(dataset)}
+    else:
+        check.remarks.append("control: the simulator repeated the actions, nothing was planned anew")
+    for name, table in found.items():
+        _same_figures(check, name, table)
+        if samples is not None:
+            _same_rows(check, name, _of(_of(samples, METRIC, "metric"), name, "predictor"), table)
+
+
+def _scoring(check: Findings) -> ControlScoring | None:
+    """How control was scored; None where what the entry says of it cannot be."""
+    given = check.entry.content["settings"]
+    allowed: dict[str, Callable[[Any], bool]] = {
+        "tasks": lambda value: value is None or (type(value) is int and value >= 1),
+        "steps": lambda value: type(value) is int and 1 <= value <= MOST_STEPS,
+        "planner": lambda value: isinstance(value, str),
+        "cost": lambda value: value is None or isinstance(value, str),
+        "seed": lambda value: type(value) is int and value >= 0,
+        "group": lambda value: type(value) is int and 1 <= value <= MOST_GROUP,
+    }
+    wrong = [FIGURES + name for name, is_fine in allowed.items() if not is_fine(given.get(FIGURES + name, ()))]
+    if wrong:
+        check.wrong += [f"settings.{name} is {short(given.get(name))}, which cannot be" for name in wrong]
+        return None
+    if given.get(f"{FIGURES}code") != planning_version():
+        check.wrong.append(
+            f"control: it was planned by {short(given.get(f'{FIGURES}code'))}, this is {planning_version()!r}; "
+            "score the run again, or check with the dmbench that scored it"
+        )
+    return ControlScoring.from_json(given)
+
+
+def _actions(
+    check: Findings, name: str, problems: Sequence[Problem], steps: int, known: int
+) -> dict[int, list[int]] | None:
+    """The entry's actions by task; None where they cannot be those of the tasks."""
+    said = {one["task"]: one["actions"].split() for one in check.entry.content[METRIC].get(name, ())}
+    if list(said) != [problem.number for problem in problems]:
+        check.wrong.append(f"control of {name}: the actions are those of other tasks than the first {len(problems)}")
+        return None
+    actions = {task: [int(one) for one in taken] for task, taken in said.items()}
+    if any(len(taken) != steps or not all(-1 <= one < known for one in taken) for taken in actions.values()):
+        check.wrong.append(f"control of {name}: a task has not {steps} actions of {known}")
+        return None
+    return actions
+
+
+def _same_figures(check: Findings, name: str, table: pa.Table) -> None:
+    """The figures and sums that follow from the actions."""
+    content = check.entry.content
+    said = content["figures"] if name == MODEL else content["reference"].get(name, {})
+    resamples = content["settings"]["resamples"]
+    mine = {figure: one.to_json() for figure, one in figures_of(table, name, resamples=resamples).items()}
+    where = "figures" if name == MODEL else f"reference.{name}"
+    own = {figure: value for figure, value in said.items() if figure.startswith(FIGURES)}
+    check.expect_figures(f"{where}, from the actions", own, mine, ROUNDING)
+    if name == MODEL:
+        check.figures += len(mine)
+
+
+def _same_rows(check: Findings, name: str, stored: pa.Table, found: pa.Table) -> None:
+    """Moment by moment: the actions, and how things stood."""
+    stored, found = (table.sort_by([("task", "ascending"), ("ahead", "ascending")]) for table in (stored, found))
+    keys, others = (np.stack([column(table, key) for key in ("task", "ahead")], axis=1) for table in (stored, found))
+    if not np.array_equal(keys, others):
+        check.wrong.append(f"samples: the stored control of {name} is of other tasks")
+        return
+    check.samples += len(found)
+    wrong = np.zeros(len(found), np.bool_)
+    for part in ("episode", "step", "action", "control_lost"):
+        wrong |= column(stored, part) != column(found, part)
+    said, mine = (column(table, "control_distance").astype(np.float64) for table in (stored, found))
+    wrong |= ~np.isclose(said, mine, rtol=ROUNDING, atol=ROUNDING)
+    if wrong.any():
+        places = "; ".join(f"task {task}, step {step}" for task, step in keys[wrong][:SHOWN].tolist())
+        check.wrong.append(f"samples: {int(wrong.sum())} of the control of {name} are not what happens: {places}")
+
+
+def _plan_anew(
+    check: Findings,
+    run: Run,
+    dataset: Dataset,
+    problems: Sequence[Problem],
+    scoring: ControlScoring,
+    actions: Mapping[int, Sequence[int]],
+    differing: float,
+    how: Execution,
+) -> None:
+    """Ask the model for the first actions of a group; the weights decide which, so that nobody chooses it."""
+    groups = range(0, len(problems), scoring.group)
+    first = groups[int(check.entry.content["weights"][:8], 16) % len(groups)]
+    group = problems[first : first + scoring.group]
+    weights = run.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    planner = make_planner(scoring.planner)
+    model = ModelController(weights, dataset.spec, planner, cost=scoring.cost, device=how.device)
+    witness = _Repeater(actions, model)
+    few = ControlScoring(steps=min(PLANNED, scoring.steps), seed=scoring.seed, group=scoring.group)
+    _control(witness, group, dataset, few, how, "control, planned anew")
+    if len(witness.otherwise) > differing * witness.asked:
+        check.wrong.append(
+            f"control: {len(witness.otherwise)} of {witness.asked} actions are not the model's: "
+            + "; ".join(witness.otherwise[:SHOWN])
+        )
+    elif witness.otherwise:
+        check.remarks.append(f"control: {len(witness.otherwise)} of {witness.asked} actions were planned otherwise")
+
+
+class _Repeater:
+    """Takes the actions that were taken before, and may ask a controller at each step what it would do.
+
+    Args:
+        actions: By task.
+        asked_too: Asked in vain: its action is compared, not taken, so that one that was rounded otherwise does not
+            lead all that follow elsewhere.
+
+    Attributes:
+        asked: How often.
+        otherwise: Where it would have acted otherwise.
+    """
+
+    def __init__(self, actions: Mapping[int, Sequence[int]], asked_too: Controller | None = None) -> None:
+        self._actions, self._controller = actions, asked_too
+        self.asked, self.otherwise = 0, list[str]()
+
+    def act(self, seen: Seen) -> Decision:
+        """Not without knowing which task it is."""
+        raise TypeError("which actions were taken depends on the task")
+
+    def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
+        """What was done at this step."""
+        taken = np.array([self._actions[world.problem.number][seen.step] for world in worlds])
+        if self._controller is None:
+            return Decision(action=taken)
+        wanted = self._controller.act(seen)
+        for world, one, other in zip(worlds, taken.tolist(), wanted.action.tolist(), strict=True):
+            self.asked += 1
+            if one != other:
+                self.otherwise.append(f"task {world.problem.number}, step {seen.step}: {one}, and it plans {other}")
+        return Decision(action=taken, plan=wanted.plan)
+
+
+def _control(
+    controller: Controller,
+    problems: Sequence[Problem],
+    dataset: Dataset,
+    scoring: ControlScoring,
+    how: Execution,
+    what: str,
+) -> ControlResult:
+    settings = ControlSettings(steps=scoring.steps, seed=scoring.seed, group=scoring.group)
+
+    def make_env() -> Any:
+        return task_environment(dataset.recipe)
+
+    return control(controller, problems, make_env, settings, on_progress=_told(what, how))
+
+
+def _reference(name: str, dataset: Dataset, scoring: ControlScoring, how: Execution) -> pa.Table:
+    """A quick reference, scored anew: what is kept of it in the data set's cache is nobody's word."""
+    return control_samples(
+        name, score_control(name, dataset, scoring, progress=_told(f"control by {name}", how), checkpoint=None)
+    )
+
+
+def _told(what: str, how: Execution) -> Callable[[ControlProgress], None]:
+    return lambda progress: how.progress(what, progress.steps, progress.total)
+
+
+def _quick(dataset: Dataset) -> list[str]:
+    """The references that take seconds and can act in this environment."""
+    (env := task_environment(dataset.recipe)).close()
+    return [name for name in QUICK if name != "scripted" or isinstance(env, Moving)]
+
+
+def _of(table: pa.Table, value: str, name: str) -> pa.Table:
+    return table.filter(pc.equal(table[name], value))

@@ -1,0 +1,220 @@
+"""What an entry says of control is held against the simulator and the model; whatever is changed in it is found."""
+
+from __future__ import annotations
+
+import copy
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from dmotion_bench.learning.run import Run
+from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.control import ControlScoring, score_reference
+from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.report import read_report, write_report
+from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.workspace import Workspace
+from leaderboard.build import entry_of_run
+from leaderboard.check import CheckSettings, check_entry
+from leaderboard.entry import Entry
+
+from .conftest import Brighter, write_run
+
+SCORING = ControlScoring(tasks=3, steps=5, group=2)
+QUICK = CheckSettings(score=False)
+RUN = "dmotion-pushed-tiny-s0"
+Rows = list[dict[str, Any]]
+
+
+def _few_candidates(patch: pytest.MonkeyPatch) -> None:
+    quick = partial(CrossEntropyPlanner, samples=4, horizon=2, iterations=1, elites=2)
+    patch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": quick})
+    patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Brighter)
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    _few_candidates(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def controlled(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """A run scored for control, the oracle beside it; read only."""
+    workspace = Workspace(tmp_path_factory.mktemp("controlled"))
+    recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=4)
+    record_dataset(workspace.data / "pushed-tiny", recipe)
+    dataset = Dataset.open(workspace.data / "pushed-tiny")
+    with pytest.MonkeyPatch.context() as patch:
+        _few_candidates(patch)
+        run = write_run(workspace, dataset, RUN, offset=0.0)
+        score_reference("oracle", dataset, SCORING)
+        score_run(run.path, metrics=("control",), settings=ScoreSettings(resamples=100, control=SCORING))
+    return workspace
+
+
+@pytest.fixture
+def entry(controlled: Workspace) -> Entry:
+    return entry_of_run(controlled.runs / RUN)
+
+
+def _content(entry: Entry) -> dict[str, Any]:
+    return copy.deepcopy(dict(entry.content))
+
+
+def test_a_sound_entry_holds(controlled: Workspace, entry: Entry) -> None:
+    thorough, quick = (check_entry(entry, controlled, settings) for settings in (CheckSettings(), QUICK))
+
+    assert (thorough.findings, quick.findings) == ((), ())
+    assert thorough.figures == len(entry.figures) == 5 + 1 + 3 + 1  # distances, successes, lost
+    assert thorough.samples == (5 + 1) * 3 * 5  # moments, tasks; the model, the oracle, three quick references
+    assert set(entry.content["control"]) == {"model", "oracle"}
+
+
+def _other_action(content: dict[str, Any], who: str, task: int, step: int) -> None:
+    taken = content["control"][who][task]["actions"].split()
+    taken[step] = str((int(taken[step]) + 1) % 4)
+    content["control"][who][task]["actions"] = " ".join(taken)
+
+
+@pytest.mark.parametrize("who", ["model", "oracle"])
+@pytest.mark.parametrize("step", [0, 4])
+def test_a_changed_action_is_found(controlled: Workspace, entry: Entry, who: str, step: int) -> None:
+    content = _content(entry)
+    _other_action(content, who, 2, step)
+
+    findings = check_entry(Entry(content), controlled, QUICK).findings
+    assert any(f"of the control of {who} are not what happens: task 2, step {step}" in one for one in findings)
+
+
+@pytest.mark.parametrize("who", ["model", "oracle", "random"])
+@pytest.mark.parametrize("figure", ["control_distance[1]", "control_distance[5]", "control_success", "control_lost"])
+def test_a_changed_figure_is_found(controlled: Workspace, entry: Entry, who: str, figure: str) -> None:
+    content = _content(entry)
+    figures = content["figures"] if who == "model" else content["reference"][who]
+    figures[figure]["mean"] += 0.01
+
+    assert any(figure in finding for finding in check_entry(Entry(content), controlled, QUICK).findings)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda content: content["control"].clear(), "control of model: the actions are those of other tasks"),
+        (lambda content: content["control"]["model"].pop(), "control of model: the actions are those of other tasks"),
+        (lambda content: content["control"]["model"][0].update(actions="0 1"), "control of model: a task has not 5"),
+        (lambda content: content["control"]["model"][0].update(actions="0 1 2 3 4"), "control of model: a task has"),
+        (lambda content: content["settings"].update(control_steps="5"), "settings.control_steps is '5'"),
+        (lambda content: content["settings"].update(control_steps=10**9), "settings.control_steps is"),
+        (lambda content: content["settings"].update(control_tasks=2), "control of model: the actions are those of"),
+        (lambda content: content["settings"].update(control_code="0.0"), "control: it was planned by '0.0'"),
+        (lambda content: content["settings"].update(control_planner="luck"), "scoring anew fails: no planner"),
+        (lambda content: content["settings"].update(metrics=[]), "control: the entry holds actions"),
+        (lambda content: content["reference"].pop("random"), "reference.random"),
+        (lambda content: content["by_episode"].clear(), "by_episode: "),
+    ],
+)
+def test_what_the_entry_says_of_its_control_counts(
+    controlled: Workspace, entry: Entry, change: Callable[[dict[str, Any]], None], said: str
+) -> None:
+    content = _content(entry)
+    change(content)
+
+    findings = check_entry(Entry(content), controlled, QUICK).findings
+    assert any(finding.startswith(said) for finding in findings), findings
+
+
+def test_figures_of_control_that_nobody_scored_are_found(controlled: Workspace, entry: Entry) -> None:
+    content = _content(entry)
+    content["figures"]["control_distance[6]"] = content["figures"]["control_distance[5]"]
+
+    assert any(
+        "control_distance[6] is nobody's" in one for one in check_entry(Entry(content), controlled, QUICK).findings
+    )
+
+
+def _forged(workspace: Workspace, change: Callable[[Rows], None]) -> Entry:
+    """The entry of a run whose samples were changed and whose report was made to agree, hash, figures and all."""
+    run = workspace.runs / RUN
+    folder = run / "report"
+    table, report = pq.read_table(folder / "samples.parquet"), read_report(folder)
+    assert report is not None
+    rows = table.to_pylist()
+    change(rows)
+    forged = pa.Table.from_pylist(rows, table.schema)
+    figures, *others = (
+        {name: one.to_json() for name, one in figures_of(forged, who, resamples=100).items()}
+        for who in ("model", *report.reference)
+    )
+    reference = dict(zip(report.reference, others, strict=True)) | {
+        name: own for name, own in report.reference.items() if name == "paper"
+    }
+    write_report(folder, type(report)(**(vars(report) | {"figures": figures, "reference": reference})), forged)
+    return entry_of_run(run)
+
+
+@pytest.fixture
+def copied(controlled: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
+    """A copy to spoil, of the same data set."""
+    workspace = Workspace(tmp_path)
+    shutil.copytree(controlled.runs, workspace.runs)
+    workspace.data.symlink_to(controlled.data)
+    return workspace
+
+
+def _moments(rows: Rows, who: str, task: int) -> Rows:
+    mine = [row for row in rows if row["predictor"] == who and row["task"] == task]
+    return sorted(mine, key=lambda row: int(row["ahead"]))
+
+
+@pytest.mark.parametrize("who", ["model", "oracle"])
+def test_a_forged_distance_is_found_by_repeating_the_actions(copied: Workspace, who: str) -> None:
+    def nearer(rows: Rows) -> None:
+        _moments(rows, who, 1)[-1]["control_distance"] *= 0.9
+
+    findings = check_entry(_forged(copied, nearer), copied, QUICK).findings
+    assert any(f"1 of the control of {who} are not what happens: task 1, step 5" in one for one in findings)
+    assert any("control_distance[5]" in finding for finding in findings)
+
+
+def test_a_forged_reference_is_found_by_scoring_it_anew(copied: Workspace) -> None:
+    def farther(rows: Rows) -> None:
+        for row in rows:
+            if row["predictor"] == "random":
+                row["control_distance"] += 0.1
+
+    forged = _forged(copied, farther)
+    assert check_entry(forged, copied, QUICK).holds
+    assert any("control of random" in finding for finding in check_entry(forged, copied).findings)
+
+
+def test_another_player_than_the_model_is_found_by_planning_anew(copied: Workspace) -> None:
+    def let_chance_play(rows: Rows) -> None:
+        for task in range(3):
+            played = zip(_moments(rows, "model", task), _moments(rows, "random", task), strict=True)
+            for mine, other in played:
+                mine |= {name: other[name] for name in ("action", "control_distance", "control_lost")}
+
+    forged = _forged(copied, let_chance_play)
+    assert check_entry(forged, copied, QUICK).holds  # its actions do lead there
+    strict, lenient = (check_entry(forged, copied, CheckSettings(differing=share)) for share in (0.0, 1.0))
+    assert any("actions are not the model's: task" in finding for finding in strict.findings)
+    assert any("planned otherwise" in remark for remark in lenient.remarks)
+
+
+def test_a_run_without_control_has_no_actions(controlled: Workspace, copied: Workspace) -> None:
+    run = Run.open(copied.runs / RUN)
+    shutil.rmtree(run.path / "report")
+    score_run(run.path, metrics=("prediction",), settings=ScoreSettings(resamples=100))
+
+    plain = entry_of_run(run.path)
+    assert plain.content["control"] == {}
+    assert check_entry(plain, copied, QUICK).findings == ()

@@ -32,7 +32,7 @@ from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phas
 from dmotion_bench.specs import Preset, Supervision
 
 EMBEDDING = Phase(name="embedding", fraction=0.6, needs_actions=True)
-DECODER = Phase(name="decoder", fraction=0.4)
+DECODER = Phase(name="decoder", fraction=0.4, batch_size=32)
 
 KNOTS = 17
 FARTHEST_KNOT = 3.0
@@ -146,7 +146,7 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
-        """Batches of 128, as the authors': SIGReg judges a batch's distribution."""
+        """Batches of 128, as the authors': SIGReg judges a batch's distribution. The decoder has the usual ones."""
         return dataclasses.replace(compact_recipe(preset, passes=2.5), batch_size=128)
 
     def phases(self) -> tuple[Phase, ...]:

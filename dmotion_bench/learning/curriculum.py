@@ -77,10 +77,11 @@ def parts_of(
         labelled = TripletBatches(paid.triplets, paid.actions, device)
         held = data.budget.actions(_evenly(data.validation, VALIDATION_TRIPLETS), "validation")
         labelled_watched = TripletBatches(held.triplets, held.actions, device)
-    total = BatchOrder(len(video), config.batch_size, 0).steps(config.epochs)
     parts: list[Part] = []
     for number, phase in enumerate(phases):
         batches = labelled if phase.needs_actions else video
+        size = phase.batch_size or config.batch_size
+        total = BatchOrder(len(video), size, 0).steps(config.epochs)
         start = parts[-1].stop if parts else 0
         parts.append(
             Part(
@@ -88,7 +89,7 @@ def parts_of(
                 start=start,
                 stop=start + max(1, round(phase.fraction * total)),
                 batches=batches,
-                order=BatchOrder(len(batches), config.batch_size, seed + number),
+                order=BatchOrder(len(batches), size, seed + number),
                 validation=labelled_watched if phase.needs_actions else watched,
             )
         )

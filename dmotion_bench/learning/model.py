@@ -79,13 +79,15 @@ class Phase:
 
     Attributes:
         name: Given to ``ForwardModel.enter``.
-        fraction: Of the training's steps.
+        fraction: Of the training's triplets.
         needs_actions: Whether only labelled triplets are of use in this phase.
+        batch_size: Triplets a step, where a phase wants another number than the training's.
     """
 
     name: str = "train"
     fraction: float = 1.0
     needs_actions: bool = False
+    batch_size: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -201,7 +201,7 @@ class _Trainer:
         with chosen:
             self.model.eval()
             sums: dict[str, float] = defaultdict(float)
-            for index in _chunks(len(part.validation), self.config.batch_size):
+            for index in _chunks(len(part.validation), part.order.batch_size):
                 with autocast(self.config, self.fabric.device), seeded(0, 0, self.fabric.device):
                     losses = self.model.losses(part.validation(index))
                 for name, value in {"loss": losses.total, **losses.terms}.items():
@@ -297,12 +297,13 @@ class _Trainer:
         weights = self.model.state_dict()
         clock, budget = self.state.clock, self.data.budget
         seconds = clock.before + clock.sitting
+        triplets = sum((part.stop - part.start) * part.order.batch_size for part in self.parts)
         result = {
             "weights": checkpoint.weights_hash(weights),
             "steps": self.steps,
-            "triplets": self.steps * self.config.batch_size,
+            "triplets": triplets,
             "seconds": round(seconds, 3),
-            "triplets_per_s": round(self.steps * self.config.batch_size / max(seconds, 1e-9), 2),
+            "triplets_per_s": round(triplets / max(seconds, 1e-9), 2),
             "parameters": sum(parameter.numel() for parameter in self.model.parameters()),
             "best_step": self.state.best_step,
             "validation_loss": self.state.best,

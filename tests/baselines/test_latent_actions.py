@@ -16,6 +16,8 @@ def _quantizer() -> VectorQuantizer:
     torch.manual_seed(0)
     quantizer = VectorQuantizer(CONFIG)
     quantizer.codes.normal_()
+    quantizer.sums.copy_(quantizer.codes)
+    quantizer.counts.fill_(1)
     return quantizer
 
 
@@ -58,6 +60,20 @@ def test_codes_follow_the_parts_that_choose_them_in_training_alone() -> None:
             count = 0.75 * counts[book, code] + 0.25 * len(mine)
             total = 0.75 * sums[book, code] + 0.25 * mine.sum(0)
             torch.testing.assert_close(quantizer.codes[book, code], total / count)
+
+
+def test_codes_that_nothing_chooses_are_put_where_something_is() -> None:
+    torch.manual_seed(0)
+    quantizer = VectorQuantizer(CONFIG)
+    quantizer.codes[:, 1:] += 100  # far from everything: one code would serve all parts
+    latent = torch.randn(7, CONFIG.action_length)
+    parts = latent.reshape(7, 2, 3, 4).permute(1, 0, 2, 3).reshape(2, 21, 4)
+    assert [len(chosen.unique()) for chosen in quantizer.nearest(parts)] == [1, 1]
+    quantizer(latent)
+    assert (quantizer.codes[:, 1:, None] == parts[:, None]).all(-1).any(-1).all()
+    for _ in range(20):
+        quantizer(latent)
+    assert min(len(chosen.unique()) for chosen in quantizer.nearest(parts)) >= 4
 
 
 def test_the_future_reaches_the_prediction_through_the_codes_alone(build, video) -> None:

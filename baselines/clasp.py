@@ -7,8 +7,9 @@ the predictor must reach the last frame in a single step from the first.
 
 Settled so (docs/baselines.md): sequences are the benchmark's triplets, so two latent actions are composed, and of the
 step-by-step predictions the last one is trained. Inference, predictor and decoder are of the shared backbone: the
-predictor's state enters a U-Net, whose skip connections are the original's. The alignment is a table of the mean z of
-each action's demonstrations.
+predictor's state enters a U-Net, whose skip connections are the original's, and z beside it: through the recurrent
+state alone z stayed unused for 700 steps (docs/baselines.md). The alignment is a table of the mean z of each action's
+demonstrations.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Clasp(ForwardModel[ClaspConfig]):
         )
         self.scene = FrameEncoder(inputs, config.hidden)
         self.predictor = nn.LSTMCell(config.hidden + config.length, config.hidden)
-        self.decoder = CodedUNet(config.hidden, frames=1)
+        self.decoder = CodedUNet(config.hidden + config.length, frames=1)
         self.table = ActionTable(inputs.actions, config.length)
 
     @classmethod
@@ -170,4 +171,5 @@ class Clasp(ForwardModel[ClaspConfig]):
 
     def _step(self, frame: Tensor, latent: Float[Tensor, "b d"], memory: Memory | None) -> tuple[Tensor, Memory]:
         memory = self._remember(frame, latent, memory)
-        return self.decoder(frame, memory[0].to(frame.dtype)), memory
+        code = torch.cat([memory[0], latent.float()], dim=1)
+        return self.decoder(frame, code.to(frame.dtype)), memory

@@ -15,9 +15,10 @@ from typing import Any, Final, Literal
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from jaxtyping import Float
 
 from dmotion_bench.errors import RunMismatch, RunMissing
-from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS
+from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, read_report_samples
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, IDENTIFICATION_COLUMNS, column
 from dmotion_bench.scoring.statistics import Estimate, paired_difference
@@ -134,12 +135,12 @@ def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
         elif metric == CONTROL:
             steps = [step for step in np.unique(ahead).tolist() if step > 0]  # at the start all are 1 away
             parts += [(f"control_distance[{step}]", "control_distance", ahead == step) for step in steps]
-            parts.append(("control_lost", "control_lost", ahead == ahead.max()))
+            parts += [(name, name, ahead == ahead.max()) for name in ("control_success", "control_lost")]
         else:
             steps = np.unique(ahead).tolist()
             parts += [(f"rollout_{name}[{step}]", name, ahead == step) for name in ROLLOUT_COLUMNS for step in steps]
         for figure, name, rows in parts:
-            left, right = (column(table, name)[rows].astype(np.float64) for table in (one, other))
+            left, right = (_values(table, name)[rows] for table in (one, other))
             estimate = paired_difference(left, right, episode[rows])
             if estimate is not None:
                 both = np.isfinite(left) & np.isfinite(right)
@@ -149,6 +150,12 @@ def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
                     second=float(right[both].mean()),
                     difference=estimate,
                 )
+
+
+def _values(samples: pa.Table, name: str) -> Float[np.ndarray, " n"]:
+    if name == "control_success":
+        return (column(samples, "control_distance") <= SUCCESS).astype(np.float64)
+    return column(samples, name).astype(np.float64)
 
 
 def _aligned(first: pa.Table, second: pa.Table, key: Sequence[str]) -> tuple[pa.Table, pa.Table]:

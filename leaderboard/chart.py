@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from leaderboard.columns import count
@@ -22,6 +22,7 @@ MARKERS: Final = 8
 RADIUS: Final = 4.2
 WIDTH, HEIGHT = 460, 330
 LEFT, RIGHT, TOP, BOTTOM = 56, 14, 12, 46
+NAME_HEIGHT: Final = 13
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Series:
         dash: ``"solid"``, ``"dashed"`` or ``"dotted"``.
         hollow: Whether the markers are drawn empty.
         marked: Which points have a marker; all by default.
+        labelled: Whether its name stands at its end.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Series:
     dash: str = "solid"
     hollow: bool = False
     marked: frozenset[float] | None = None
+    labelled: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +130,7 @@ def line_chart(title: str, x: Axis, y: Axis, series: Sequence[Series], guides: S
         guides: Horizontal lines to measure by.
     """
     series = [_drawable(one, x, y) for one in series]
+    guides = [guide for guide in guides if not (y.log and guide.y <= 0)]
     across = _scale(x, [point.x for one in series for point in one.points], LEFT, WIDTH - RIGHT)
     heights = [value for one in series for point in one.points for value in (point.y, point.low, point.high)]
     heights += [guide.y for guide in guides]
@@ -136,8 +140,10 @@ def line_chart(title: str, x: Axis, y: Axis, series: Sequence[Series], guides: S
         element("title", title),
         joined(_grid(x, across, vertical=True)),
         joined(_grid(y, up, vertical=False)),
-        joined(_guide(guide, up) for guide in guides if not (y.log and guide.y <= 0)),
+        joined(_guide(guide, up) for guide in guides),
         joined(_series(one, across, up) for one in series if one.points),
+        joined(_names(guides, LEFT + 0.45 * (WIDTH - LEFT - RIGHT), "middle", up)),
+        joined(_names(_ends(series), WIDTH - RIGHT, "end", up)),
         viewBox=f"0 0 {WIDTH} {HEIGHT}",
         role="img",
         aria_label=title,
@@ -168,7 +174,7 @@ def _drawable(one: Series, x: Axis, y: Axis) -> Series:
         for point in one.points
         if math.isfinite(point.y) and not ((y.log and point.y <= 0) or (x.log and point.x <= 0))
     ]
-    return Series(name=one.name, points=points, style=one.style, dash=one.dash, hollow=one.hollow, marked=one.marked)
+    return replace(one, points=points)
 
 
 def _scale(axis: Axis, values: Sequence[float], start: float, stop: float) -> _Scale:
@@ -223,13 +229,20 @@ def _grid(axis: Axis, scale: _Scale, *, vertical: bool) -> Iterator[Markup]:
 
 
 def _guide(guide: Guide, up: _Scale) -> Markup:
-    place = round(up(guide.y), 1)
-    return element(
-        "g",
-        element("path", d=f"M{LEFT} {place:g}H{WIDTH - RIGHT}", class_="line"),
-        element("text", guide.name, x=LEFT + 0.45 * (WIDTH - LEFT - RIGHT), y=place - 4, text_anchor="middle"),
-        class_="guide",
-    )
+    return element("path", d=f"M{LEFT} {up(guide.y):.1f}H{WIDTH - RIGHT}", class_="guide line")
+
+
+def _ends(series: Sequence[Series]) -> list[Guide]:
+    return [Guide(one.name, one.points[-1].y) for one in series if one.labelled and one.points]
+
+
+def _names(named: Sequence[Guide], x: float, anchor: str, up: _Scale) -> Iterator[Markup]:
+    """What lines are called, each name above its line, or higher where another name stands there."""
+    free = math.inf
+    for guide in sorted(named, key=lambda one: one.y):
+        place = min(up(guide.y) - 4, free)
+        free = place - NAME_HEIGHT
+        yield element("text", guide.name, x=round(x, 1), y=round(place, 1), text_anchor=anchor, class_="name")
 
 
 def _series(one: Series, across: _Scale, up: _Scale) -> Markup:

@@ -60,31 +60,40 @@ _AFTER: Final = (
         heading="Motion within / between",
         meaning="Variance of the agent's motion within an action over that between actions; 0 is best.",
     ),
+)
+_CONTROL_AFTER: Final = (
     Column(
         figure="control_success",
         heading="Tasks solved",
-        meaning="Share of the control tasks that are solved.",
+        meaning="Share of the tasks that end with a fifth of the distance at the start, or less.",
         higher=True,
     ),
+    Column(figure="control_lost", heading="Objects lost", meaning="Of each task, in the mean; each counts 1."),
 )
 ROLLOUT_STEPS: Final = (5, 15)
-CONTROL_STEPS: Final = (40, 100)
+CONTROL_STEPS: Final = (10, 40, 100)
 
 
 def columns_for(figures: Collection[str]) -> list[Column]:
-    """The columns of a table in which any of these figures stand, in their order."""
+    """The columns of a table of predictions in which any of these figures stand, in their order."""
     chosen = [column for column in _SINGLE if column.figure in figures]
     chosen += [column for column in _rollouts(figures) if column.figure in figures]
-    chosen += [
+    return chosen + [column for column in _AFTER if column.figure in figures]
+
+
+def control_columns(figures: Collection[str]) -> list[Column]:
+    """The same of control; the last distance is the one that ranks."""
+    steps = sorted(int(found[1]) for name in figures if (found := re.fullmatch(r"control_distance\[(\d+)\]", name)))
+    chosen = [
         Column(
             figure=f"control_distance[{step}]",
-            heading=f"Control, {step} steps",
-            meaning=f"Distance of the objects to their goals after {step} steps over that at the start; idle is 1.",
+            heading=f"Distance, {step} steps",
+            meaning=f"Of the objects to their goals after {step} steps, over that at the start; idle is 1.",
         )
-        for step in CONTROL_STEPS
-        if f"control_distance[{step}]" in figures
+        for step in steps
+        if step in CONTROL_STEPS or step == steps[-1]
     ]
-    return chosen + [column for column in _AFTER if column.figure in figures]
+    return chosen + [column for column in _CONTROL_AFTER if column.figure in figures]
 
 
 def _rollouts(figures: Collection[str]) -> list[Column]:

@@ -122,6 +122,7 @@ def _ahead(
     if not curves:
         return None
     lengths = {point.x for _, points in curves.values() for point in points}
+    every = every if max(lengths) >= 2 * every else 1
     marked = frozenset(step for step in lengths if step % every == 0 or step == min(lengths))
     series = [
         Series(
@@ -134,30 +135,35 @@ def _ahead(
         )
         for row, points in curves.values()
     ]
-    guides = [
-        Guide(row.name, points[-1].y)
-        for row in board.rows
-        if row.kind == "reference" and (points := _steps(row, base)) and base == "control_distance"
-    ]
     still = [
-        Series(name=row.name, points=points, style=Style(-1), dash="dotted", hollow=True, marked=frozenset())
+        Series(
+            name=row.name,
+            points=points,
+            style=Style(-1),
+            dash="dotted",
+            hollow=True,
+            marked=frozenset(),
+            labelled=base == "control_distance",
+        )
         for row in board.rows
-        if row.kind == "reference" and len(points := _steps(row, base)) > 1 and base != "control_distance"
+        if row.kind == "reference" and len(points := _steps(row, base)) > 1
     ]
     ticks = sorted(step for step in marked) if len(marked) < 12 else ()
-    chart = line_chart(
-        title, Axis(label=along, ticks=ticks), Axis(label=words, log=log, zero=True), [*series, *still], guides
-    )
+    chart = line_chart(title, Axis(label=along, ticks=ticks), Axis(label=words, log=log, zero=True), [*still, *series])
     shown = sorted(marked)
+    told = ", ".join(one.name for one in still)
     numbers = _numbers(
         ("model", "labels", *(f"{step:g}" for step in shown)),
         [
-            (row.title, row.labels, *(number(values.get(step)) for step in shown))
-            for row, points in curves.values()
+            (name, labels, *(number(values.get(step)) for step in shown))
+            for name, labels, points in (
+                *((row.title, row.labels, points) for row, points in curves.values()),
+                *((one.name, "", one.points) for one in still),
+            )
             if (values := {point.x: point.y for point in points})
         ],
     )
-    return _figure(chart, title, numbers, note=f"Dotted: {still[0].name}." if still else "")
+    return _figure(chart, title, numbers, note=f"Dotted: {told}." if still else "")
 
 
 def _figure(chart: Markup, title: str, numbers: Markup, note: str = "") -> Markup:

@@ -19,7 +19,7 @@ from leaderboard.entry import Entry
 from leaderboard.gallery import fitting_steps, gallery
 from leaderboard.markup import Markup, element, escaped, joined
 from leaderboard.provenance import count_figures, provenance
-from leaderboard.standings import standings
+from leaderboard.standings import control_standings, standings
 
 LARGEST: Final = 5_000_000
 """Bytes of the page."""
@@ -132,6 +132,7 @@ def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
         element("p", *_described(board), class_="note"),
         standings(board, _anchor(place)),
         joined(element("p", note, class_="note") for note in _notes(board)),
+        control_standings(board, _anchor(place)),
         element("h3", "Curves"),
         legend(board, styles),
         drawn,

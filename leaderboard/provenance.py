@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from leaderboard.board import Board
-from leaderboard.columns import count, interval, number
+from leaderboard.columns import control_columns, count, interval, number
 from leaderboard.entry import Entry
 from leaderboard.markup import Markup, element, joined
 
@@ -75,6 +75,7 @@ def _folded(entry: Entry, facts: Mapping[str, str], remarks: Mapping[str, str]) 
 
 
 def _figures(entry: Entry) -> Markup:
+    distances = {column.figure for column in control_columns(entry.figures)}  # a hundred more are in the entry
     head = element("tr", *(element("th", name, scope="col") for name in ("figure", "mean", "std", "95% interval", "n")))
     body = [
         element(
@@ -86,7 +87,7 @@ def _figures(entry: Entry) -> Markup:
             element("td", "" if figure["n"] is None else count(figure["n"])),
         )
         for name, figure in entry.figures.items()
-        if not name.startswith("control_distance[") or name in ("control_distance[40]", "control_distance[100]")
+        if not name.startswith("control_distance[") or name in distances
     ]
     table = element("table", element("thead", head), element("tbody", joined(body)), class_="figures")
     return element("div", table, class_="scroll", tabindex=0, role="region", aria_label=f"Every figure of {entry.name}")

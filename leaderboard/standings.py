@@ -1,22 +1,60 @@
-"""The table of a board: a row a model, sortable by every column (``page.js``)."""
+"""The tables of a board, of predictions and of control: a row a model, sortable by every column (``page.js``)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from leaderboard.board import RANKED_BY, Board, Row, Value
-from leaderboard.columns import Column, columns_for, count, interval, number, signed
+from leaderboard.columns import Column, columns_for, control_columns, count, interval, number, signed
 from leaderboard.markup import Markup, element, joined
 
 SHOWN_SEPARATELY = "as published"
 
 
 def standings(board: Board, anchor: str) -> Markup:
-    """The table in its scrolling frame."""
-    columns = columns_for({name for row in board.rows for name in row.figures})
-    compared = any(row.behind is not None for row in board.rows)
+    """The table of predictions in its scrolling frame; the references of control stand in that of control."""
+    figures = {name for row in board.rows for name in row.figures}
+    rows = [row for row in board.rows if not row.figures or not set(row.figures) <= _of_control(row.figures)]
+    return _table(board, rows, columns_for(figures), f"{anchor}-caption", ranks=RANKED_BY)
+
+
+def control_standings(board: Board, anchor: str) -> Markup | None:
+    """The table of control; None where it has not been scored."""
+    columns = control_columns({name for row in board.rows for name in row.figures})
+    rows = [row for row in board.rows if any(column.figure in row.figures for column in columns)]
+    distances = [column.figure for column in columns if column.figure.startswith("control_distance")]
+    if not rows or not distances:
+        return None
+    last = distances[-1]
+    tasks = max((entry.figures[last]["n"] or 0 for entry in board.measured if last in entry.figures), default=0)
+    rows.sort(key=lambda row: row.figures[last].mean if last in row.figures else float("inf"))
+    return element(
+        "section",
+        element("h3", "Control"),
+        element(
+            "p",
+            f"{count(tasks)} tasks: bring the objects to where the goal's image has them. "
+            "Distances are those of the simulator, over that at the start; doing nothing is 1.",
+            class_="note",
+        ),
+        _table(board, rows, columns, f"{anchor}-control-caption", ranks=last, words=", control"),
+    )
+
+
+def _of_control(figures: Iterable[str]) -> set[str]:
+    return {name for name in figures if name.startswith("control_")}
+
+
+def _table(
+    board: Board, rows: Sequence[Row], columns: Sequence[Column], caption_id: str, *, ranks: str, words: str = ""
+) -> Markup:
+    """One table, sorted by the column that ranks."""
+    compared = ranks == RANKED_BY and any(row.behind is not None for row in rows)
+    compute = ranks == RANKED_BY and any(_compute(row) for row in rows)
     head = [_heading("Model"), _heading("Labels", "Action labels that the model was given, and the budget asked for.")]
     for column in columns:
-        head.append(_heading(column.heading, column.meaning, unit=column.unit, sorted_up=column.figure == "mse"))
-        if column.figure == "mse" and compared:
+        head.append(_heading(column.heading, column.meaning, unit=column.unit, sorted_up=column.figure == ranks))
+        if column.figure == RANKED_BY and compared:
             head.append(
                 _heading(
                     "MSE above the best",
@@ -24,19 +62,18 @@ def standings(board: Board, anchor: str) -> Markup:
                     "a tie where the interval reaches zero.",
                 )
             )
-    compute = any(_compute(row) for row in board.rows)
     if compute:
         head.append(_heading("Compute", "Of the training, of all seeds together."))
-    body = [_row(row, columns, compared=compared, compute=compute) for row in board.rows]
-    caption = f"{board.title}{f', {board.dataset}' if board.dataset else ''}"
+    body = [_row(row, columns, compared=compared, compute=compute) for row in rows]
+    caption = f"{board.title}{f', {board.dataset}' if board.dataset else ''}{words}"
     table = element(
         "table",
-        element("caption", caption, id=f"{anchor}-caption"),
+        element("caption", caption, id=caption_id),
         element("thead", element("tr", *head)),
         element("tbody", joined(body)),
         class_="standings",
     )
-    return element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=f"{anchor}-caption")
+    return element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=caption_id)
 
 
 def _heading(text: str, meaning: str = "", *, unit: str = "", sorted_up: bool = False) -> Markup:
@@ -50,7 +87,7 @@ def _heading(text: str, meaning: str = "", *, unit: str = "", sorted_up: bool = 
     )
 
 
-def _row(row: Row, columns: list[Column], *, compared: bool, compute: bool) -> Markup:
+def _row(row: Row, columns: Sequence[Column], *, compared: bool, compute: bool) -> Markup:
     cells = [_name(row), _labels(row)]
     for column in columns:
         cells.append(_value(row, row.figures.get(column.figure), strong=_is_strong(row, column.figure)))

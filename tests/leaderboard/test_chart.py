@@ -85,8 +85,8 @@ def test_intervals_and_guides_are_drawn_at_their_values() -> None:
 
     (bar,) = (one for one in svg.iter("path") if one.get("class") == "bar")
     low, high = (float(value) for value in re.findall(r"M\S+ (\S+)V(\S+)", bar.get("d", ""))[0])
-    (guide,) = (one for one in svg.iter("g") if one.get("class") == "guide")
-    at = float(re.findall(r"M\d+ (\S+)H", guide[0].get("d", ""))[0])
+    (guide,) = (one for one in svg.iter("path") if one.get("class") == "guide line")
+    at = float(re.findall(r"M\d+ (\S+)H", guide.get("d", ""))[0])
     line = _line(ET.fromstring(ET.tostring(next(one for one in svg.iter("g") if "series" in one.get("class", "")))))
 
     assert at == pytest.approx(line[0][1], abs=0.11)
@@ -126,6 +126,24 @@ def test_neighbours_differ_in_colour_and_no_two_of_many_are_drawn_alike() -> Non
 
     assert len(set(looks)) == len(looks)
     assert all(a[0] != b[0] and a[1] != b[1] for a, b in itertools.pairwise(looks))
+
+
+def test_lines_are_named_at_their_ends_and_no_name_stands_on_another() -> None:
+    ends = {"a": 0.5, "b": 0.51, "c": 0.52, "d": 3.0}
+    series = [
+        Series(name=name, points=[Point(x=0, y=1), Point(x=9, y=y)], style=Style(-1), labelled=True)
+        for name, y in ends.items()
+    ]
+    svg = _drawn(line_chart("t", Axis(label="x"), Axis(label="y", zero=True), series))
+
+    heights = {text.text: float(text.get("y", 0)) for text in svg.iter("text") if text.get("class") == "name"}
+    lines = [path.get("d", "") for path in svg.iter("path") if path.get("class") == "line solid"]
+    at_end = dict(zip(ends, (float(line.split()[-1]) for line in lines), strict=True))
+
+    assert heights["a"] == pytest.approx(at_end["a"] - 4, abs=0.1)
+    assert heights["d"] == pytest.approx(at_end["d"] - 4, abs=0.1)
+    assert all(a - b >= 12.9 for a, b in itertools.pairwise(sorted(heights.values(), reverse=True)))
+    assert sorted(heights, key=lambda name: -heights[name]) == ["a", "b", "c", "d"]
 
 
 def test_names_are_text() -> None:

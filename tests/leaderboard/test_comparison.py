@@ -193,7 +193,9 @@ def test_control_is_paired_by_task() -> None:
     second = first + np.array([0, 0.05, 0.05, 0.0])
     found = {one.figure: one for one in _differences(table(first, tasks), table(second, tasks[::-1]))}
 
-    assert set(found) == {"control_distance[1]", "control_distance[2]", "control_distance[3]", "control_lost"}
+    distances = {f"control_distance[{step}]" for step in (1, 2, 3)}
+    assert set(found) == {*distances, "control_success", "control_lost"}
+    assert found["control_success"].first == np.mean(first[:, 3] <= 0.2)
     assert found["control_distance[2]"].difference.mean == pytest.approx(-0.05)  # of 0.3 between tasks nothing is left
     assert found["control_distance[2]"].difference.std == pytest.approx(0, abs=1e-9)
     assert found["control_distance[2]"].better == "first"

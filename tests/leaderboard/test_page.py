@@ -161,3 +161,46 @@ def test_pictures_give_way_before_the_page_grows_too_large(
     counts = [page.count("<img") for page in (whole, fewer, none)]
     assert counts[0] > counts[1] > counts[2] == 0
     assert "What the models predict" not in none
+
+
+def _controlled(entry: Entry, model: str, distance: float) -> Entry:
+    def figure(mean: float) -> dict[str, Any]:
+        return {"mean": mean, "std": 0.1, "low": mean - 0.1, "high": mean + 0.1, "n": 7}
+
+    def figures(end: float) -> dict[str, Any]:
+        steps = {f"control_distance[{step}]": figure(1 + (end - 1) * step / 50) for step in range(1, 51)}
+        return steps | {"control_success": figure(0.5), "control_lost": figure(0.0)}
+
+    content = copy.deepcopy(dict(entry.content)) | {"run": f"{model}-s0", "model": model}
+    content["figures"] |= figures(distance)
+    content["reference"] |= {"idle": figures(1.0), "oracle": figures(0.1)}
+    return Entry(content)
+
+
+def test_control_has_a_table_and_a_chart_of_its_own(sound: Entry) -> None:
+    page = make_page([_controlled(sound, "far", 0.8), _controlled(sound, "near", 0.3), sound])
+    predictions, control = re.findall(r"<table class=\"standings\">.*?</table>", page, re.DOTALL)[:2]
+
+    def names(table: str) -> list[str]:
+        return re.findall(r"<tr[^>]*><th[^>]*><(?:a|span)[^>]*>([^<]*)", table)
+
+    assert sorted(names(predictions)) == ["copy the last frame", "dmotion", "far", "near", "only the agent moves"]
+    assert names(control) == ["true simulator as the model", "near", "far", "idle"]
+    headings = re.findall(r"<th[^>]*scope=\"col\"[^>]*>([^<]*)", control)
+    assert headings == [
+        "Model",
+        "Labels",
+        *(f"Distance, {step} steps" for step in (10, 40, 50)),
+        "Tasks solved",
+        "Objects lost",
+    ]
+    assert "7 tasks: bring the objects" in page
+    chart = re.search(r"<svg[^>]*aria-label=\"Control:.*?</svg>", page, re.DOTALL)
+    assert chart is not None
+    assert re.findall(r"class=\"name\"[^>]*>([^<]*)", chart[0]) == ["true simulator as the model", "idle"]
+
+
+def test_without_control_there_is_no_table_of_it(sound: Entry) -> None:
+    page = make_page([sound])
+    assert "<h3>Control</h3>" not in page
+    assert page.count('<table class="standings">') == 1

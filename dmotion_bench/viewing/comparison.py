@@ -10,13 +10,13 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dmotion_bench.errors import UsageError
+from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import behind, ties
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, read_report_samples
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart
-from dmotion_bench.viewing.dataset import ViewableDataset
-from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, imagine
+from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
+from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
 from dmotion_bench.viewing.labels import ACTION_COLORS, events_view, log_events, log_legend, plain
 from dmotion_bench.viewing.report import episode_means, figure_text, interval_text, rollout_curves
 from dmotion_bench.viewing.run import AMPLIFIED, COPIED, log_prediction
@@ -48,14 +48,14 @@ def comparison_scene(
 
     Args:
         runs: Finished ones of this data set whose models draw frames.
-        dataset: With labels.
+        dataset: Theirs. Without labels every model must be one that separates the agent's motion.
         episodes: Numbers of episodes.
         why: What is said of an episode on its tab, such as ``"worst"``.
 
     Raises:
         UsageError: They cannot be shown beside each other.
         RunMissing: A training is not done.
-        LabelsNotAvailable: The data set's labels are not there.
+        LabelsNotAvailable: The data set's labels are not there, and a model predicts by actions alone.
     """
     names = _told_apart(runs)
     notes = why or {}
@@ -142,8 +142,14 @@ def _beside_data_and_seed(run: Run, with_seed: bool) -> str:
 
 def _tab(names: Mapping[str, Run], dataset: ViewableDataset, episode: int, note: str) -> Tab:
     root, title = f"/episode_{episode}", f"Episode {episode}" + (f" ({note})" if note else "")
-    labels = dataset.labels(episode)
+    labels = labels_if_any(dataset, episode)
     frames = dataset.video(episode)
+    odd = next((name for name, run in names.items() if not can_imagine(run.model, labels)), None)
+    if odd is not None:
+        raise LabelsNotAvailable(
+            f"the actions of {dataset.name!r} are not known, and {odd!r} predicts by actions alone; leave it out, or "
+            "look at it for itself: 'dmbench view RUN'."
+        )
     seen = {name: imagine(run.model, frames, labels, dataset.spec) for name, run in names.items()}
     first = next(iter(seen.values()))
 
@@ -158,7 +164,8 @@ def _tab(names: Mapping[str, Run], dataset: ViewableDataset, episode: int, note:
         _log_errors(recording, root, "one_step", "copied", "frame before", COPIED, first.copied)
         for kind in ("one_step", "imagined"):
             _mark_worst(recording, f"{root}/mse_{kind}/worst", {name: getattr(one, kind) for name, one in seen.items()})
-        log_events(recording, root, dataset.spec, labels)
+        if labels is not None:
+            log_events(recording, root, dataset.spec, labels)
         text = _about(dataset, episode, note, seen)
         recording.log(f"{root}/about", rr.TextDocument(text, media_type="text/markdown"), static=True)
 
@@ -175,11 +182,13 @@ def _layout(title: str, root: str, dataset: ViewableDataset, seen: Mapping[str, 
             for kind, part, words in ROWS
         ]
         columns.append(rrb.Grid(*views, grid_columns=2) if len(seen) <= WIDE else rrb.Vertical(*views))
+    lanes = ("action", "moved") if dataset.spec.objects else ("action",)
+    events = [] if first.by_motion else [events_view(root, lanes, len(first.frames))]
     truth = rrb.Vertical(
         picture_view(f"{root}/camera", "What really happens", width, height),
         rrb.TextDocumentView(origin=f"{root}/about", name="What you see"),
-        events_view(root, ("action", "moved"), len(first.frames)),
-        row_shares=[1.2, 1.6, 0.8],
+        *events,
+        row_shares=[1.2, 1.6, 0.8][: 2 + len(events)],
     )
     plots = [
         rrb.TimeSeriesView(origin=f"{root}/mse_one_step", name="MSE, one step ahead", plot_legend=rrb.Corner2D.LeftTop),
@@ -234,10 +243,16 @@ def _about(dataset: ViewableDataset, episode: int, note: str, seen: Mapping[str,
     for name, values in means.items():
         cells = [f"**{value:.3g}**" if name == best[place] else f"{value:.3g}" for place, value in enumerate(values)]
         lines.append(f"| {name} | {' | '.join(cells)} |")
+    by_motion = any(one.by_motion for one in seen.values())
+    told = (
+        "each is told the motion that it reads off the true frames"
+        if by_motion
+        else "the actions are the recorded ones"
+    )
     lines += [
         "",
         "**One step**: from the two true frames before. **Imagined**: from the model's own frames after the first two; "
-        "the actions are the recorded ones. **Rings**: where things are; **dots**: where the prediction has them. "
+        f"{told}. **Rings**: where things are; **dots**: where the prediction has them. "
         "The red mark in a plot is the worst frame of all.",
     ]
     return "\n".join(lines)

@@ -13,9 +13,11 @@ from jaxtyping import Int, UInt8
 from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
 from dmotion_bench.viewing.eye import eye_of_camera
-from dmotion_bench.viewing.labels import events_view, log_labels, log_legend, plain
+from dmotion_bench.viewing.labels import events_view, log_labels, log_legend, places_known, plain
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import log_images
+
+_KEYS = ("", "*Space* plays and pauses; drag a view to pan it, scroll to zoom, double-click to reset.")
 
 
 @runtime_checkable
@@ -55,13 +57,17 @@ def dataset_scene(dataset: ViewableDataset, episodes: Sequence[int]) -> Scene:
     )
 
 
+def labels_if_any(dataset: ViewableDataset, episode: int) -> EpisodeLabels | None:
+    """An episode's labels; None where there are none."""
+    try:
+        return dataset.labels(episode)
+    except LabelsNotAvailable:
+        return None
+
+
 def _tab(dataset: ViewableDataset, episode: int) -> Tab:
     root = f"/episode_{episode}"
-    frames = dataset.video(episode)
-    try:
-        labels = dataset.labels(episode)
-    except LabelsNotAvailable:
-        labels = None
+    frames, labels = dataset.video(episode), labels_if_any(dataset, episode)
 
     def log(recording: rr.RecordingStream) -> None:
         log_images(recording, f"{root}/camera", frames)
@@ -80,6 +86,10 @@ def _layout(spec: EnvSpec, episode: int, labels: EpisodeLabels | None) -> rrb.Co
     name = f"Episode {episode}"
     if labels is None:
         return rrb.Horizontal(camera, about, column_shares=[3, 1], name=name)
+    if not places_known(labels):
+        events = events_view(root, ("action",), len(labels.masks))
+        seen = rrb.Vertical(camera, events, row_shares=[4, 1])
+        return rrb.Horizontal(seen, about, column_shares=[3, 1], name=name)
     masks = picture_view(f"{root}/masks", "Which pixel shows what", spec.width, spec.height)
     world = rrb.Spatial3DView(origin=f"{root}/world", name="Where things are [m]", eye_controls=_eye(labels))
     events = events_view(root, ("action", "pushed/**"), len(labels.masks))
@@ -114,7 +124,9 @@ def _explanation(dataset: ViewableDataset, episode: int, frames: int, labels: Ep
         "**Camera** is all that a model learns from.",
     ]
     if labels is None:
-        return "\n".join([*lines, "", "This data set has no labels."])
+        return "\n".join([*lines, "", "This data set has no labels.", *_KEYS])
+    if not places_known(labels):
+        return "\n".join([*lines, "The actions are *labels*, held out of the training; no others are known.", *_KEYS])
     lines += [
         "Everything else is *labels*, held out of the training: the rings and trails (where things are and were), "
         "the masks, the places in metres, the actions.",
@@ -124,5 +136,4 @@ def _explanation(dataset: ViewableDataset, episode: int, frames: int, labels: Ep
         "",
         f"{int(labels.pushed.sum())} of {len(labels.pushed)} steps push an object.",
     ]
-    lines += ["", "*Space* plays and pauses; drag a view to pan it, scroll to zoom, double-click to reset."]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_KEYS])

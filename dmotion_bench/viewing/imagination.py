@@ -4,6 +4,9 @@ The first two frames of an episode are given. From then on two predictions of ev
 
 - **one step**: from the two true frames before it and the action taken there;
 - **imagined**: from the model's own last two frames; only the actions are still the recorded ones.
+
+Where the actions are not known, a model that separates the agent's motion (``MotionModel``) is told the motion that
+it reads off the true pair of frames instead, as in ``scoring/explanation.py``.
 """
 
 from __future__ import annotations
@@ -13,9 +16,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped, UInt8
+from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
+from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.positions import PositionFinder
@@ -61,6 +65,7 @@ class Imagination:
         one_step, imagined, copied: Predictions; the last repeats the frame before, the least that one can do.
         maps, moved: The feature maps of frames 0 ... t-2, and the same moved to the frame after.
         shift: How far the agent moves from each of these frames to the next, as the model sees it [px].
+        by_motion: Whether the motions of the true frames were told instead of the actions.
     """
 
     frames: UInt8[np.ndarray, "t h w 3"]
@@ -71,33 +76,69 @@ class Imagination:
     maps: Float[np.ndarray, "n m y x"] | None
     moved: Float[np.ndarray, "n m y x"] | None
     shift: Float[np.ndarray, "n 2"] | None
+    by_motion: bool = False
+
+
+def can_imagine(model: ForwardModel[Any], labels: EpisodeLabels | None) -> bool:
+    """Whether a model can be told what happens in an episode: by its actions, or by motions."""
+    return labels is not None or isinstance(model, MotionModel)
 
 
 def imagine(
-    model: ForwardModel[Any], frames: UInt8[np.ndarray, "t h w 3"], labels: EpisodeLabels, spec: EnvSpec
+    model: ForwardModel[Any], frames: UInt8[np.ndarray, "t h w 3"], labels: EpisodeLabels | None, spec: EnvSpec
 ) -> Imagination:
-    """Run a model over an episode of at least three frames."""
+    """Run a model over an episode of at least three frames; one that ``can_imagine`` it.
+
+    Raises:
+        LabelsNotAvailable: The actions are not known, and the model predicts by actions alone.
+    """
     images = to_model(torch.from_numpy(frames))
-    actions = torch.from_numpy(np.asarray(labels.actions, np.int64))
     with predicting(torch.device("cpu")):
-        steps = [
-            to_pixels(model.predict(before, now, action))
-            for before, now, action in zip(_parts(images[:-2]), _parts(images[1:-1]), _parts(actions[1:]), strict=True)
-        ]
-        imagined = to_pixels(model.rollout(images[:1], images[1:2], actions[None, 1:])[0])
+        if labels is not None:
+            steps, imagined = _by_actions(model, images, torch.from_numpy(np.asarray(labels.actions, np.int64)))
+        elif isinstance(model, MotionModel):
+            steps, imagined = _by_motion(model, images)
+        else:
+            raise LabelsNotAvailable("the actions are not known, and this model predicts by actions alone.")
         maps, moved = _maps(model, images)
         shift = _shift(model, images)
     judge = _Judge(spec, torch.from_numpy(frames))
     return Imagination(
         frames=frames,
         places=judge.places,
-        one_step=judge.of(torch.cat(steps)),
+        one_step=judge.of(steps),
         imagined=judge.of(imagined),
         copied=judge.of(torch.from_numpy(frames[1:-1])),
         maps=maps,
         moved=moved,
         shift=shift,
+        by_motion=labels is None,
     )
+
+
+_Drawn = tuple[UInt8[Tensor, "s h w 3"], UInt8[Tensor, "s h w 3"]]
+
+
+def _by_actions(model: ForwardModel[Any], images: Float[Tensor, "t c h w"], actions: Int[Tensor, " a"]) -> _Drawn:
+    """One step, and imagined, from the recorded actions."""
+    steps = [
+        to_pixels(model.predict(before, now, action))
+        for before, now, action in zip(_parts(images[:-2]), _parts(images[1:-1]), _parts(actions[1:]), strict=True)
+    ]
+    return torch.cat(steps), to_pixels(model.rollout(images[:1], images[1:2], actions[None, 1:])[0])
+
+
+def _by_motion(model: MotionModel, images: Float[Tensor, "t c h w"]) -> _Drawn:
+    """The same from the motions that the model reads off the true frames."""
+    motions = [model.motion(now, after) for now, after in zip(_parts(images[1:-1]), _parts(images[2:]), strict=True)]
+    steps = [
+        to_pixels(model.predict_with_motion(before, now, motion))
+        for before, now, motion in zip(_parts(images[:-2]), _parts(images[1:-1]), motions, strict=True)
+    ]
+    own = [images[:1], images[1:2]]
+    for motion in torch.cat(motions):
+        own.append(model.predict_with_motion(own[-2], own[-1], motion[None]))
+    return torch.cat(steps), to_pixels(torch.cat(own[GIVEN:]))
 
 
 def _parts(whole: Shaped[Tensor, "t *rest"]) -> tuple[Shaped[Tensor, "b *rest"], ...]:

@@ -25,6 +25,9 @@ ACTION_COLORS: tuple[Color, ...] = (
 GONE: Color = (90, 90, 90)
 SEVERAL: Color = (150, 150, 150)
 BACKGROUND: Color = (30, 30, 34)
+LOWEST_NAME, LOWER_END = 0.93, 0.06
+"""Shares of the picture's height: how low the name of a thing may stand, and what counts as its lower end."""
+
 LEAST_BRIGHTNESS = 110
 """Of a thing's brightest channel, 0-255, so that it is seen before the background and in Rerun's dark views."""
 
@@ -53,8 +56,17 @@ def log_legend(recording: rr.RecordingStream, spec: EnvSpec) -> None:
     recording.log("/", rr.AnnotationContext(known), static=True)
 
 
+def places_known(labels: EpisodeLabels) -> bool:
+    """Whether anything is known of places; of an imported recording perhaps only the actions are."""
+    states = (labels.objects, labels.agent)
+    return bool(labels.masks.any()) or any(bool(np.isfinite(each.position).any()) for each in states)
+
+
 def log_labels(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: EpisodeLabels) -> None:
     """All labels of an episode under the entity ``root``."""
+    if not places_known(labels):
+        log_events(recording, root, spec, labels)
+        return
     classes = classes_of(spec)
     pixel = np.concatenate([labels.objects.pixel, labels.agent.pixel], axis=1)
     position = np.concatenate([labels.objects.position, labels.agent.position], axis=1)
@@ -113,17 +125,19 @@ def pushes(spec: EnvSpec, labels: EpisodeLabels) -> tuple[Bool[np.ndarray, "s k"
 
 
 def _below(masks: UInt8[np.ndarray, "t h w"], classes: list[int]) -> Float[np.ndarray, "t k 2"]:
-    """The middle of each thing's lower edge [px], where its name is written; NaN while it is not seen.
+    """The middle of each thing's lower end [px], where its name is written; NaN while it is not seen.
 
-    Not so low that the name would be outside the picture.
+    The end and not the whole of it: the middle of an arm that reaches in at a slant is beside its hand. Not so low
+    that the name would be outside the picture.
     """
-    lowest = masks.shape[1] * 0.93
+    lowest, end = masks.shape[1] * LOWEST_NAME, max(1, round(masks.shape[1] * LOWER_END))
     places = np.full((len(masks), len(classes), 2), np.nan)
     for number, value in enumerate(classes):
         for frame, mask in enumerate(masks == value):
             if mask.any():
-                columns = np.flatnonzero(mask.any(0))
-                places[frame, number] = (columns[0] + columns[-1]) / 2, min(np.flatnonzero(mask.any(1))[-1], lowest)
+                bottom = int(np.flatnonzero(mask.any(1))[-1])
+                columns = np.flatnonzero(mask[max(0, bottom + 1 - end) : bottom + 1].any(0))
+                places[frame, number] = (columns[0] + columns[-1]) / 2, min(bottom, lowest)
     return places
 
 

@@ -13,8 +13,8 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.samples import samples_of
 from dmotion_bench.specs import EpisodeLabels
 from dmotion_bench.viewing.curves import read_curves, training_tab
-from dmotion_bench.viewing.dataset import ViewableDataset
-from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, imagine
+from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
+from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
 from dmotion_bench.viewing.labels import events_view, log_events, log_legend, plain
 from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
 from dmotion_bench.viewing.report import report_tab
@@ -46,13 +46,13 @@ def run_scene(
 
     Args:
         run: A finished one.
-        dataset: Its own, with labels: the actions to follow are among them.
+        dataset: Its own. Without labels a model that separates the agent's motion follows what it sees; of
+            another there is the video to see, and the training.
         episodes: Numbers of episodes.
         why: What is said of an episode on its tab, such as ``"worst"``.
 
     Raises:
         RunMissing: The training is not done.
-        LabelsNotAvailable: The data set's labels are not there.
     """
     notes = why or {}
     tabs = [_tab(run, dataset, episode, notes.get(episode, "")) for episode in episodes]
@@ -68,7 +68,9 @@ def run_scene(
 
 def _tab(run: Run, dataset: ViewableDataset, episode: int, note: str) -> Tab:
     root, name = f"/episode_{episode}", f"Episode {episode}" + (f" ({note})" if note else "")
-    labels = dataset.labels(episode)
+    labels = labels_if_any(dataset, episode)
+    if not can_imagine(run.model, labels):
+        return _video_alone(run, dataset, episode, name)
     seen = imagine(run.model, dataset.video(episode), labels, dataset.spec)
 
     def log(recording: rr.RecordingStream) -> None:
@@ -77,11 +79,31 @@ def _tab(run: Run, dataset: ViewableDataset, episode: int, note: str) -> Tab:
         log_prediction(recording, f"{root}/imagined", seen, seen.imagined)
         _log_errors(recording, root, seen)
         _log_maps(recording, root, seen)
-        log_events(recording, root, dataset.spec, labels)
+        if labels is not None:
+            log_events(recording, root, dataset.spec, labels)
         text = _of_episode(run, dataset, episode, seen)
         recording.log(f"{root}/about", rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     return Tab(name=name, layout=_layout(name, root, dataset, seen), log=log)
+
+
+def _video_alone(run: Run, dataset: ViewableDataset, episode: int, name: str) -> Tab:
+    """What there is to see of a model that cannot be told what happens."""
+    root = f"/episode_{episode}"
+    text = (
+        f"**{run.name}**\n\n{_headline(run, dataset, episode)}\n\n"
+        "The actions of this recording are not known, and this model predicts by actions alone: here is the video. "
+        "How the training went is on the last tab. Import the recording again with its actions (*--actions TOPIC*) "
+        "to see predictions."
+    )
+
+    def log(recording: rr.RecordingStream) -> None:
+        log_images(recording, f"{root}/camera", dataset.video(episode))
+        recording.log(f"{root}/about", rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+    camera = picture_view(f"{root}/camera", "What really happens", dataset.spec.width, dataset.spec.height)
+    about = rrb.TextDocumentView(origin=f"{root}/about", name="What you see")
+    return Tab(name=name, layout=rrb.Horizontal(camera, about, column_shares=[2.2, 1], name=name), log=log)
 
 
 def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -> rrb.Container:
@@ -90,8 +112,9 @@ def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -
     def picture(path: str, title: str) -> rrb.Spatial2DView:
         return picture_view(f"{root}/{path}", title, width, height)
 
-    events = events_view(root, ("action", "moved"), len(seen.frames))
-    beside_imagined: rrb.Container | rrb.View = events
+    lanes = ("action", "moved") if dataset.spec.objects else ("action",)
+    events = None if seen.by_motion else events_view(root, lanes, len(seen.frames))
+    beside_imagined: rrb.Container | rrb.View | None = events
     if seen.maps is not None:
         sheet_height, sheet_width = tiles(seen.maps[:1], brightest(seen.maps[:1])).shape[1:]
         beside_imagined = rrb.Vertical(
@@ -101,14 +124,14 @@ def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -
     plots: list[rrb.View] = [_plot(f"{root}/mse", "MSE of each frame [0-255 squared]")]
     if seen.places is not None:
         plots.append(_plot(f"{root}/position_error", "Position error of each frame [px]"))
-    if seen.maps is not None:
+    if seen.maps is not None and events is not None:
         plots.append(events)
     return rrb.Horizontal(
         rrb.Grid(
             picture("camera", "What really happens"),
             picture("one_step/frame", "Predicted one step ahead"),
             picture("one_step/difference", f"Its error, {AMPLIFIED} times"),
-            beside_imagined,
+            beside_imagined or rrb.TextDocumentView(origin=f"{root}/about", name="What you see"),
             picture("imagined/frame", "Imagined from frame 2 on"),
             picture("imagined/difference", f"Its error, {AMPLIFIED} times"),
             grid_columns=3,
@@ -127,11 +150,11 @@ def _plot(origin: str, name: str) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.Corner2D.LeftTop)
 
 
-def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labels: EpisodeLabels) -> None:
+def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labels: EpisodeLabels | None) -> None:
     log_images(recording, f"{root}/camera", seen.frames)
     if seen.places is not None:
         log_rings(recording, f"{root}/camera/places", seen.places)
-    if seen.shift is not None:
+    if seen.shift is not None and labels is not None:
         agent = labels.agent.pixel[:, 0]
         log_arrows(recording, f"{root}/camera/true_motion", agent[:-1], np.diff(agent, axis=0), TRUE_MOTION, 1.2, 40)
         log_arrows(recording, f"{root}/camera/motion_seen", agent[:-1], seen.shift, SEEN_MOTION, 0.7, 50)
@@ -181,35 +204,37 @@ def _log_maps(recording: rr.RecordingStream, root: str, seen: Imagination) -> No
         log_words(recording, f"{path}/names", middles, names)
 
 
-def _of_episode(run: Run, dataset: ViewableDataset, episode: int, seen: Imagination) -> str:
+def _headline(run: Run, dataset: ViewableDataset, episode: int) -> str:
     spec = run.spec
     part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
     seen_before = "" if part == "test" else ": *not held out*"
+    return (
+        f"**{spec.model}** ({spec.arch}) on *{spec.dataset}*, labels: **{_labels_used(run)}**, seed {spec.seed}. "
+        f"Episode {episode}, {part} split{seen_before}."
+    )
+
+
+def _of_episode(run: Run, dataset: ViewableDataset, episode: int, seen: Imagination) -> str:
+    told = (
+        "The actions of this recording are not known: the model is told the motion that it reads off the true frames"
+        if seen.by_motion
+        else "The actions are the recorded ones"
+    )
+    by = "the motion" if seen.by_motion else "the action"
     lines = [
         f"**{run.name}**",
         "",
-        f"**{spec.model}** ({spec.arch}) on *{spec.dataset}*, labels: **{_labels_used(run)}**, seed {spec.seed}. "
-        f"Episode {episode}, {part} split{seen_before}.",
+        _headline(run, dataset, episode),
         "",
-        "| mean of this episode | MSE | position error | missed |",
-        "|---|---|---|---|",
-        *(
-            f"| {name} | {_mean(prediction.mse)} | {_mean(prediction.position_error)} "
-            f"| {_mean(prediction.missed, 100)} % |"
-            for name, prediction in (
-                ("one step", seen.one_step),
-                ("imagined", seen.imagined),
-                ("frame before", seen.copied),
-            )
-        ),
+        *_means(seen),
         "",
-        "**Predicted one step ahead**: from the two true frames before it and the action.",
+        f"**Predicted one step ahead**: from the two true frames before it and {by}.",
         "",
-        "**Imagined**: from the model's own frames; only the first two are given. The actions are the recorded ones.",
-        "",
-        "**Rings**: where things really are. **Dots**: where the prediction has them.",
+        f"**Imagined**: from the model's own frames; only the first two are given. {told}.",
     ]
-    if seen.shift is not None:
+    if seen.places is not None:
+        lines += ["", "**Rings**: where things really are. **Dots**: where the prediction has them."]
+    if seen.shift is not None and not seen.by_motion:
         lines += ["", "**Arrows**: the agent's true motion (white) and the one that the model sees (yellow)."]
     if seen.maps is not None:
         lines += [
@@ -219,6 +244,22 @@ def _of_episode(run: Run, dataset: ViewableDataset, episode: int, seen: Imaginat
         ]
     lines += ["", f"*frame before* repeats the last frame: the least that one can do. {plain(dataset.spec.id)}."]
     return "\n".join(lines)
+
+
+def _means(seen: Imagination) -> list[str]:
+    """A table of the episode's means; of positions where they are known."""
+    kinds = (("one step", seen.one_step), ("imagined", seen.imagined), ("frame before", seen.copied))
+    if seen.places is None:
+        return [
+            "| mean of this episode | MSE |",
+            "|---|---|",
+            *(f"| {name} | {_mean(one.mse)} |" for name, one in kinds),
+        ]
+    rows = (
+        f"| {name} | {_mean(one.mse)} | {_mean(one.position_error)} | {_mean(one.missed, 100)} % |"
+        for name, one in kinds
+    )
+    return ["| mean of this episode | MSE | position error | missed |", "|---|---|---|---|", *rows]
 
 
 def _of_training(run: Run) -> str:

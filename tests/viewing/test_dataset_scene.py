@@ -13,7 +13,7 @@ from rrd_contents import lane, layout_of, read, rgba, static, tabs_of, values
 from dmotion_bench.specs import MASK_AGENT
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.dataset import dataset_scene
-from dmotion_bench.viewing.labels import brightened
+from dmotion_bench.viewing.labels import _below, brightened
 from dmotion_bench.viewing.scene import write_scene
 
 EPISODE = 3
@@ -59,6 +59,17 @@ def test_masks_and_their_legend_have_the_objects_own_colours(dataset: Dataset, w
 )
 def test_dark_things_are_lifted_from_the_dark(color, shown) -> None:
     assert brightened(color) == shown
+
+
+def test_a_name_stands_below_the_lower_end_of_a_thing() -> None:
+    masks = np.zeros((1, 100, 100), np.uint8)
+    for row in range(60):  # an arm that reaches in from the left at a slant
+        masks[0, row, row : row + 6] = MASK_AGENT
+    masks[0, 90:100, 40:51] = 2
+    ((block, arm),) = _below(masks, [2, MASK_AGENT])
+    assert abs(arm[0] - 61) <= 4  # its hand is at 59 to 64, its middle at 32
+    assert arm[1] == 59
+    assert block.tolist() == [45, 93]  # not outside the picture
 
 
 def test_rings_are_around_the_things_and_gone_ones_have_none(dataset: Dataset, written: Path) -> None:

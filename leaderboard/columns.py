@@ -82,7 +82,7 @@ def columns_for(figures: Collection[str]) -> list[Column]:
 
 
 def control_columns(figures: Collection[str]) -> list[Column]:
-    """The same of control; the last distance is the one that ranks."""
+    """The same of control: first the distance at the end, which ranks."""
     steps = sorted(int(found[1]) for name in figures if (found := re.fullmatch(r"control_distance\[(\d+)\]", name)))
     chosen = [
         Column(
@@ -90,7 +90,7 @@ def control_columns(figures: Collection[str]) -> list[Column]:
             heading=f"Distance, {step} steps",
             meaning=f"Of the objects to their goals after {step} steps, over that at the start; idle is 1.",
         )
-        for step in steps
+        for step in reversed(steps)
         if step in CONTROL_STEPS or step == steps[-1]
     ]
     return chosen + [column for column in _CONTROL_AFTER if column.figure in figures]

@@ -25,15 +25,16 @@ def control_standings(board: Board, anchor: str) -> Markup | None:
     distances = [column.figure for column in columns if column.figure.startswith("control_distance")]
     if not rows or not distances:
         return None
-    last = distances[-1]
-    tasks = max((entry.figures[last]["n"] or 0 for entry in board.measured if last in entry.figures), default=0)
+    last = distances[0]
+    tasks = sorted({int(entry.figures[last]["n"] or 0) for entry in board.measured if last in entry.figures})
     rows.sort(key=lambda row: row.figures[last].mean if last in row.figures else float("inf"))
     return element(
         "section",
         element("h3", "Control"),
         element(
             "p",
-            f"{count(tasks)} tasks: bring the objects to where the goal's image has them. "
+            f"{' or '.join(map(count, tasks)) + ' tasks' if tasks else 'Tasks'}: "
+            "bring the objects to where the goal's image has them. "
             "Distances are those of the simulator, over that at the start; doing nothing is 1.",
             class_="note",
         ),

@@ -69,6 +69,14 @@ class Environment(Protocol):
 
 
 @runtime_checkable
+class Varied(Protocol):
+    """An environment class whose episodes may differ in more than their actions: ``dmbench record --vary``."""
+
+    factors: ClassVar[Mapping[str, str]]
+    """Factors of variation by their names, each with what it is and what it is drawn from, in a line."""
+
+
+@runtime_checkable
 class Restorable(Protocol):
     """An environment whose state can be put back much faster than by replaying its actions.
 

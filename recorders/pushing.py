@@ -83,6 +83,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     )
     policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType({"push": PushPolicy})
     default_policy: ClassVar[str] = "push"
+    factors: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __init__(
         self,

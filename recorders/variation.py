@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,12 @@ class Factor:
     def most(self) -> float:
         """The largest value that it can have."""
         return max([self.high, *(high for _, high in self.shifted)])
+
+    @property
+    def explained(self) -> str:
+        """What it is and what it is drawn from, in a line."""
+        outside = " or ".join(f"{low:g} to {high:g}" for low, high in self.shifted)
+        return f"{self.meaning}: {self.low:g} to {self.high:g}; shifted: {outside}"
 
     def draw(self, generator: np.random.Generator, ranges: Ranges = Ranges.IN_DISTRIBUTION) -> float:
         """One value."""
@@ -149,6 +156,11 @@ class Variation:
         if key not in known:
             raise UnknownName("factor of variation", key, known)
         return known[key]
+
+
+def explained(factors: Iterable[Factor]) -> Mapping[str, str]:
+    """Factors by their names, each explained; as an environment's class tells of them."""
+    return MappingProxyType({factor.name: factor.explained for factor in factors})
 
 
 def named_factors(vary: str | Iterable[str]) -> tuple[str, ...]:

@@ -39,7 +39,8 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
 
 @listing.command()
 def environments(as_json: AsJson = False) -> None:
-    """The environments that can be recorded."""
+    """The environments that can be recorded, and what may vary in them."""
+    from dmotion_bench.environment import Varied
     from dmotion_bench.registry import environment_class, environment_names
 
     rows: list[dict[str, object]] = []
@@ -47,8 +48,14 @@ def environments(as_json: AsJson = False) -> None:
         kind = environment_class(name)
         presets = ", ".join(f"{preset.value} {made.episodes} episodes" for preset, made in kind.recording.items())
         summary = (kind.__doc__ or "").strip().splitlines()[0]
-        rows.append({"environment": name, "presets": presets, "what": summary})
+        factors = dict(kind.factors) if isinstance(kind, Varied) else {}
+        varied = factors if as_json else ", ".join(factors) or "nothing"
+        rows.append({"environment": name, "presets": presets, "--vary": varied, "what": summary})
+    if as_json:
+        rows = [{"factors" if key == "--vary" else key: value for key, value in row.items()} for row in rows]
     _show("environments", rows, as_json, "none is installed.")
+    if not as_json and rows:
+        typer.echo("What each factor means and is drawn from: 'dmbench list environments --json'.")
 
 
 @listing.command()

@@ -21,7 +21,7 @@ from recorders.planar_push.shapes import SHAPES, circle, rectangle
 from recorders.planar_push.table_physics import Piece, PlanarPhysics, Pose
 from recorders.pushing import ACTIONS, Drift, PushingEnvironment, Snapshot, colored_objects
 from recorders.table_lattice import Lattice, Place, TableTop
-from recorders.variation import Factor
+from recorders.variation import Factor, explained
 
 TABLE = TableTop(size=(0.52, 0.52), center=(0.0, 0.0), edge_gap=0.03, gap=0.012)
 LATTICE = Lattice(
@@ -111,6 +111,7 @@ class PlanarPush(PushingEnvironment):
             Preset.PAPER: RecordingPreset(episodes=6000, frames=101, tasks=104),
         }
     )
+    factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
 
     def __init__(
         self,

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 import gymnasium
 import numpy as np
@@ -31,6 +32,7 @@ from recorders.robot_push.scene import (
 from recorders.robot_push.solids import SOLIDS, box, prism
 from recorders.robot_push.table_physics import ROD_BOTTOM, Body, TablePhysics, load_bullet
 from recorders.table_lattice import Place
+from recorders.variation import explained
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 DISC = prism(24, DISC_RADIUS, 0.002)
@@ -57,6 +59,8 @@ class RobotPush(PushingEnvironment):
     Raises:
         PackageNotInstalled: There is no PyBullet here.
     """
+
+    factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
 
     def __init__(
         self,

@@ -1,0 +1,31 @@
+"""``dmbench list environments`` tells what can vary in each, so that nobody has to guess what ``--vary`` takes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from dmbench_command import dmbench
+
+from recorders.planar_push.environment import FACTORS, PlanarPush
+
+
+def test_what_may_vary_stands_beside_each_environment(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = json.loads(dmbench(["list", "environments", "--json"], capsys, monkeypatch).out)["environments"]
+    factors = {one["environment"]: one["factors"] for one in listed}
+
+    assert factors["grid_world"] == {}
+    assert list(factors["planar_push"]) == [factor.name for factor in FACTORS]
+    PlanarPush(vary=",".join(factors["planar_push"])).close()  # it takes every one of them
+    assert factors["robot_push"]["mass"] == "an object's mass [kg]: 0.05 to 0.6; shifted: 0.02 to 0.04 or 0.7 to 1"
+
+
+def test_the_table_names_them(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    table = dmbench(["list", "environments"], capsys, monkeypatch).out
+
+    assert "--vary" in table
+    assert "friction, mass, colour, light, camera, distractors" in table
+    assert "nothing" in next(line for line in table.splitlines() if "grid_world" in line)

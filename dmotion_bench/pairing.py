@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
-from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, read_report_samples
+from dmotion_bench.scoring.report import REPORT_FOLDER, TRANSFERS, Report, read_report, read_report_samples
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, IDENTIFICATION_COLUMNS, column
 from dmotion_bench.scoring.statistics import Estimate, paired_difference
 
@@ -62,27 +62,51 @@ def better(figure: str, low: float | None, high: float | None) -> Better | None:
     return "first" if (low > 0) == (base in HIGHER_IS_BETTER) else "second"
 
 
-def scored(run: Path) -> tuple[Report, pa.Table]:
+def scored(run: Path, folder: Path | None = None) -> tuple[Report, pa.Table]:
     """A run's report and samples.
+
+    Args:
+        run: Its folder.
+        folder: Of a report on another data set; its own if left out.
 
     Raises:
         RunMissing: The run is not scored, or its samples are not those of the report.
     """
-    report = read_report(run / REPORT_FOLDER)
-    samples = None if report is None else read_report_samples(run / REPORT_FOLDER, report)
+    folder = run / REPORT_FOLDER if folder is None else folder
+    report = read_report(folder)
+    samples = None if report is None else read_report_samples(folder, report)
     if report is None or samples is None:
-        raise RunMissing(f"the run {str(run)!r} has no whole report; score it with 'dmbench score {run}'.")
+        on = f" --data {folder.name}" if folder.parent.name == TRANSFERS else ""
+        raise RunMissing(f"the run {str(run)!r} has no whole report; score it with 'dmbench score {run}{on}'.")
     return report, samples
 
 
-def compare_runs(first: Path, second: Path) -> list[Difference]:
+def scored_on(run: Path, dataset: str) -> tuple[Report, pa.Table]:
+    """A run's report on a data set of this name, its own or another, and the samples.
+
+    Raises:
+        RunMissing: There is none.
+    """
+    own = read_report(run / REPORT_FOLDER)
+    if own is not None and own.dataset["name"] == dataset:
+        return scored(run)
+    return scored(run, run / REPORT_FOLDER / TRANSFERS / Path(dataset).name)
+
+
+def compare_runs(first: Path, second: Path, dataset: str | None = None) -> list[Difference]:
     """Every figure of two runs that can be paired, in the report's order.
+
+    Args:
+        first, second: The runs' folders.
+        dataset: The name of the data set that both were scored on; each one's own if left out.
 
     Raises:
         RunMissing: One of them is not scored.
         RunMismatch: They were not scored on the same triplets.
     """
-    (one, one_samples), (other, other_samples) = scored(first), scored(second)
+    (one, one_samples), (other, other_samples) = (
+        scored(run) if dataset is None else scored_on(run, dataset) for run in (first, second)
+    )
     for what, left, right in (
         ("data set", one.dataset["fingerprint"], other.dataset["fingerprint"]),
         ("split", one.settings["split"], other.settings["split"]),

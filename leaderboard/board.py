@@ -63,6 +63,7 @@ class Row:
         figures: By their fixed names.
         behind: How much higher its error is than the best's, paired; None where that is not known.
         is_best: Whether it is the one the others are compared with.
+        elsewhere: Whether it was trained on another data set than the board's.
         leads: Other figures in which it is the best, or cannot be told from the best.
     """
 
@@ -76,6 +77,7 @@ class Row:
     figures: Mapping[str, Value]
     behind: Estimate | None = None
     is_best: bool = False
+    elsewhere: bool = False
     leads: frozenset[str] = frozenset()
 
     @property
@@ -169,7 +171,7 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
 
 def _row_key(entry: Entry) -> tuple[str, ...]:
     content = entry.content
-    return entry.model, content["arch"], content["preset"], entry.labels, _without_seed(entry)
+    return entry.model, content["arch"], content["preset"], entry.labels, entry.trained_on or "", _without_seed(entry)
 
 
 def _without_seed(entry: Entry) -> str:
@@ -178,12 +180,13 @@ def _without_seed(entry: Entry) -> str:
 
 def _measured_row(entries: Sequence[Entry]) -> Row:
     first = entries[0]
-    arch = first.content["arch"]
+    arch, own = first.content["arch"], first.trained_on
     return Row(
         kind="measured",
         name=first.model,
         model=first.model,
-        variant="" if arch == "compact" else f"{arch} architecture",
+        variant=", ".join([f"{arch} architecture"] * (arch != "compact") + [f"trained on {own}"] * (own is not None)),
+        elsewhere=own is not None,
         labels=first.labels,
         label_count=first.label_count,
         entries=tuple(sorted(entries, key=lambda entry: (entry.content["seed"], entry.slug))),
@@ -204,7 +207,7 @@ def _told_apart(rows: list[Row]) -> list[Row]:
 def _beyond(row: Row) -> str:
     """What a run's name says beside its model, data set and budget, as ``epochs 3``; the name itself if that is odd."""
     entry = row.entries[0]
-    name, dataset = _without_seed(entry), str(entry.content["dataset"]["name"])
+    name, dataset = _without_seed(entry), entry.trained_on or str(entry.content["dataset"]["name"])
     prefixes = (f"{entry.model}-{dataset}", f"{entry.model}-{entry.content['arch']}-{dataset}")
     known = next((one for one in prefixes if f"{name}-".startswith(f"{one}-")), None)
     if known is None:

@@ -21,7 +21,8 @@ from typing import Any
 from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_results
-from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER
+from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, Report
+from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from leaderboard.comparison import scored, sums_by_episode
@@ -79,10 +80,11 @@ def build(
     left_out: dict[str, str] = {}
     for place, path in enumerate(runs):
         on_progress(path.name, place, len(runs))
-        try:
-            found.append(entry_of_run(path, earlier=out / ENTRIES))
-        except DmbenchError as error:
-            left_out[path.name] = str(error)
+        for folder in (None, *transfer_folders(path)):
+            try:
+                found.append(entry_of_run(path, folder, earlier=out / ENTRIES))
+            except DmbenchError as error:
+                left_out[path.name if folder is None else f"{path.name} on {folder.name}"] = str(error)
     on_progress("", len(runs), len(runs))
     entries = list({entry.slug: entry for entry in found}.values())
     for entry in entries:
@@ -120,28 +122,31 @@ def _given(paths: Iterable[Path]) -> list[Entry]:
     return found
 
 
-def entry_of_run(path: Path, *, earlier: Path | None = None) -> Entry:
+def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None = None) -> Entry:
     """The entry of a scored run.
 
     Args:
         path: Its folder.
+        folder: Of a report on another data set; its own if left out.
         earlier: Where an entry of it may stand already; its pictures are kept if the report is still the same.
 
     Raises:
         RunMissing: It is not scored, or not trained to its end.
         EntryInvalid: Its report is of weights or data that the run no longer has.
     """
-    report, samples = scored(path)
+    folder = path / REPORT_FOLDER if folder is None else folder
+    report, samples = scored(path, folder)
     run = Run.open(path)
+    trained_on = report.dataset.get("trained_on", report.dataset)
     if (
         run.result is None
         or run.result["weights"] != report.weights
-        or run.spec.fingerprint != report.dataset["fingerprint"]
+        or run.spec.fingerprint != trained_on["fingerprint"]
     ):
         raise EntryInvalid(
             f"the report of {str(path)!r} is of an earlier training; score it with 'dmbench score {path}'."
         )
-    stored = json.loads((path / REPORT_FOLDER / REPORT_FILE).read_text())
+    stored = json.loads((folder / REPORT_FILE).read_text())
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
     content |= {name: stored[name] for name in REPORT_FIELDS}
     content |= {"by_episode": sums_by_episode(samples), "control": actions_of(samples), "pictures": []}
@@ -149,13 +154,21 @@ def entry_of_run(path: Path, *, earlier: Path | None = None) -> Entry:
     old = _standing(earlier, entry)
     if old is not None:
         return old
-    try:
-        dataset = Dataset.open(run.dataset_path)
-    except DatasetError:
+    dataset = _dataset(run, report)
+    if dataset is None:
         return entry  # a page without this model's pictures is still a page
-    if dataset.fingerprint != run.spec.fingerprint:
-        return entry
     return Entry(content | {"pictures": take_pictures(run, dataset, samples)})
+
+
+def _dataset(run: Run, report: Report) -> Dataset | None:
+    """What a report was scored on, if it is there as it was: where the run's own is, or beside it."""
+    own = run.dataset_path
+    path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
+    try:
+        dataset = Dataset.open(path)
+    except DatasetError:
+        return None
+    return dataset if dataset.fingerprint == report.dataset["fingerprint"] else None
 
 
 def _standing(folder: Path | None, entry: Entry) -> Entry | None:

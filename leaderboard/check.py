@@ -30,16 +30,16 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
 from dmotion_bench.scoring.references import REFERENCES, published_results
-from dmotion_bench.scoring.report import REPORT_FOLDER, SAMPLES_FILE
+from dmotion_bench.scoring.report import SAMPLES_FILE, code_version
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, column, read_samples
 from dmotion_bench.scoring.score import (
     DEFAULT_METRICS,
     ReferenceScores,
     Scores,
     ScoreSettings,
-    code_version,
     score_model,
 )
+from dmotion_bench.scoring.transfer import report_folder, transfer_folders
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import file_facts
 from dmotion_bench.storage.split import SPLIT_NAMES
@@ -107,8 +107,9 @@ def check_entry(
     run, dataset, asked = find_run(check, workspace), find_dataset(check, workspace), _settings(check)
     if run is None or dataset is None:
         return check.verdict()
-    against_run(check, run, dataset)
-    samples = _stored_samples(check, run)
+    folder = report_folder(run.path, run.spec.fingerprint, dataset)
+    against_run(check, run, dataset, folder)
+    samples = _stored_samples(check, folder)
     if asked is None:
         return check.verdict()
     if samples is not None:
@@ -165,9 +166,9 @@ def check_paths(
     """
     settings, references = CheckSettings(score=not quick, differing=differing), ReferenceScores()
     verdicts: list[Verdict] = []
-    for path in (one for given in paths for one in _meant(given, workspace)):
+    for path, folder in (one for given in paths for one in _meant(given, workspace)):
         try:
-            entry = read_entry(path) if path.is_file() else entry_of_run(path)
+            entry = read_entry(path) if path.is_file() else entry_of_run(path, folder)
         except DmbenchError as error:
             verdicts.append(Verdict(entry=path.name, findings=(str(error),)))
             continue
@@ -176,13 +177,14 @@ def check_paths(
     return verdicts
 
 
-def _meant(path: Path, workspace: Workspace) -> list[Path]:
-    """The entries' files and runs that a path stands for."""
+def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
+    """The entries' files that a path stands for, or the run, its own report and those on other data sets."""
     if path.is_file():
-        return [path]
+        return [(path, None)]
     if path.is_dir() and not (path / RUN_MANIFEST).is_file() and (found := sorted(path.glob("*.json"))):
-        return found
-    return [workspace.run(path)]
+        return [(one, None) for one in found]
+    run = workspace.run(path)
+    return [(run, None), *((run, folder) for folder in transfer_folders(run))]
 
 
 def _against_tables(check: Findings) -> None:
@@ -220,9 +222,9 @@ def _settings(check: Findings) -> ScoreSettings | None:
     return None if wrong else ScoreSettings(**{name: value for name, value in given.items() if name in known})
 
 
-def _stored_samples(check: Findings, run: Run) -> pa.Table | None:
+def _stored_samples(check: Findings, folder: Path) -> pa.Table | None:
     """The samples beside the run's report."""
-    said, path = check.entry.content["samples"], run.path / REPORT_FOLDER / SAMPLES_FILE
+    said, path = check.entry.content["samples"], folder / SAMPLES_FILE
     if not path.is_file():
         check.wrong.append(f"samples: there is no {str(path)!r} to hold the figures against")
         return None

@@ -36,7 +36,8 @@ def legend(board: Board, styles: Styles) -> Markup:
     ]
     kinds = []
     if any(_dash(row) == "dashed" for row in board.rows):
-        kinds.append("dashed: a share of the labels, or more demonstrations than one")
+        elsewhere = ", or trained on another data set" if any(row.elsewhere for row in board.rows) else ""
+        kinds.append(f"dashed: a share of the labels, or more demonstrations than one{elsewhere}")
     if any(row.kind == "published" for row in board.rows):
         kinds.append("hollow and dotted: as published")
     return element(
@@ -86,7 +87,7 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
             name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(row.figures[figure].mean)}" for row in rows),
             points=[_point(float(row.label_count or 0), row, figure) for row in rows],
             style=styles[rows[0].model],
-            dash="dotted" if rows[0].kind == "published" else "solid",
+            dash="dotted" if rows[0].kind == "published" else "dashed" if rows[0].elsewhere else "solid",
             hollow=rows[0].kind == "published",
         )
         for rows in (sorted(own, key=lambda row: row.label_count or 0) for own in groups.values())
@@ -208,4 +209,4 @@ def _guides(board: Board, figure: str) -> list[Guide]:
 def _dash(row: Row) -> str:
     if row.kind == "published":
         return "dotted"
-    return "solid" if row.labels in ("one-shot", "100%") else "dashed"
+    return "solid" if row.labels in ("one-shot", "100%") and not row.elsewhere else "dashed"

@@ -93,6 +93,12 @@ class Entry:
         return str(self.content["dataset"]["environment"] if self.is_measured else self.content["environment"])
 
     @property
+    def trained_on(self) -> str | None:
+        """The name of the run's own data set, where it was scored on another."""
+        own = self.content["dataset"].get("trained_on") if self.is_measured else None
+        return None if own is None else str(own["name"])
+
+    @property
     def labels(self) -> str:
         """The label budget that was asked for."""
         return str(self.content["labels"]["asked"])

@@ -31,12 +31,14 @@ def provenance(board: Board) -> Markup:
 def _measured(entry: Entry) -> Markup:
     content = entry.content
     labels, dataset, samples = content["labels"], content["dataset"], content["samples"]
+    own = dataset.get("trained_on")
     given = ", ".join(f"{purpose} {count}" for purpose, count in labels["given"].items())
     facts = {
         "model": f"{entry.model}, {content['arch']} architecture, preset {content['preset']}, seed {content['seed']}",
         "labels": f"{labels['asked']}: {count(labels['total'])} handed out{f' ({given})' if given else ''}",
         "data set": f"{dataset['name']} ({dataset['environment']})",
         "data set's SHA-256": dataset["fingerprint"],
+        "trained on": f"{own['name']}, another data set; SHA-256 {own['fingerprint']}" if own else "",
         "weights' SHA-256": content["weights"],
         "samples": f"{count(samples['rows'])} rows",
         "samples' SHA-256": samples["sha256"],

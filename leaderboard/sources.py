@@ -10,9 +10,11 @@ import numpy as np
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_for
-from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
+from dmotion_bench.scoring.report import read_report
+from dmotion_bench.scoring.transfer import require_transferable
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import LABELS, VIDEO, file_facts, shard_path
+from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.workspace import Workspace
 from leaderboard.verdict import Findings
 
@@ -65,8 +67,8 @@ def _damages(dataset: Dataset) -> Iterator[str]:
             return
 
 
-def against_run(check: Findings, run: Run, dataset: Dataset) -> None:
-    """What the run says of itself, and the data set."""
+def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> None:
+    """What the run says of itself, the data set, and the report of the one on the other."""
     content, spec, result = check.entry.content, run.spec, run.result or {}
     for name in ("model", "arch", "preset", "seed"):
         check.expect(name, content[name], getattr(spec, name))
@@ -74,18 +76,25 @@ def against_run(check: Findings, run: Run, dataset: Dataset) -> None:
     check.expect("labels.asked", content["labels"]["asked"], spec.labels)
     check.expect("labels.given", content["labels"]["given"], result.get("labels", {}))
     check.expect("labels.total", content["labels"]["total"], result.get("labels_total", 0))
-    check.expect("settings.protocol", content["settings"]["protocol"], spec.protocol)
+    elsewhere = dataset.fingerprint != spec.fingerprint
+    check.expect("settings.protocol", content["settings"]["protocol"], "episode" if elsewhere else spec.protocol)
     for name, value in content["training"].items():
         check.expect(f"training.{name}", value, result.get(name))
-    check.expect("data set of the run", content["dataset"]["fingerprint"], spec.fingerprint)
+    own = {"name": spec.dataset, "fingerprint": spec.fingerprint} if elsewhere else None
+    check.expect("dataset.trained_on", content["dataset"].get("trained_on"), own)
+    if elsewhere and content["settings"]["split"] in SPLIT_NAMES:
+        try:
+            require_transferable(run, dataset, content["settings"]["split"])
+        except DmbenchError as error:
+            check.wrong.append(f"data set: {error}")
     check.expect("dataset.name", content["dataset"]["name"], dataset.name)
     check.expect("dataset.environment", check.entry.environment, dataset.recipe.environment)
-    published = published_for(spec.model, check.entry.environment, spec.labels)
+    published = None if elsewhere else published_for(spec.model, check.entry.environment, spec.labels)
     ours = {} if published is None else {name: one.to_json() for name, one in published.figures.items()}
     check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
     if content["settings"]["split"] != "test":
         check.remarks.append(f"scored on the {content['settings']['split']} episodes, not on the test's")
-    _against_report(check, run.path / REPORT_FOLDER)
+    _against_report(check, report)
 
 
 def _against_report(check: Findings, folder: Path) -> None:

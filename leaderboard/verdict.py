@@ -81,8 +81,9 @@ class Findings:
 
     def verdict(self) -> Verdict:
         """The verdict."""
+        on = "" if self.entry.trained_on is None else f" on {self.entry.content['dataset']['name']}"
         return Verdict(
-            entry=self.entry.name,
+            entry=self.entry.name + on,
             findings=tuple(self.wrong),
             remarks=tuple(self.remarks),
             figures=self.figures,

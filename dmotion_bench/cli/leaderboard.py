@@ -102,6 +102,9 @@ def check(
 def compare(
     first: Annotated[Path, typer.Argument(metavar="RUN", help="A scored run.")],
     second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same data set.")],
+    data: Annotated[
+        Path | None, typer.Option(help="The data set that both were scored on; each one's own if left out.")
+    ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Every figure, not only the main ones.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -110,7 +113,7 @@ def compare(
 
     workspace = Workspace.current()
     one, other = (workspace.run(run) for run in (first, second))
-    differences = _part("compare")(one, other)
+    differences = _part("compare")(one, other, None if data is None else workspace.dataset(data).name)
     if as_json:
         typer.echo(json.dumps({"first": str(one), "second": str(other), "differences": list(map(_plain, differences))}))
         return

@@ -48,7 +48,7 @@ def environments(as_json: AsJson = False) -> None:
         kind = environment_class(name)
         presets = ", ".join(f"{preset.value} {made.episodes} episodes" for preset, made in kind.recording.items())
         summary = (kind.__doc__ or "").strip().splitlines()[0]
-        factors = dict(kind.factors) if isinstance(kind, Varied) else {}
+        factors: dict[str, str] = dict(kind.factors) if isinstance(kind, Varied) else {}
         varied = factors if as_json else ", ".join(factors) or "nothing"
         rows.append({"environment": name, "presets": presets, "--vary": varied, "what": summary})
     if as_json:

@@ -56,10 +56,10 @@ def show_report(report: Report, run: Path) -> None:
         others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
         table.add_row(_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others)
     console.print(table)
-    for name in (*beside, "actions", "positions", "rollout", "split"):
+    for name in (*beside, "trained_on", "actions", "positions", "rollout", "split"):
         if name in report.remarks:
-            console.print(f"  {name}: {report.remarks[name]}")
-    console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run}/report/")
+            console.print(f"  {name.replace('_', ' ')}: {report.remarks[name]}")
+    console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
 
 
 def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
@@ -106,7 +106,8 @@ def show_overview(reports: Mapping[Path, Report]) -> None:
         compared = bool(behind) and "mse" in shown
         for path, report in zip(paths, here, strict=True):
             labels = f"{report.labels['asked']} ({report.labels['total']})"
-            table.add_row(report.run, labels, *_row(report.figures, shown, behind.get(path, "") if compared else None))
+            run = report.run if report.trained_on is None else f"{report.run} (trained on {report.trained_on})"
+            table.add_row(run, labels, *_row(report.figures, shown, behind.get(path, "") if compared else None))
             if "paper" in report.reference:
                 paper = _row(report.reference["paper"], shown, "" if compared else None)
                 table.add_row(f"  {report.model} in the paper", "", *paper)
@@ -135,12 +136,12 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
 def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
     """How much higher each run's MSE is than the first's, on the same triplets; nothing where one has no samples."""
     from dmotion_bench.pairing import behind, ties
-    from dmotion_bench.scoring.report import REPORT_FOLDER, read_report_samples
+    from dmotion_bench.scoring.report import read_report_samples
 
     samples = {
         path: found
         for path, report in zip(paths, reports, strict=True)
-        if "mse" in report.figures and (found := read_report_samples(path / REPORT_FOLDER, report)) is not None
+        if "mse" in report.figures and (found := read_report_samples(path / report.place, report)) is not None
     }
     if len(samples) < 2 or paths[0] not in samples:
         return {}
@@ -189,7 +190,8 @@ def _console() -> Console:
 
 def _headline(report: Report) -> str:
     arch = "" if report.arch == "compact" else f" ({report.arch})"
-    return f"{report.run}: {report.model}{arch} on {report.dataset['name']}, {report.settings['split']} episodes"
+    own = "" if report.trained_on is None else f" (trained on {report.trained_on})"
+    return f"{report.run}: {report.model}{arch} on {report.dataset['name']}{own}, {report.settings['split']} episodes"
 
 
 def _is_shown(name: str) -> bool:

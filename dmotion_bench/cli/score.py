@@ -42,7 +42,13 @@ def score(
         str | None,
         typer.Option(help="Control: tracked, position (the paper's), pixel or feature; what suits the model."),
     ] = None,
-    data: Annotated[Path | None, typer.Option(help="Control by a reference: the data set.")] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            help="Another data set of the same environment to score on, such as one recorded with '--ranges shifted'; "
+            "the run's own if left out. Of a reference: the data set."
+        ),
+    ] = None,
     batch_size: Annotated[int, typer.Option(min=1, help="Triplets predicted at once; changes no figure.")] = 64,
     precision: Annotated[
         str, typer.Option(help="float32, or bf16: faster where the hardware has it, and the report says so.")
@@ -50,7 +56,7 @@ def score(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
-    """Score runs on the held-out episodes of their data sets."""
+    """Score runs on the held-out episodes of their data sets, or of another one."""
     from dmotion_bench.errors import UnknownName, UsageError
     from dmotion_bench.workspace import Workspace
 
@@ -72,8 +78,6 @@ def score(
             [str(one) for one in named], workspace.dataset(data), _control(tasks, planner, cost), as_json=as_json
         )
         return
-    if data is not None:
-        raise UsageError("--data is for references; a run is scored on the data set that it was trained on.")
     if every and runs:
         raise UsageError("--all scores every run; name runs or give --all, not both.")
     paths = workspace.all_runs() if every else [workspace.run(run) for run in runs or []]
@@ -88,7 +92,8 @@ def score(
         precision="bf16" if precision == "bf16" else "float32",
         control=_control(tasks, planner, cost),
     )
-    reports, failures = score_runs(paths, asked, settings, batch_size=batch_size, device=device, keep=every)
+    other = None if data is None else workspace.dataset(data)
+    reports, failures = score_runs(paths, asked, settings, batch_size=batch_size, device=device, keep=every, data=other)
     if as_json:
         summaries = [report.summary() | {"run": str(path)} for path, report in reports.items()]
         typer.echo(json.dumps({"reports": summaries}))
@@ -106,11 +111,13 @@ def score_runs(
     batch_size: int = 64,
     device: str = "auto",
     keep: bool = False,
+    data: Path | None = None,
 ) -> tuple[dict[Path, Report], dict[str, str]]:
     """Score runs one after the other, with a progress bar; one that fails does not stop the rest.
 
     Args:
         keep: Whether reports that are up to date are left as they are.
+        data: What to score on in place of each run's own data set; of many, runs that do not fit it are left out.
 
     Returns:
         The report of each run, and by its name what went wrong with each that has none.
@@ -118,7 +125,7 @@ def score_runs(
     import torch
 
     from dmotion_bench.cli.progress import note, progress_bar
-    from dmotion_bench.errors import DmbenchError, UsageError
+    from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
     from dmotion_bench.scoring.prediction import Execution
     from dmotion_bench.scoring.score import ReferenceScores, score_run
 
@@ -143,10 +150,14 @@ def score_runs(
                     how=Execution(batch_size=batch_size, device=where, progress=show),
                     references=references,
                     renew=not keep,
+                    data=data,
                 )
             except Exception as error:
                 if len(paths) == 1:
                     raise
+                if keep and data is not None and isinstance(error, RunMismatch):
+                    typer.echo(f"left out: {error}", err=True)
+                    continue
                 failures[path.name] = str(error) if isinstance(error, DmbenchError) else repr(error)
                 note(f"{path.name}: {failures[path.name]}")
     return reports, failures

@@ -7,7 +7,8 @@
       code           version of dmbench and a hash of the code that scores
       run, model, arch, preset, seed
       labels         asked for, and the number handed out by purpose
-      dataset        name, environment, fingerprint (the hash of its content)
+      dataset        name, environment, fingerprint (the hash of its content); trained_on: name and fingerprint of
+                     the run's own, where it is scored on another (transfer.py)
       weights        the hash of the weights
       settings       split, horizon, precision ...; metrics: what has been scored so far
       training       what the run cost
@@ -24,11 +25,14 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from dmotion_bench import __version__
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
@@ -36,6 +40,8 @@ from dmotion_bench.storage.atomic import write_atomically
 PROTOCOL = "dmbench-1"
 REPORT_FOLDER = "report"
 REPORT_FILE = "report.json"
+TRANSFERS = "on"
+"""Folder in a run's report for those on other data sets, a folder each."""
 SAMPLES_FILE = "samples.parquet"
 
 FigureJson = Mapping[str, float | int | None]
@@ -63,9 +69,22 @@ class Report:
     protocol: str = PROTOCOL
     samples: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def trained_on(self) -> str | None:
+        """The name of the run's own data set, where it was scored on another."""
+        own = self.dataset.get("trained_on")
+        return None if own is None else str(own["name"])
+
+    @property
+    def place(self) -> Path:
+        """Where it lies in the run's folder."""
+        own = Path(REPORT_FOLDER)
+        return own if self.trained_on is None else own / TRANSFERS / Path(self.dataset["name"]).name
+
     def summary(self) -> dict[str, Any]:
         """What ``dmbench score --json`` prints of a report."""
-        return {
+        elsewhere = {} if self.trained_on is None else {"trained_on": self.trained_on}
+        return elsewhere | {
             "run": self.run,
             "model": self.model,
             "arch": self.arch,
@@ -117,6 +136,18 @@ def read_report_samples(folder: Path, report: Report) -> pa.Table | None:
     if not path.is_file() or _sha256(path) != report.samples.get("sha256"):
         return None
     return read_samples(path)
+
+
+@cache
+def code_version() -> str:
+    """The version of dmbench and a hash over the code that scores: a report by other code is not up to date."""
+    digest = hashlib.sha256()
+    package = resources.files("dmotion_bench")
+    files = sorted(package.joinpath("scoring").iterdir(), key=lambda file: file.name)
+    for file in (*files, package.joinpath("positions.py")):
+        if file.name.endswith(".py"):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return f"{__version__}+{digest.hexdigest()[:12]}"
 
 
 def _sha256(path: Path) -> str:

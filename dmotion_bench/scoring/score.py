@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -14,7 +11,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 
-from dmotion_bench import __version__
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.run import Run
@@ -35,9 +31,17 @@ from dmotion_bench.scoring.prediction import (
     score_steps,
 )
 from dmotion_bench.scoring.references import REFERENCES, published_for
-from dmotion_bench.scoring.report import PROTOCOL, REPORT_FOLDER, Report, read_report, read_report_samples, write_report
+from dmotion_bench.scoring.report import (
+    PROTOCOL,
+    Report,
+    code_version,
+    read_report,
+    read_report_samples,
+    write_report,
+)
 from dmotion_bench.scoring.samples import SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
+from dmotion_bench.scoring.transfer import report_folder, require_transferable
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
@@ -189,37 +193,43 @@ def score_run(
     how: Execution | None = None,
     references: ReferenceScores | None = None,
     renew: bool = True,
+    data: Path | None = None,
 ) -> Report:
-    """Score a run on the held-out episodes of its data set and write its report.
+    """Score a run on the held-out episodes of its data set, or of another one, and write its report.
 
     Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings
     and code.
 
     Args:
-        renew: Whether to score again what the report already holds; the other arguments are ``score_model``'s.
+        renew: Whether to score again what the report already holds.
+        data: Another data set of the same environment, see ``transfer.py``; the run's own if left out. The other
+            arguments are ``score_model``'s.
 
     Raises:
         RunMissing, RunCorrupt: There is no trained run at this path.
-        RunMismatch: The data set is not the one that the run was trained on.
+        RunMismatch: The data set has changed since the run was trained on it, or the other one does not fit the run.
         DatasetError, LabelsNotAvailable: Control is asked for where it cannot be scored.
     """
     run = Run.open(path)
-    dataset = Dataset.open(run.dataset_path)
-    if dataset.fingerprint != run.spec.fingerprint:
+    dataset = Dataset.open(data or run.dataset_path)
+    elsewhere = dataset.fingerprint != run.spec.fingerprint
+    if elsewhere and data is None:
         raise RunMismatch(
             f"the data set {str(run.dataset_path)!r} has changed since the run {run.name!r} was trained on it, so its "
             "held-out episodes may no longer be held out; train again with 'dmbench train'."
         )
-    protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
+    protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
     settings = replace(settings or ScoreSettings(), protocol=protocol)
-    folder = run.path / REPORT_FOLDER
+    if elsewhere:
+        require_transferable(run, dataset, settings.split)
+    folder = report_folder(run.path, run.spec.fingerprint, dataset)
     if "control" in metrics:
         require_tasks(dataset)  # said before the work, not after it
     if not dataset.spec.actions:
         metrics = ("prediction",)
     held: tuple[str, ...] = ()
     kept = SCHEMA.empty_table()
-    old = _still_true(folder, run, settings)
+    old = _still_true(folder, run, dataset, settings)
     if old is not None:
         report, samples = old
         if "rollout" not in metrics:
@@ -252,7 +262,7 @@ def score_run(
     return written
 
 
-def _still_true(folder: Path, run: Run, settings: ScoreSettings) -> tuple[Report, pa.Table] | None:
+def _still_true(folder: Path, run: Run, dataset: Dataset, settings: ScoreSettings) -> tuple[Report, pa.Table] | None:
     """The report of a folder with its samples, if single steps scored now would come to the same."""
     report = read_report(folder)
     if report is None or run.result is None:
@@ -263,7 +273,7 @@ def _still_true(folder: Path, run: Run, settings: ScoreSettings) -> tuple[Report
     )
     same = (
         report.weights == run.result["weights"]
-        and report.dataset["fingerprint"] == run.spec.fingerprint
+        and report.dataset["fingerprint"] == dataset.fingerprint
         and report.code == code_version()
         and mine == theirs
     )
@@ -273,13 +283,19 @@ def _still_true(folder: Path, run: Run, settings: ScoreSettings) -> tuple[Report
 
 def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
     result = run.result or {}
-    published = published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
+    own = {"name": run.spec.dataset, "fingerprint": run.spec.fingerprint}
+    elsewhere = {} if dataset.fingerprint == run.spec.fingerprint else {"trained_on": own}
+    published = None if elsewhere else published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
     reference = {name: _json(figures) for name, figures in scores.reference.items()}
     remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
     if not dataset.spec.actions:
         remarks["actions"] = EXPLAINED
     elif not dataset.spec.objects and not dataset.spec.agent_has_color:
         remarks["positions"] = "where the agent and the objects are is not known, so no figure is about them"
+    if elsewhere:
+        ranges = " (shifted)" if dataset.recipe.parameters.get("ranges") == "shifted" else ""
+        vary = f", in which {', '.join(dataset.recipe.vary)} vary{ranges}" if dataset.recipe.vary else ""
+        remarks["trained_on"] = f"trained on {own['name']!r}, and scored on {dataset.name!r}{vary}"
     if published is not None:
         reference["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
         remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()
@@ -307,7 +323,8 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             "name": dataset.name,
             "environment": dataset.recipe.environment,
             "fingerprint": dataset.fingerprint,
-        },
+        }
+        | elsewhere,
         weights=result["weights"],
         settings=settings.to_json(metrics),
         training={
@@ -326,15 +343,3 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
 
 def _json(figures: Figures) -> dict[str, Any]:
     return {name: estimate.to_json() for name, estimate in figures.items()}
-
-
-@cache
-def code_version() -> str:
-    """The version of dmbench and a hash over the code that scores: a report by other code is not up to date."""
-    digest = hashlib.sha256()
-    package = resources.files("dmotion_bench")
-    files = sorted(package.joinpath("scoring").iterdir(), key=lambda file: file.name)
-    for file in (*files, package.joinpath("positions.py")):
-        if file.name.endswith(".py"):
-            digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return f"{__version__}+{digest.hexdigest()[:12]}"

@@ -12,7 +12,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from dmotion_bench.cli import score as command
-from dmotion_bench.errors import RunError, RunMissing, UnknownName, UsageError
+from dmotion_bench.errors import RunError, RunMismatch, RunMissing, UnknownName, UsageError
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.score import ScoreSettings
 
@@ -31,9 +31,14 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result
     app.callback()(lambda: None)
     command.register(app)
 
-    def score_run(path: Path, *, metrics: tuple[str, ...], settings: ScoreSettings, **_: object) -> Report:
+    def score_run(
+        path: Path, *, metrics: tuple[str, ...], settings: ScoreSettings, data: Path | None = None, **_: object
+    ) -> Report:
         if path.name == "broken":
             raise RunMissing("the run 'broken' is not finished")
+        if data is not None and path.name == "b":
+            raise RunMismatch("'b' was trained in another environment")
+        own = {"trained_on": {"name": "grid_world-small", "fingerprint": "f"}}
         mse = FIGURE | {"mean": {"a": 15.04, "b": 11.0}[path.name]}
         return Report(
             run=path.name,
@@ -42,7 +47,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result
             preset="small",
             seed=0,
             labels={"asked": "one-shot", "given": {"demonstrations": 4}, "total": 4},
-            dataset={"name": "grid_world-small", "environment": "grid_world", "fingerprint": "f"},
+            dataset={"name": data.name if data else "grid_world-small", "environment": "grid_world", "fingerprint": "f"}
+            | (own if data else {}),
             weights="w",
             settings={"metrics": metrics, "horizon": settings.horizon, "split": settings.split},
             training={},
@@ -65,6 +71,31 @@ def test_json_has_the_names_that_scripts_rely_on(run: Callable[..., Result]) -> 
     assert (Path(report["run"]).name, report["dataset"], report["labels"]) == ("a", "grid_world-small", "one-shot")
     assert set(report["figures"]["mse"]) == {"mean", "std", "low", "high", "n"}
     assert report["reference"]["paper"]["mse"]["mean"] == 14.3
+
+
+@pytest.fixture
+def shifted(tmp_path: Path) -> str:
+    (tmp_path / "data/shifted").mkdir(parents=True)
+    (tmp_path / "data/shifted/dataset.json").write_text("{}")
+    return "shifted"
+
+
+def test_another_data_set_is_named_with_what_the_run_was_trained_on(run: Callable[..., Result], shifted: str) -> None:
+    table = run("a", "--data", shifted).stdout
+    assert "a: dmotion on shifted (trained on grid_world-small), test episodes" in table
+    assert "runs/a/report/on/shifted/" in table.replace("\n", "")
+    (report,) = json.loads(run("a", "--data", shifted, "--json").stdout)["reports"]
+    assert (report["dataset"], report["trained_on"]) == ("shifted", "grid_world-small")
+
+
+def test_of_all_runs_those_that_do_not_fit_the_data_are_left_out(
+    run: Callable[..., Result], shifted: str, tmp_path: Path
+) -> None:
+    (tmp_path / "runs/broken/run.json").unlink()
+    result = run("--all", "--data", shifted)
+    assert result.exit_code == 0
+    assert "a (trained on grid_world-small)" in result.stdout
+    assert "left out: 'b' was trained in another environment" in result.stderr
 
 
 def test_the_table_shows_ours_beside_the_papers(run: Callable[..., Result]) -> None:
@@ -103,7 +134,7 @@ def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
         (["a", "--metrics", ""], UsageError, "names no group"),
         (["oracle"], UsageError, "score it with '--metrics control'"),
         (["a", "oracle", "--metrics", "control"], UsageError, "name no runs beside them"),
-        (["a", "--data", "grid"], UsageError, "--data is for references"),
+        (["a", "--data", "grid"], UnknownName, "no data set named 'grid'"),
         (["a", "--metrics", "control", "--planner", "cen"], UnknownName, "did you mean 'cem'"),
         (["a", "--split", "train"], UnknownName, "known: test, validation"),
         (["a", "--precision", "fp16"], UnknownName, "bf16"),

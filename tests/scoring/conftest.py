@@ -69,8 +69,8 @@ class Oracle(Known):
         return to_model(torch.from_numpy(np.stack(frames)))
 
 
-def write_dataset(path: Path, *, episodes: int = 30, frames: int = FRAMES) -> Dataset:
-    recipe = DatasetRecipe(environment="grid_world", policy="random", seed=3, episodes=episodes, frames=frames)
+def write_dataset(path: Path, *, episodes: int = 30, frames: int = FRAMES, seed: int = 3) -> Dataset:
+    recipe = DatasetRecipe(environment="grid_world", policy="random", seed=seed, episodes=episodes, frames=frames)
     with DatasetWriter.create_or_resume(path, recipe, FACTS) as writer:
         for shard in writer.missing:
             writer.write_shard(shard, record_episodes(GridWorld, recipe, writer.episodes_of(shard)))

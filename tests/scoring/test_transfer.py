@@ -1,0 +1,148 @@
+"""A run scored on other data than its own: its figures are marked, kept apart, and never of what it was trained on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmotion_bench.errors import RunMismatch
+from dmotion_bench.learning.run import Run
+from dmotion_bench.pairing import compare_runs, scored_on
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.report import read_report, read_report_samples
+from dmotion_bench.scoring.score import ScoreSettings, score_model, score_run
+from dmotion_bench.scoring.transfer import transfer_folders
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+
+from .conftest import write_dataset
+
+MakeRun = Callable[..., Run]
+QUICK = ScoreSettings(horizon=3, resamples=100)
+
+
+@pytest.fixture
+def other(tmp_path: Path) -> Dataset:
+    """Of another seed: the same rules, other episodes."""
+    return write_dataset(tmp_path / "data/other", seed=4)
+
+
+def _score(run: Run, dataset: Dataset | None = None, **options: Any) -> Any:
+    return score_run(run.path, settings=QUICK, data=None if dataset is None else dataset.path, **options)
+
+
+def test_the_figures_are_those_of_the_other_data_set(make_run: MakeRun, other: Dataset, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", offset=0.1)
+    report = _score(run, other)
+
+    expected = score_model(run.model, other, settings=QUICK)
+    assert report.figures == {name: one.to_json() for name, one in expected.figures.items()}
+    samples = read_report_samples(run.path / "report/on/other", report)
+    assert samples is not None
+    assert set(samples["episode"].to_pylist()) == set(other.split("test").tolist())
+
+
+def test_it_is_marked_and_stands_beside_the_run_s_own(
+    make_run: MakeRun, grid: Dataset, other: Dataset, tmp_path: Path
+) -> None:
+    run = make_run(tmp_path / "run")
+    own = _score(run)
+    report = _score(run, other)
+
+    assert report.dataset == {
+        "name": "other",
+        "environment": "grid_world",
+        "fingerprint": other.fingerprint,
+        "trained_on": {"name": grid.name, "fingerprint": grid.fingerprint},
+    }
+    assert report.trained_on == grid.name
+    assert report.remarks["trained_on"] == f"trained on {grid.name!r}, and scored on 'other'"
+    assert "paper" not in report.reference  # it was published for its own data
+    assert report.summary()["trained_on"] == grid.name
+    assert read_report(run.path / "report") == own
+    assert own.trained_on is None
+    assert "trained_on" not in own.summary()
+    assert transfer_folders(run.path) == [run.path / "report/on/other"] == [run.path / report.place]
+
+
+def test_it_is_kept_while_it_is_true_and_its_own_data_set_is_no_other(
+    make_run: MakeRun, grid: Dataset, other: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = make_run(tmp_path / "run")
+    first = _score(run, other)
+    with monkeypatch.context() as patch:
+        patch.setattr("dmotion_bench.scoring.score.score_model", lambda *_, **__: pytest.fail("scored again"))
+        assert _score(run, other, renew=False) == first
+    assert _score(run, grid).place == Path("report")
+    assert not (run.path / "report/on" / grid.name).exists()
+
+
+def test_episodes_that_the_run_was_trained_on_are_refused(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
+    """Recorded longer with the same seed: of the new test episodes some were the run's training."""
+    longer = write_dataset(tmp_path / "data/longer", episodes=60)
+    trained = {grid.rows[one].seed for one in (*grid.split("train"), *grid.split("validation"))}
+    known = [one for one in longer.split("test").tolist() if longer.rows[one].seed in trained]
+    assert known
+    with pytest.raises(RunMismatch, match=rf"{len(known)} of the 6 test episodes .* \(episodes {known[0]}.*--seed"):
+        _score(make_run(tmp_path / "run"), longer)
+
+
+def test_the_same_seed_with_the_same_split_holds_out_the_same(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
+    shorter = write_dataset(tmp_path / "data/shorter", frames=10)
+    np.testing.assert_array_equal(shorter.split("test"), grid.split("test"))
+    assert _score(make_run(tmp_path / "run"), shorter).figures["mse"]["n"] == len(grid.split("test")) * 8
+
+
+def test_another_environment_is_refused(make_run: MakeRun, tmp_path: Path) -> None:
+    record_dataset(tmp_path / "planar", DatasetRecipe(environment="planar_push", policy="push", episodes=4, frames=4))
+    with pytest.raises(RunMismatch, match="trained in 'grid_world', and 'planar' is of 'planar_push'"):
+        _score(make_run(tmp_path / "run"), Dataset.open(tmp_path / "planar"))
+
+
+@pytest.mark.parametrize(("changes", "said"), [({"width": 64}, "64 x 128 pixels"), ({"actions": 5}, "5 actions")])
+def test_a_run_of_other_pictures_or_actions_is_refused(
+    make_run: MakeRun, other: Dataset, tmp_path: Path, changes: dict[str, int], said: str
+) -> None:
+    run = make_run(tmp_path / "run", fingerprint="gone", **changes)
+    with pytest.raises(RunMismatch, match=said):
+        _score(run, other)
+
+
+def test_without_data_a_changed_data_set_is_still_an_error(make_run: MakeRun, tmp_path: Path) -> None:
+    with pytest.raises(RunMismatch, match="has changed since"):
+        _score(make_run(tmp_path / "run", fingerprint="another"))
+
+
+def test_runs_are_compared_where_both_were_scored(make_run: MakeRun, other: Dataset, tmp_path: Path) -> None:
+    """One was trained there, the other elsewhere; both saw the same held-out episodes."""
+    elsewhere = make_run(tmp_path / "elsewhere", offset=0.2)
+    native = make_run(tmp_path / "native", fingerprint=other.fingerprint, dataset=other.name)
+    native.manifest["dataset_path"] = str(other.path)
+    native.write()
+    for run in (elsewhere, native):
+        _score(run, other)
+
+    found = {one.figure: one for one in compare_runs(elsewhere.path, native.path, "other")}
+    assert found["mse"].better == "second"
+    assert scored_on(native.path, "other")[0].trained_on is None
+    _score(elsewhere)
+    with pytest.raises(RunMismatch, match="not scored on the same triplets"):
+        compare_runs(elsewhere.path, native.path)
+
+
+def test_control_is_scored_on_the_other_data_set_s_tasks(make_run: MakeRun, tmp_path: Path) -> None:
+    recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=20, frames=32, seed=5, tasks=2)
+    record_dataset(tmp_path / "data/tasks", recipe)
+    run = make_run(tmp_path / "run")
+    control = replace(QUICK.control, tasks=2, steps=2)
+    report = score_run(
+        run.path, metrics=("control",), settings=replace(QUICK, control=control), data=tmp_path / "data/tasks"
+    )
+    assert report.figures["control_distance[2]"]["n"] == 2
+    assert json.loads((run.path / "report/on/tasks/report.json").read_text())["settings"]["control_steps"] == 2

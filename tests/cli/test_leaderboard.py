@@ -44,7 +44,7 @@ class Parts:
             Verdict(entry="bad", findings=("mse.mean is said to be 1 and is 2",)),
         ][: 1 if quick else 2]
 
-    def compare(self, first: Path, second: Path) -> list[Difference]:
+    def compare(self, first: Path, second: Path, dataset: str | None) -> list[Difference]:
         self.asked.append((first, second))
         clear = Estimate(mean=-2.0, std=1.0, low=-3.0, high=-1.0, n=70)
         unclear = Estimate(mean=0.1, std=1.0, low=-1.0, high=1.2, n=70)

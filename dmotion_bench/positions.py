@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8, UInt16
 from torch import Tensor
 
 from dmotion_bench.specs import EnvSpec, ObjectSpec
@@ -85,14 +85,60 @@ class PositionFinder:
 
         Only rows and columns with two pixels count, so that a stray one does not. NaN for what was not found.
         """
-        rows, columns = self._counts(frames)
-        found = self._positions(rows, columns, frames.shape[:1])
+        return self._with_extents(*self._counts(frames))
+
+    def _with_extents(
+        self, rows: Int[Tensor, "b k h"], columns: Int[Tensor, "b k w"]
+    ) -> tuple[Positions, Float[Tensor, "b k 2 2"]]:
+        found = self._positions(rows, columns, rows.shape[:1])
         extents = []
         for counts in (columns, rows):
             there = (counts >= 2).to(torch.uint8)
             first, last = there.argmax(-1), counts.shape[-1] - 1 - there.flip(-1).argmax(-1)
             extents.append(torch.stack([first, last], dim=-1).float())
         return found, torch.stack(extents, dim=-2).masked_fill(~found.found[..., None, None], torch.nan)
+
+    def find_within(
+        self, frames: UInt8[Tensor, "b h w 3"], low: Float[Tensor, "b k 2"], high: Float[Tensor, "b k 2"]
+    ) -> tuple[Positions, Float[Tensor, "b k 2 2"]]:
+        """As ``find_extents``, but of each object only what lies in a box of its own, for the first k things.
+
+        Args:
+            frames: To be looked at.
+            low, high: The box's first and last (x, y) [px]; where they are NaN nothing is found.
+        """
+        side = torch.tensor([frames.shape[2], frames.shape[1]], device=frames.device)
+        first = torch.minimum(low.nan_to_num(float(sum(frames.shape[1:3]))).ceil().long().clamp(min=0), side)
+        last = torch.maximum(torch.minimum(high.nan_to_num(-1.0).floor().long() + 1, side), first)
+        rows: list[Int[Tensor, "b k h"]] = []
+        columns: list[Int[Tensor, "b k w"]] = []
+        for place, word in enumerate(self._words):
+            things = slice(place * self._fields, min((place + 1) * self._fields, low.shape[1]))
+            packed = _packed(frames, word)
+            fields = torch.arange(things.stop - things.start, device=frames.device) * self._field_bits
+            for counts, sums, axis in ((rows, packed, 0), (columns, packed.transpose(1, 2), 1)):
+                counts.append(self._between(sums, first[:, things], last[:, things], axis, fields))
+            if things.stop == low.shape[1]:
+                break
+        return self._with_extents(torch.cat(rows, dim=1), torch.cat(columns, dim=1))
+
+    def _between(
+        self,
+        packed: Int[Tensor, "n s u"],
+        first: Int[Tensor, "n k 2"],
+        last: Int[Tensor, "n k 2"],
+        axis: int,
+        fields: Int[Tensor, " k"],
+    ) -> Int[Tensor, "n k s"]:
+        """How many pixels of each label stand in its own box, for each place along the other axis than ``axis``."""
+        # numpy sums up three times as fast as torch on a CPU [measured]
+        running = torch.from_numpy(packed.numpy().cumsum(2)) if packed.device.type == "cpu" else packed.cumsum(2)
+        sums = torch.nn.functional.pad(running, (1, 0))
+        start, end = (sums.gather(2, edge[:, None, :, axis].expand(-1, sums.shape[1], -1)) for edge in (first, last))
+        counts: Tensor = ((end - start) >> fields & (2**self._field_bits - 1)).transpose(1, 2)
+        along = torch.arange(packed.shape[1], device=packed.device)
+        inside = (along >= first[..., 1 - axis, None]) & (along < last[..., 1 - axis, None])
+        return counts.where(inside, torch.zeros_like(counts))
 
     def _positions(
         self, rows: Int[Tensor, "n k h"], columns: Int[Tensor, "n k w"], leading: tuple[int, ...]
@@ -136,25 +182,37 @@ def _sums_on_cpu(
     frames: UInt8[Tensor, "n h w 3"], word: Int[Tensor, " c"]
 ) -> tuple[Int[Tensor, "n h"], Int[Tensor, "n w"]]:
     """Numpy gathers four times as fast as torch on a CPU [measured], a few frames at a time stay in the cache."""
-    pixels, table, keep = frames.numpy(), word.numpy(), 256 - 2 ** (8 - BITS)
+    pixels, table = frames.numpy(), word.numpy()
     rows = np.empty(pixels.shape[:2], np.int64)
     columns = np.empty((pixels.shape[0], pixels.shape[2]), np.int64)
     for start in range(0, len(pixels), 4):
-        part = pixels[start : start + 4]
-        index = (part[..., 0] & keep).astype(np.uint16) << (3 * BITS - 8)
-        index |= (part[..., 1] & keep).astype(np.uint16) << (2 * BITS - 8)
-        index |= part[..., 2] >> (8 - BITS)
-        packed = table.take(index)
+        packed = table.take(_table_index(pixels[start : start + 4]))
         packed.sum(2, out=rows[start : start + 4])
         packed.sum(1, out=columns[start : start + 4])
     return torch.from_numpy(rows), torch.from_numpy(columns)
 
 
+def _packed(frames: UInt8[Tensor, "n h w 3"], word: Int[Tensor, " c"]) -> Int[Tensor, "n h w"]:
+    """Each pixel's word."""
+    if frames.device.type != "cpu":
+        red, green, blue = (frames >> (8 - BITS)).int().unbind(-1)
+        return word.to(frames.device)[(red << (2 * BITS)) | (green << BITS) | blue]
+    return torch.from_numpy(word.numpy().take(_table_index(frames.numpy())))
+
+
+def _table_index(pixels: UInt8[np.ndarray, "n h w 3"]) -> UInt16[np.ndarray, "n h w"]:
+    """Which of the table's colours each pixel has."""
+    keep = 256 - 2 ** (8 - BITS)
+    index: UInt16[np.ndarray, "n h w"] = (pixels[..., 0] & keep).astype(np.uint16) << (3 * BITS - 8)
+    index |= (pixels[..., 1] & keep).astype(np.uint16) << (2 * BITS - 8)
+    index |= pixels[..., 2] >> (8 - BITS)
+    return index
+
+
 def _sums_on_device(
     frames: UInt8[Tensor, "n h w 3"], word: Int[Tensor, " c"]
 ) -> tuple[Int[Tensor, "n h"], Int[Tensor, "n w"]]:
-    red, green, blue = (frames >> (8 - BITS)).int().unbind(-1)
-    packed = word.to(frames.device)[(red << (2 * BITS)) | (green << BITS) | blue]
+    packed = _packed(frames, word)
     return packed.sum(2), packed.sum(1)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dmotion_bench.planning.problems import Problem
     from dmotion_bench.storage.dataset import Dataset
 
-COSTS = ("position", "tracked", "pixel", "feature")
+COSTS = ("followed", "tracked", "position", "pixel", "feature")
 REFERENCES = ("idle", "random", "oracle", "scripted")
 
 
@@ -32,7 +32,8 @@ def plan(
     task: Annotated[int, typer.Option(min=0, help="The number of one of the data set's control tasks.")] = 0,
     planner: Annotated[str | None, typer.Option(help="cem is the paper's; a wrong name lists them all.")] = None,
     cost: Annotated[
-        str | None, typer.Option(help="tracked, position (the paper's), pixel or feature; what suits the model.")
+        str | None,
+        typer.Option(help="followed, tracked, position (the paper's), pixel or feature; what suits model and picture."),
     ] = None,
     steps: Annotated[int, typer.Option(min=1, help="Actions to take.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the planner's random numbers.")] = 0,

@@ -40,7 +40,9 @@ def score(
     planner: Annotated[str | None, typer.Option(help="Control: a wrong name lists them all.")] = None,
     cost: Annotated[
         str | None,
-        typer.Option(help="Control: tracked, position (the paper's), pixel or feature; what suits the model."),
+        typer.Option(
+            help="Control: followed, tracked, position (the paper's), pixel or feature; what suits model and picture."
+        ),
     ] = None,
     data: Annotated[
         Path | None,

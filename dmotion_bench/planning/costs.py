@@ -19,11 +19,12 @@ from torch import Tensor
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, State
+from dmotion_bench.planning.following import FollowedCost, Following
 from dmotion_bench.planning.tracking import Outlines, Tracker, believed
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec
 
-COSTS = ("position", "tracked", "pixel", "feature")
+COSTS = ("followed", "tracked", "position", "pixel", "feature")
 MISSING = 0.5
 """What a missing object costs: this share of the frame's width, as a distance."""
 
@@ -149,8 +150,11 @@ def make_cost(
     spec: EnvSpec,
     goals: UInt8[Tensor, "b h w 3"],
     tracked: tuple[Outlines, Outlines] | None = None,
-) -> Cost:
+) -> Cost | Following:
     """A cost by its name; None is that of object positions for models of pixels, else that of features.
+
+    Positions are those of followed objects where objects are told by their hue, since blurred edges have hues, too;
+    else those of tracked ones.
 
     Args:
         tracked: Where objects are and where they should be; without it both images are looked at by themselves.
@@ -159,9 +163,11 @@ def make_cost(
         UnknownName: There is no such cost.
     """
     if name is None:
-        name = "feature" if not (model.needs_pixels and spec.objects) else "position" if tracked is None else "tracked"
-    if name == "position" or (name == "tracked" and tracked is None):
+        name = "feature" if not (model.needs_pixels and spec.objects) else "followed" if spec.shaded else "tracked"
+    if name == "position" or (name in ("tracked", "followed") and tracked is None):
         return PositionCost(spec, goals)
+    if name == "followed" and tracked is not None:
+        return FollowedCost(spec, *tracked)
     if name == "tracked" and tracked is not None:
         return TrackedCost(spec, *tracked)
     if name == "pixel":

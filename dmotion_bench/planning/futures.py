@@ -18,6 +18,7 @@ from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.planning.costs import Cost
+from dmotion_bench.planning.following import Following
 
 States = tuple[Tensor, ...]
 """Tensors whose first axis is the batch."""
@@ -68,7 +69,7 @@ class ModelFutures:
     def __init__(
         self,
         model: ForwardModel[Any],
-        cost: Cost,
+        cost: Cost | Following,
         previous: UInt8[Tensor, "b h w 3"],
         current: UInt8[Tensor, "b h w 3"],
         *,
@@ -83,9 +84,10 @@ class ModelFutures:
         self.at_once = at_once or FRAMES_AT_ONCE.get(self._device.type, 64)
 
     def begin(self) -> States:
-        """The model's state after the two images of each task."""
+        """The model's state after the two images of each task, and what the cost knows then."""
         with self._imagining():
-            return as_tuple(self._model.begin(to_model(self._previous), to_model(self._current)))
+            state = as_tuple(self._model.begin(to_model(self._previous), to_model(self._current)))
+            return (*state, self._cost.begin()) if isinstance(self._cost, Following) else state
 
     def expand(
         self, states: States, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
@@ -93,6 +95,10 @@ class ModelFutures:
         """What the model believes comes next."""
         with self._imagining():
             task, action = task.to(self._device), action.to(self._device)
+            if isinstance(self._cost, Following):
+                after = as_tuple(self._model.advance(states[:-1], action))
+                cost, known = self._cost.follow(self._model, after, task, states[-1])
+                return (*after, known), cost.float().cpu()
             after = as_tuple(self._model.advance(states, action))
             return after, self._cost(self._model, after, task).float().cpu()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
@@ -89,7 +90,13 @@ def _planners() -> Mapping[str, Callable[[], Planner]]:
     from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
     from dmotion_bench.planning.exhaustive import ExhaustivePlanner
 
-    return MappingProxyType({"cem": CrossEntropyPlanner, "exhaustive": ExhaustivePlanner})
+    return MappingProxyType(
+        {
+            "cem": CrossEntropyPlanner,
+            "icem": partial(CrossEntropyPlanner, stickiness=0.6, kept=5),
+            "exhaustive": ExhaustivePlanner,
+        }
+    )
 
 
 def planner_names() -> list[str]:

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.positions import PositionFinder
+from dmotion_bench.positions import PositionFinder, Positions
 from dmotion_bench.specs import EnvSpec
 
 CLEAR: Final = 0.85
@@ -57,6 +57,16 @@ class Outlines:
             seen=self.seen[rows],
         )
 
+    def where(self, chosen: Bool[Tensor, "b k"], other: Outlines) -> Outlines:
+        """These for the objects chosen, else those of ``other``."""
+        pairs = {one.name: (getattr(self, one.name), getattr(other, one.name)) for one in fields(self)}
+        return Outlines(
+            **{
+                name: torch.where(chosen if mine.ndim == 2 else chosen[..., None], mine, theirs)
+                for name, (mine, theirs) in pairs.items()
+            }
+        )
+
 
 class Tracker:
     """Follows the objects from picture to picture.
@@ -71,6 +81,14 @@ class Tracker:
     def look(self, frames: UInt8[Tensor, "b h w 3"]) -> Outlines:
         """What pictures show by themselves; an object that is not found has no centre (NaN)."""
         found, extents = self._finder.find_extents(frames)
+        return self._outlines(found, extents)
+
+    def look_near(self, known: Outlines, frames: UInt8[Tensor, "b h w 3"], reach: float) -> Outlines:
+        """What pictures show of each object where it was and around it, as far as ``reach`` [px] goes."""
+        low, high = known.centre - known.low - reach, known.centre + known.high + reach
+        return self._outlines(*self._finder.find_within(frames, low, high))
+
+    def _outlines(self, found: Positions, extents: Float[Tensor, "b k 2 2"]) -> Outlines:
         centre, extent = found.centre[:, : self._objects], extents[:, : self._objects]
         return Outlines(
             centre=centre,

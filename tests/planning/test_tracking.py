@@ -2,41 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
+from planning.boxes import AT, FIRST, SPEC, picture
 
 from dmotion_bench.planning.costs import PositionCost, TrackedCost
 from dmotion_bench.planning.tracking import Outlines, Tracker, believed
-from dmotion_bench.specs import EnvSpec, ObjectSpec
-
-RED, BLUE = (230, 20, 20), (20, 20, 230)
-SPEC = EnvSpec(
-    id="covered",
-    actions=("left", "right"),
-    agent=ObjectSpec(name="curtain", shape="box", color=(250, 250, 250)),
-    objects=(
-        ObjectSpec(name="red_box", shape="box", color=RED),
-        ObjectSpec(name="blue_box", shape="box", color=BLUE),
-    ),
-    height=64,
-    width=64,
-)
-FIRST = torch.zeros(1, dtype=torch.long)
-AT = (20, 30)
-
-
-def picture(
-    red: tuple[int, int] | None = AT, blue: tuple[int, int] = (50, 50), curtain: slice | None = None
-) -> torch.Tensor:
-    """Boxes of 11 x 11 pixels around their centres (x, y), and a white curtain over some columns."""
-    frame = np.zeros((64, 64, 3), np.uint8)
-    for place, color in ((red, RED), (blue, BLUE)):
-        if place is not None:
-            frame[place[1] - 5 : place[1] + 6, place[0] - 5 : place[0] + 6] = color
-    if curtain is not None:
-        frame[:, curtain] = 250
-    return torch.from_numpy(frame)[None]
 
 
 @pytest.fixture

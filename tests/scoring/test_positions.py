@@ -94,6 +94,38 @@ def test_shade_changes_no_hue_and_grey_has_none() -> None:
     assert found.centre.tolist() == [[17.0, 20.0 * place + 4.5] for place in range(6)]
 
 
+def test_a_search_in_boxes_is_a_search_of_pictures_that_are_black_outside() -> None:
+    generator = np.random.default_rng(4)
+    frames = np.asarray((*COLORS, (0, 0, 0)), np.uint8)[generator.integers(0, 5, (6, 32, 48))]
+    corners = np.sort(generator.uniform(-6, 54, (6, 4, 2, 2)), axis=2)
+    finder = PositionFinder(spec_of(COLORS, 32, 48))
+    low, high = (torch.from_numpy(corners[:, :, place]).float() for place in (0, 1))
+    high[0, 1], low[3, 2] = torch.nan, torch.nan
+    found, extents = finder.find_within(torch.from_numpy(frames), low, high)
+    ys, xs = np.mgrid[:32, :48]
+    for one in range(6):
+        for color in range(4):
+            (x, y), (to_x, to_y) = low[one, color].tolist(), high[one, color].tolist()
+            inside = (xs >= x) & (xs <= to_x) & (ys >= y) & (ys <= to_y)
+            cut = torch.from_numpy(frames[one] * inside[..., None].astype(np.uint8))[None]
+            alone, whole = finder.find_extents(cut)
+            assert found.pixels[one, color] == alone.pixels[0, color]
+            torch.testing.assert_close(found.centre[one, color], alone.centre[0, color], equal_nan=True)
+            torch.testing.assert_close(extents[one, color], whole[0, color], equal_nan=True)
+    assert 0 < found.found.sum() < 24
+
+
+def test_boxes_for_more_colours_than_a_word_has_fields() -> None:
+    hues = [colorsys.hsv_to_rgb(place / 12, 1, 1) for place in range(12)]
+    colors = tuple(tuple(round(255 * part) for part in hue) for hue in hues)
+    frames = torch.tensor(colors, dtype=torch.uint8).repeat(1, 30, 2, 1)
+    finder = PositionFinder(spec_of(colors, 30, 24))
+    low = torch.tensor([[0.0, 0.0]] * 5 + [[12.0, 0.0]] * 5)[None]
+    high = torch.tensor([[11.0, 29.0]] * 5 + [[23.0, 29.0]] * 5)[None]
+    found, _ = finder.find_within(frames, low, high)
+    assert found.centre[0].tolist() == [[place + 12.0 * (place >= 5), 14.5] for place in range(10)]
+
+
 def test_the_way_of_a_gpu_counts_the_same() -> None:
     frames = torch.randint(0, 256, (5, 128, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     word = torch.randint(0, 2**40, (32**3,), generator=torch.Generator().manual_seed(1))

@@ -1,0 +1,110 @@
+"""The cost of an imagined future whose objects are followed from each step to the next.
+
+A predicted frame is no picture: what the model is not sure of is a smear, a pushed object fades and is gone a few
+steps later, and the arm's blurred edges have the colours of objects that stand elsewhere. A planner that takes the
+centre of all pixels of a colour looks for such stray pixels near the goal, and finds them; and if what has faded
+counts as lost, no push ever looks good. What is known about objects helps (measured in DECISIONS.md):
+
+- from one step to the next an object does not go farther than the agent does, so only its own surroundings are
+  looked at, and they move along with it;
+- objects do not cease to be: one that fades away is believed to be where it was imagined last.
+
+What is partly hidden is treated as in ``tracking.py``. Nothing but pictures is looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.learning.images import to_pixels
+from dmotion_bench.learning.model import ForwardModel, State
+from dmotion_bench.planning.tracking import CLEAR, PLAY, Outlines, Tracker, believed
+from dmotion_bench.specs import EnvSpec
+
+REACH: Final = 6 / 128
+"""So far beyond its outline an object is looked for, as a share of the frame's width."""
+
+STILL: Final = 1.0
+"""What is imagined to have moved less than this since the last real picture has not moved [px]."""
+
+DOUBT: Final = 4 / 128
+"""Whatever changes the cost by less than this share of the frame's width, as a distance, is not believed."""
+
+LOOSE: Final = 1.5
+"""So much longer and wider than before may an object be that is seen in one piece: it may have turned."""
+
+
+@runtime_checkable
+class Following(Protocol):
+    """A cost that remembers something of each step for the next one."""
+
+    def begin(self) -> Tensor:
+        """What is known of each task before anything is imagined."""
+
+    def follow(
+        self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"], known: Tensor
+    ) -> tuple[Float[Tensor, " n"], Tensor]:
+        """The cost of some futures, and what is to be known at the next step, from what was known at the last."""
+
+
+class FollowedCost:
+    """Summed squared distances of the objects' centres, each followed step by step [px^2].
+
+    Args:
+        spec: Says what the objects look like.
+        known: Where they are now, by all that has been seen.
+        wanted: Where they should be; what the goal image does not show at all does not count.
+    """
+
+    def __init__(
+        self,
+        spec: EnvSpec,
+        known: Outlines,
+        wanted: Outlines,
+        *,
+        reach: float = REACH,
+        still: float = STILL,
+        doubt: float = DOUBT,
+    ) -> None:
+        self._tracker, self._known, self._wanted = Tracker(spec), known, wanted
+        self._reach, self._still, self._doubt = reach * spec.width, still, (doubt * spec.width) ** 2
+        self._nowhere = (spec.width / 2) ** 2
+        self._now = self._apart(known.centre, wanted)
+
+    def begin(self) -> Float[Tensor, "b k 2"]:
+        """Where the objects of each task are."""
+        return self._known.centre
+
+    def follow(
+        self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"], known: Float[Tensor, "n k 2"]
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 2"]]:
+        """The cost of the frames that the states look like, and where the objects are in them."""
+        return self.of_frames(to_pixels(model.frame(state)), task, known)
+
+    def of_frames(
+        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], known: Float[Tensor, "n k 2"]
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 2"]]:
+        """The cost of pictures, and where the objects are in them."""
+        start, wanted = self._known.of(task), self._wanted.of(task)
+        before = replace(start, centre=known)
+        now = self._look(before, frames)
+        centre = believed(before, now).centre
+        moved = (centre - start.centre).norm(dim=-1, keepdim=True) >= self._still
+        cost, present = self._apart(torch.where(moved, centre, start.centre), wanted), self._now[task]
+        return torch.where((cost - present).abs() < self._doubt, present, cost), centre
+
+    def _apart(self, centre: Float[Tensor, "n k 2"], wanted: Outlines) -> Float[Tensor, " n"]:
+        squared = (centre - wanted.centre).square().sum(-1).nan_to_num(self._nowhere)
+        return torch.where(wanted.seen, squared, 0.0).sum(-1)
+
+    def _look(self, before: Outlines, frames: UInt8[Tensor, "n h w 3"]) -> Outlines:
+        """What is seen of each object: near where it was, or wherever, if it is all there and in one piece."""
+        near, anywhere = self._tracker.look_near(before, frames, self._reach), self._tracker.look(frames)
+        largest = LOOSE * (before.low + before.high) + PLAY
+        whole = (anywhere.pixels >= CLEAR * before.pixels) & (anywhere.low + anywhere.high <= largest).all(-1)
+        return anywhere.where(anywhere.seen & whole, near)

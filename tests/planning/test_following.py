@@ -1,0 +1,126 @@
+"""What is imagined is followed step by step: smears and stray pixels neither make nor unmake objects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from planning.boxes import AT, FIRST, RED, SPEC, picture
+from planning.worlds import PerfectGridModel
+
+from dmotion_bench.planning.costs import PositionCost, TrackedCost, make_cost
+from dmotion_bench.planning.following import DOUBT, FollowedCost
+from dmotion_bench.planning.futures import ModelFutures
+from dmotion_bench.planning.tracking import Tracker
+from dmotion_bench.planning.tree import FutureTree
+from dmotion_bench.specs import EnvSpec
+from recorders.grid_world import FACTS, draw
+
+GOAL = (44, 30)
+BELOW = int(DOUBT * SPEC.width) ** 2
+
+
+def cost_of(spec: EnvSpec = SPEC) -> FollowedCost:
+    tracker = Tracker(spec)
+    return FollowedCost(spec, *tracker.meet(picture(), picture(red=GOAL)))
+
+
+def followed(*frames: torch.Tensor) -> list[float]:
+    """What each of some pictures costs that come one after the other."""
+    cost, prices = cost_of(), []
+    known = cost.begin()
+    for frame in frames:
+        price, known = cost.of_frames(frame, FIRST, known)
+        prices.append(price.item())
+    return prices
+
+
+@pytest.mark.parametrize("step", [4, 24])
+def test_the_cost_is_the_papers_where_all_is_seen(step: int) -> None:
+    frames = [picture(red=(x, 30)) for x in range(AT[0], GOAL[0] + 1, step)]
+    papers = PositionCost(SPEC, picture(red=GOAL))
+    assert followed(*frames) == pytest.approx([papers.of_frames(frame, FIRST).item() for frame in frames])
+
+
+def test_stray_pixels_near_the_goal_are_no_object() -> None:
+    frame = picture()
+    frame[0, 25:36, 38:50] = torch.tensor(RED, dtype=torch.uint8)
+    frame[0, 30, 44] = 0  # as many pixels as the object has, and they lie around the goal
+    assert PositionCost(SPEC, picture(red=GOAL)).of_frames(frame, FIRST).item() < 12.5**2
+    assert followed(frame) == pytest.approx([24**2])
+
+
+def test_an_object_that_fades_away_stays_where_it_was_imagined_last() -> None:
+    gone = picture(red=None)
+    prices = followed(picture(red=(24, 30)), picture(red=(28, 30)), gone, gone)
+    assert prices == pytest.approx([20**2, 16**2, 16**2, 16**2])
+    tracked = TrackedCost(SPEC, *Tracker(SPEC).meet(picture(), picture(red=GOAL)))
+    assert tracked.of_looks(Tracker(SPEC).look(gone), FIRST).item() == 32**2
+
+
+@pytest.mark.parametrize("curtain", [slice(10, 20), slice(20, 40), slice(10, 30)])
+def test_a_curtain_moves_nothing(curtain: slice) -> None:
+    assert followed(picture(curtain=curtain)) == pytest.approx([24**2])
+
+
+def test_less_than_a_pixel_is_no_movement() -> None:
+    narrower = picture()
+    narrower[0, :, 15] = 0
+    tracker = Tracker(SPEC)
+    known, wanted = tracker.meet(picture(), picture(red=GOAL))
+    for still, price in ((0.4, 23.5**2), (0.6, 24**2)):
+        cost = FollowedCost(SPEC, known, wanted, still=still, doubt=0.0)
+        assert cost.of_frames(narrower, FIRST, cost.begin())[0].item() == pytest.approx(price)
+
+
+def test_a_little_better_is_no_better_and_a_little_worse_no_worse() -> None:
+    tracker = Tracker(SPEC)
+    near, goal = picture(red=(42, 30)), picture(red=GOAL)
+    cost = FollowedCost(SPEC, *tracker.meet(near, goal))
+    for place, price in (((42, 30), 4), ((43, 30), 4), ((41, 30), 9), ((40, 30), 16), ((38, 30), 36)):
+        found = cost.of_frames(picture(red=place), FIRST, cost.begin())[0].item()
+        assert found == pytest.approx(4 if abs(price - 4) < BELOW else price)
+
+
+def test_each_row_has_its_own_task_and_its_own_past() -> None:
+    starts, goals = torch.cat([picture(), picture(red=(30, 12))]), torch.cat([picture(red=GOAL), picture()])
+    tracker = Tracker(SPEC)
+    known, wanted = tracker.meet(starts, goals)
+    cost = FollowedCost(SPEC, known, wanted)
+    task = torch.tensor([1, 0, 1])
+    frames = torch.cat([picture(red=(33, 14)), picture(red=(23, 30)), picture(red=None)])
+    past = cost.begin()[task] + torch.tensor([[[2.0, 1.0]], [[1.0, 0.0]], [[0.0, 3.0]]])
+    prices, after = cost.of_frames(frames, task, past)
+    for row, of in enumerate(task.tolist()):
+        alone = FollowedCost(SPEC, known.of(torch.tensor([of])), wanted.of(torch.tensor([of])))
+        price, place = alone.of_frames(frames[row : row + 1], FIRST, past[row : row + 1])
+        torch.testing.assert_close(prices[row], price[0])
+        torch.testing.assert_close(after[row], place[0])
+
+
+def test_a_tree_remembers_what_was_followed() -> None:
+    places = np.array([[(0, 0), (1, 1), (3, 1), (1, 3), (3, 3)], [(0, 1), (1, 2), (3, 1), (1, 3), (3, 3)]])
+    start, goal = torch.from_numpy(draw(places, np.ones((2, 5), np.bool_))[0]).split(1)
+    model = PerfectGridModel()
+    cost = FollowedCost(FACTS, *Tracker(FACTS).meet(start, goal))
+    tree = FutureTree(ModelFutures(model, cost, start, start, bf16=False), 3)
+    sequences = np.array([[[3, 1, 0], [3, 1, 1], [1, 3, 0], [0, 0, 1]]])
+    found = tree.costs(sequences)
+    for place, actions in enumerate(sequences[0]):
+        state, known = model.begin(*(start.float().mul(2 / 255).sub(1).movedim(-1, -3),) * 2), cost.begin()
+        for step, action in enumerate(actions.tolist()):
+            state = model.advance(state, torch.tensor([action]))
+            price, known = cost.follow(model, state, FIRST, known)
+            assert found[0, place, step] == pytest.approx(price.item())
+    assert found.min() == pytest.approx(0, abs=1)  # right, then down: the circle is pushed to its place
+
+
+def test_it_is_the_cost_where_colours_are_told_by_hue() -> None:
+    tracked = Tracker(FACTS).meet(*(torch.zeros(1, 128, 128, 3, dtype=torch.uint8),) * 2)
+    goals, model = torch.zeros(1, 128, 128, 3, dtype=torch.uint8), PerfectGridModel()
+    assert isinstance(make_cost(None, model, FACTS, goals, tracked), TrackedCost)
+    assert isinstance(make_cost(None, model, replace(FACTS, shaded=True), goals, tracked), FollowedCost)
+    assert isinstance(make_cost("followed", model, FACTS, goals, tracked), FollowedCost)
+    assert isinstance(make_cost("followed", model, FACTS, goals), PositionCost)

@@ -73,16 +73,22 @@ class ContrastiveConfig:
 class SlotEncoder(nn.Module):
     """Two packed frames to the states of K slots.
 
-    The maps are centred and the initial weights large enough that different frames get different states from the
-    start: the hinge's gradient vanishes where all states are one.
+    The maps are small, as in the authors' encoder for larger pictures (10 x 10 there). They are centred and the initial
+    weights large enough that different frames get different states from the start: the hinge's gradient vanishes where
+    all states are one.
     """
 
     def __init__(self, config: ContrastiveConfig, inputs: ModelInputs) -> None:
         super().__init__()
-        c = WIDTHS[0]
-        place = (inputs.height // 4) * (inputs.width // 4)
+        c, w, _ = WIDTHS
+        place = (inputs.height // 16) * (inputs.width // 16)
         self.extractor = nn.Sequential(
-            block(2 * CHANNELS, c, 1), block(c, c), block(c, c), conv(c, config.slots, 1), nn.Tanh()
+            block(2 * CHANNELS, c, 1),
+            block(c, c),
+            block(c, w, stride=2),
+            block(w, w, stride=2),
+            conv(w, config.slots, 1),
+            nn.Tanh(),
         )
         self.state = _mlp(place, config.hidden, config.features)
 
@@ -140,7 +146,7 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """Settled on validation (docs/baselines.md); the original's rate is 5e-4 with batches of 1024."""
         return dataclasses.replace(
-            compact_recipe(preset, passes=2.5), optimizer="adamw", learning_rate=1e-3, hard_share=0.0
+            compact_recipe(preset, passes=3), optimizer="adamw", learning_rate=1e-3, hard_share=0.0
         )
 
     def phases(self) -> tuple[Phase, ...]:

@@ -127,21 +127,36 @@ class Clasp(ForwardModel[ClaspConfig]):
         return Gaussian.of(self.composition(torch.cat([earlier, later], dim=1)))
 
     def latent_action(
-        self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        following: Float[Tensor, "b c h w"],
     ) -> Float[Tensor, "b d"]:
-        """The mean of z between two frames."""
+        """The mean of z between x_t and x_{t+1}; it does not depend on x_{t-1}."""
         return self._infer(pack(current), pack(following)).mean
+
+    def predict_with_latent(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        latent: Float[Tensor, "b d"],
+    ) -> Float[Tensor, "b c h w"]:
+        """One step of the predictor under a latent action."""
+        frame, hidden, cell = self.begin(previous, current)
+        predicted, _ = self._step(pack(frame), latent, (hidden, cell))
+        return unpack(predicted).float()
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
         """Fill the table with the mean z of each action."""
-        self.table.fill(self.latent_action(demonstrations.current, demonstrations.next), demonstrations.action)
+        shown = demonstrations
+        self.table.fill(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
 
     def begin(
         self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]]:
         """x_t, and the predictor's memory of how it came about."""
-        latent = self.latent_action(previous, current)
+        latent = self._infer(pack(previous), pack(current)).mean
         return (current, *self._remember(pack(previous), latent, None))
 
     def advance(

@@ -177,17 +177,17 @@ class DMotion(ForwardModel[DMotionConfig]):
         action: Int[Tensor, " b"],
     ) -> Float[Tensor, "b c h w"]:
         """x''_{t+1} with phi^0 out of the table."""
-        return self.predict_with_motion(previous, current, self.table[action])
+        return self.predict_with_latent(previous, current, self.table[action])
 
-    def predict_with_motion(
+    def predict_with_latent(
         self,
         previous: Float[Tensor, "b c h w"],
         current: Float[Tensor, "b c h w"],
-        motion: Float[Tensor, "b d"],
+        latent: Float[Tensor, "b d"],
     ) -> Float[Tensor, "b c h w"]:
-        """x''_{t+1} if the agent moves by ``motion``."""
+        """x''_{t+1} if ``latent`` is the agent's motion."""
         previous, current = self.pack(previous), self.pack(current)
-        agent = self.transform(self.image_encoder(current)[:, :1], motion[:, None])
+        agent = self.transform(self.image_encoder(current)[:, :1], latent[:, None])
         predicted: Tensor = self.unpack(self._interact(previous, current, agent))
         return predicted.float()
 
@@ -195,6 +195,15 @@ class DMotion(ForwardModel[DMotionConfig]):
         """phi^0: how the agent moves between two frames."""
         motion: Tensor = self.motion_encoder(self.pack(current), self.pack(following))
         return motion[:, 0]
+
+    def latent_action(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        following: Float[Tensor, "b c h w"],
+    ) -> Float[Tensor, "b d"]:
+        """phi^0; it does not depend on x_{t-1}."""
+        return self.motion(current, following)
 
     def agent_map(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b y x"]:
         """|m^0|: where the agent is."""

@@ -172,8 +172,17 @@ class Lapo(ForwardModel[LapoConfig]):
         action: Int[Tensor, " b"],
     ) -> Float[Tensor, "b c h w"]:
         """The forward model under the codes nearest to the action's row of the table."""
+        return self.predict_with_latent(previous, current, self.table(action))
+
+    def predict_with_latent(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        latent: Float[Tensor, "b d"],
+    ) -> Float[Tensor, "b c h w"]:
+        """The forward model under the codes nearest to a latent action."""
         frames = torch.cat([pack(previous), pack(current)], dim=1)
-        code, _ = self.quantizer(self.table(action))
+        code, _ = self.quantizer(latent)
         return unpack(self.forward_model(frames, code.to(frames.dtype))).float()
 
     def _infer(self, previous: Tensor, current: Tensor, following: Tensor) -> Float[Tensor, "b d"]:

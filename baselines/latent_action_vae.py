@@ -89,15 +89,19 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         )
 
     def latent_action(
-        self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        following: Float[Tensor, "b c h w"],
     ) -> Float[Tensor, "b d"]:
-        """The mean latent action between two frames."""
+        """The mean latent action between x_t and x_{t+1}; it does not depend on x_{t-1}."""
         return self._infer(pack(current), pack(following)).mean
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
         """Fill the table with the mean latent action of each action."""
-        self.table.fill(self.latent_action(demonstrations.current, demonstrations.next), demonstrations.action)
+        shown = demonstrations
+        self.table.fill(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
 
     def predict(
         self,
@@ -106,8 +110,17 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         action: Int[Tensor, " b"],
     ) -> Float[Tensor, "b c h w"]:
         """The decoder under the action's row of the table."""
+        return self.predict_with_latent(previous, current, self.table(action))
+
+    def predict_with_latent(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        latent: Float[Tensor, "b d"],
+    ) -> Float[Tensor, "b c h w"]:
+        """The decoder under a latent action."""
         frames = torch.cat([pack(previous), pack(current)], dim=1)
-        return unpack(self.decoder(frames, self.table(action).to(frames.dtype))).float()
+        return unpack(self.decoder(frames, latent.to(frames.dtype))).float()
 
     def _infer(self, current: Tensor, following: Tensor) -> Gaussian:
         return Gaussian.of(self.moments(self.trunk.summarise(torch.cat([current, following], dim=1))))

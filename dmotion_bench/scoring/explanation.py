@@ -1,7 +1,7 @@
 """What can be said of a model on video whose actions are not known: how well it explains what it sees.
 
-A model that separates the agent's motion (``MotionModel``) reads it off the true pair of frames and draws the next
-frame with nothing else of it: a few numbers are all that it is told of the future. So the figure is
+A model with a latent action (``LatentActionModel``) reads it off the true frames and draws the next frame with nothing
+else of it: a few numbers are all that it is told of the future. So the figure is
 ``mse_true_motion`` alone, beside that of copying the last frame. It says how good the model could be with a perfect
 table of actions, not that it has found the agent.
 """
@@ -18,7 +18,7 @@ from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
-from dmotion_bench.scoring.identification import MotionModel
+from dmotion_bench.scoring.identification import LatentActionModel
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import SampleRows
@@ -26,7 +26,7 @@ from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 
 REMARK = (
-    "not known; frames are drawn with the motion read off the true pair. To score what an action leads to, import "
+    "not known; frames are drawn with the motion read off the true frames. To score what an action leads to, import "
     "the recording again with '--actions TOPIC'"
 )
 
@@ -37,10 +37,10 @@ def explain_steps(
     """Every held-out triplet's next frame, drawn with the motion of the true pair; and as a copy of the last.
 
     Raises:
-        LabelsNotAvailable: The model has no motion of its own.
+        LabelsNotAvailable: The model has no latent action.
         DatasetError: The split is empty.
     """
-    if not isinstance(model, MotionModel):
+    if not isinstance(model, LatentActionModel):
         raise LabelsNotAvailable(
             f"the actions of {dataset.name!r} are not known, and this model predicts by actions alone; import the "
             "recording again with its actions ('dmbench data import FILE --actions TOPIC --out DIR') and train on that."
@@ -56,8 +56,8 @@ def explain_steps(
         part = np.arange(start, min(start + how.batch_size, len(triplets)))
         stored = torch.from_numpy(triplets.gather(part)).to(how.device)
         previous, current, following = (to_model(stored[:, place]) for place in range(3))
-        motion = model.motion(current, following)
-        drawn = to_pixels(model.predict_with_motion(previous, current, motion))
+        latent = model.latent_action(previous, current, following)
+        drawn = to_pixels(model.predict_with_latent(previous, current, latent))
         known = {
             "episode": triplets.episode[part],
             "step": triplets.step[part],

@@ -1,7 +1,9 @@
 """Whether a model that learned without actions found the agent, and its motion, or only something as useful.
 
-A low loss alone does not show it: two numbers can carry the action whatever the map holds. So a model that has a
-map of the agent and a motion of it (``MotionModel``: DMotion's m^0 and phi^0) is asked, for every test triplet:
+A low loss alone does not show it: two numbers can carry the action whatever the map holds. So a model with a latent
+action (``LatentActionModel``: DMotion's phi^0, the z of CLASP, LAPO and their like), a map of the agent
+(``AgentModel``: DMotion's m^0) or a motion in pixels (``ShiftModel``) is asked for every test triplet what it has;
+phi^0 below stands for any latent action:
 
 - ``agent_iou``: |m^0| of the current frame, resized to the frame (bilinear) and cut by Otsu's threshold (1979, 256
   levels between its own least and greatest value), against the agent's true mask: intersection over union. The
@@ -13,7 +15,7 @@ map of the agent and a motion of it (``MotionModel``: DMotion's m^0 and phi^0) i
 - ``motion_probe_accuracy``: how often a linear probe (discriminant analysis: nearest mean of an action, in units
   of the pooled covariance) reads the action from phi^0. It is fitted on every other episode and asked on the rest,
   then the other way round, so no episode is in its own fit.
-- ``mse_true_motion``: MSE with the true pair's phi^0 instead of the table's: what the table costs.
+- ``mse_true_motion``: MSE with the true triplet's phi^0 instead of the table's: what the table costs.
 - ``motion_swap_change``: mean squared change of the prediction, in squared pixel values, when phi^0 is another
   triplet's, of another action: near zero when the model ignores it.
 """
@@ -38,24 +40,34 @@ LEAST_VARIANCE = 1e-6  # within an action, of the whole variance: keeps the prob
 
 
 @runtime_checkable
-class MotionModel(Protocol):
-    """A model that separates the agent's place from its motion. Images as in ``learning/model.py``."""
+class LatentActionModel(Protocol):
+    """A model that reads a latent action off frames and predicts by it. Images as in ``learning/model.py``."""
+
+    def latent_action(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        following: Float[Tensor, "b c h w"],
+    ) -> Float[Tensor, "b d"]:
+        """What is done at ``current``, that ``following`` comes of it."""
+
+    def predict_with_latent(
+        self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"], latent: Float[Tensor, "b d"]
+    ) -> Float[Tensor, "b c h w"]:
+        """The next frame if this is done."""
+
+
+@runtime_checkable
+class AgentModel(Protocol):
+    """A model that knows where the agent is."""
 
     def agent_map(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b y x"]:
-        """Where the agent is: large where it is, near zero elsewhere; at any resolution."""
-
-    def motion(self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d"]:
-        """How the agent moves between two frames."""
-
-    def predict_with_motion(
-        self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"], motion: Float[Tensor, "b d"]
-    ) -> Float[Tensor, "b c h w"]:
-        """The next frame if the agent moves so."""
+        """Large where the agent is, near zero elsewhere; at any resolution."""
 
 
 @runtime_checkable
 class ShiftModel(Protocol):
-    """A model whose motion is a shift."""
+    """A model whose latent action is a shift."""
 
     def pixel_shift(self, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b 2"]:
         """How far the motion moves the agent: (right, down) in pixels of the frame."""
@@ -66,7 +78,7 @@ class Identification:
     """What a model makes of the held-out triplets; NaN where a triplet has no value.
 
     Attributes:
-        motion: phi^0 of each true pair.
+        motion: phi^0 of each true triplet.
         agent_iou, motion_shift_error, motion_probe_accuracy: As above, of each triplet.
         partner: A triplet of another action, to swap phi^0 with; -1 where there is none.
     """
@@ -78,13 +90,18 @@ class Identification:
     partner: Int[np.ndarray, " n"]
 
 
-def identify(model: MotionModel, held_out: HeldOut, *, batch_size: int, device: torch.device) -> Identification:
+def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, device: torch.device) -> Identification:
     """Ask a model about every held-out triplet, in the order of ``held_out.batches``."""
     motions, overlaps, shift_errors, actions, episodes = [], [], [], [], []
     for batch in held_out.batches(batch_size):
-        current, following = (to_model(torch.from_numpy(batch.frames[:, place]).to(device)) for place in (1, 2))
-        motion = model.motion(current, following)
-        overlaps.append(agent_overlap(model.agent_map(current), torch.from_numpy(batch.agent[:, 0]).to(device)).cpu())
+        stored = torch.from_numpy(batch.frames).to(device)
+        previous, current, following = (to_model(stored[:, place]) for place in range(3))
+        motion = model.latent_action(previous, current, following)
+        if isinstance(model, AgentModel):
+            agent = torch.from_numpy(batch.agent[:, 0]).to(device)
+            overlaps.append(agent_overlap(model.agent_map(current), agent).cpu())
+        else:
+            overlaps.append(torch.full((len(batch),), torch.nan))
         if isinstance(model, ShiftModel):
             error = model.pixel_shift(motion) - torch.from_numpy(batch.shift).to(device)
             shift_errors.append(error.norm(dim=-1).float().cpu())

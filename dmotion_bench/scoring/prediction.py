@@ -20,7 +20,7 @@ from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.frame_measures import FrameMeasures
-from dmotion_bench.scoring.identification import Identification, MotionModel, identify
+from dmotion_bench.scoring.identification import Identification, LatentActionModel, identify
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.samples import SampleRows
@@ -66,10 +66,10 @@ def predicting(device: torch.device, precision: Precision = "float32") -> Iterat
 
 
 def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> pa.Table:
-    """Every held-out triplet's next frame, predicted; with the agent's identification where the model has a motion."""
+    """Every held-out triplet's next frame, predicted; with its identification where the model has a latent action."""
     measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("prediction", MODEL), 0
-    separates = model if isinstance(model, MotionModel) else None
-    found = identify(separates, held_out, batch_size=how.batch_size, device=how.device) if separates else None
+    latent = model if isinstance(model, LatentActionModel) else None
+    found = identify(latent, held_out, batch_size=how.batch_size, device=how.device) if latent else None
     for batch in held_out.batches(how.batch_size):
         stored = torch.from_numpy(batch.frames).to(how.device)
         previous, current = to_model(stored[:, 0]), to_model(stored[:, 1])
@@ -77,9 +77,9 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
         predicted = _pixels(model, model.predict(previous, current, action), current.shape)
         truth = stored[:, 2]
         columns = measures.compare(predicted, truth, measures.positions(truth))
-        if separates is not None and found is not None:
+        if latent is not None and found is not None:
             here = slice(done, done + len(batch))
-            columns |= _by_motion(separates, found, here, previous, current, truth)
+            columns |= _by_latent(latent, found, here, previous, current, truth)
         rows.add(_described(batch) | _numpy(columns))
         done += len(batch)
         how.progress("single steps", done, len(held_out))
@@ -155,18 +155,18 @@ def _rolled_out(
     return rows.table()
 
 
-def _by_motion(
-    model: MotionModel,
+def _by_latent(
+    model: LatentActionModel,
     found: Identification,
     here: slice,
     previous: Float[Tensor, "b c h w"],
     current: Float[Tensor, "b c h w"],
     truth: UInt8[Tensor, "b h w 3"],
 ) -> dict[str, Tensor]:
-    """What the model predicts when it is given a motion instead of an action."""
+    """What the model predicts when it is given a latent action instead of a named one."""
     partner = found.partner[here]
     own, other = (
-        to_pixels(model.predict_with_motion(previous, current, torch.from_numpy(found.motion[rows]).to(current.device)))
+        to_pixels(model.predict_with_latent(previous, current, torch.from_numpy(found.motion[rows]).to(current.device)))
         for rows in (np.arange(here.start, here.stop), partner)
     )
     change = mean_squared_error(own, other).cpu()

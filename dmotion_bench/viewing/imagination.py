@@ -5,7 +5,7 @@ The first two frames of an episode are given. From then on two predictions of ev
 - **one step**: from the two true frames before it and the action taken there;
 - **imagined**: from the model's own last two frames; only the actions are still the recorded ones.
 
-Where the actions are not known, a model that separates the agent's motion (``MotionModel``) is told the motion that
+Where the actions are not known, a model with a latent action (``LatentActionModel``) is told the one that
 it reads off the true pair of frames instead, as in ``scoring/explanation.py``.
 """
 
@@ -23,7 +23,7 @@ from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.positions import PositionFinder
-from dmotion_bench.scoring.identification import MotionModel, ShiftModel
+from dmotion_bench.scoring.identification import LatentActionModel, ShiftModel
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.position_errors import position_errors
 from dmotion_bench.scoring.prediction import predicting
@@ -81,7 +81,7 @@ class Imagination:
 
 def can_imagine(model: ForwardModel[Any], labels: EpisodeLabels | None) -> bool:
     """Whether a model can be told what happens in an episode: by its actions, or by motions."""
-    return labels is not None or isinstance(model, MotionModel)
+    return labels is not None or isinstance(model, LatentActionModel)
 
 
 def imagine(
@@ -96,8 +96,8 @@ def imagine(
     with predicting(torch.device("cpu")):
         if labels is not None:
             steps, imagined = _by_actions(model, images, torch.from_numpy(np.asarray(labels.actions, np.int64)))
-        elif isinstance(model, MotionModel):
-            steps, imagined = _by_motion(model, images)
+        elif isinstance(model, LatentActionModel):
+            steps, imagined = _by_latent(model, images)
         else:
             raise LabelsNotAvailable("the actions are not known, and this model predicts by actions alone.")
         maps, moved = _maps(model, images)
@@ -128,16 +128,17 @@ def _by_actions(model: ForwardModel[Any], images: Float[Tensor, "t c h w"], acti
     return torch.cat(steps), to_pixels(model.rollout(images[:1], images[1:2], actions[None, 1:])[0])
 
 
-def _by_motion(model: MotionModel, images: Float[Tensor, "t c h w"]) -> _Drawn:
-    """The same from the motions that the model reads off the true frames."""
-    motions = [model.motion(now, after) for now, after in zip(_parts(images[1:-1]), _parts(images[2:]), strict=True)]
+def _by_latent(model: LatentActionModel, images: Float[Tensor, "t c h w"]) -> _Drawn:
+    """The same from the latent actions that the model reads off the true frames."""
+    given = zip(_parts(images[:-2]), _parts(images[1:-1]), _parts(images[2:]), strict=True)
+    latents = [model.latent_action(before, now, after) for before, now, after in given]
     steps = [
-        to_pixels(model.predict_with_motion(before, now, motion))
-        for before, now, motion in zip(_parts(images[:-2]), _parts(images[1:-1]), motions, strict=True)
+        to_pixels(model.predict_with_latent(before, now, latent))
+        for before, now, latent in zip(_parts(images[:-2]), _parts(images[1:-1]), latents, strict=True)
     ]
     own = [images[:1], images[1:2]]
-    for motion in torch.cat(motions):
-        own.append(model.predict_with_motion(own[-2], own[-1], motion[None]))
+    for latent in torch.cat(latents):
+        own.append(model.predict_with_latent(own[-2], own[-1], latent[None]))
     return torch.cat(steps), to_pixels(torch.cat(own[GIVEN:]))
 
 
@@ -181,6 +182,7 @@ def _maps(
 
 
 def _shift(model: ForwardModel[Any], images: Float[Tensor, "t c h w"]) -> Float[np.ndarray, "s 2"] | None:
-    if not isinstance(model, MotionModel) or not isinstance(model, ShiftModel):
+    if not isinstance(model, LatentActionModel) or not isinstance(model, ShiftModel):
         return None
-    return model.pixel_shift(model.motion(images[:-1], images[1:])).float().numpy()
+    before = torch.cat([images[:1], images[:-2]])  # nothing is known of what was before the first
+    return model.pixel_shift(model.latent_action(before, images[:-1], images[1:])).float().numpy()

@@ -56,7 +56,7 @@ def test_the_stepwise_loss_is_the_error_of_a_prediction_with_the_true_latent_act
     model = build(Clasp).eval()
     with torch.no_grad():
         losses = model.losses(video)
-        model.table.rows = model.latent_action(video.current, video.next)  # a row for each triplet
+        model.table.rows = model.latent_action(video.previous, video.current, video.next)  # a row for each triplet
         frames = model.predict(video.previous, video.current, torch.arange(6))
     torch.testing.assert_close(losses.per_triplet, (frames - video.next).square().mean((1, 2, 3)))
 

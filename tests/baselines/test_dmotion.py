@@ -74,7 +74,7 @@ def test_the_next_frame_reaches_the_prediction_through_the_agents_motion_alone(a
     model.losses(TripletBatch(previous=previous, current=current, next=following))
     torch.testing.assert_close(
         model.unpack(seen[0]).float(),
-        model.predict_with_motion(previous, current, model.motion(current, following)),
+        model.predict_with_latent(previous, current, model.motion(current, following)),
         atol=1e-5,
         rtol=1e-4,
     )
@@ -102,7 +102,7 @@ def test_the_table_holds_the_mean_motion_of_each_actions_demonstrations() -> Non
     torch.testing.assert_close(model.table[0], motion[[0, 4, 5]].mean(0))
     torch.testing.assert_close(model.table[3], motion[3])
     torch.testing.assert_close(
-        model.predict(current, current, actions), model.predict_with_motion(current, current, model.table[actions])
+        model.predict(current, current, actions), model.predict_with_latent(current, current, model.table[actions])
     )
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from baselines.action_table import ActionTable
+from baselines.clasp import Clasp
 from baselines.lapo import Lapo, LapoConfig, VectorQuantizer
 from baselines.latent_action_vae import LatentActionVAE
 
@@ -102,6 +104,17 @@ def test_one_demonstration_of_each_action_decides_what_it_does(build, batch, dem
         for one in range(4):
             for other in range(one):
                 assert not torch.equal(frames[one], frames[other])
+
+
+@pytest.mark.parametrize("kind", [Clasp, Lapo, LatentActionVAE])
+def test_a_latent_action_predicts_what_a_row_of_the_table_that_holds_it_does(build, video, kind) -> None:
+    model = build(kind).eval()
+    with torch.no_grad():
+        latent = model.latent_action(video.previous, video.current, video.next)
+        frames = model.predict_with_latent(video.previous, video.current, latent)
+        model.table.rows = latent
+        named = model.predict(video.previous, video.current, torch.arange(6))
+    torch.testing.assert_close(frames, named)
 
 
 def test_draws_are_for_training_alone(build, video) -> None:

@@ -36,7 +36,7 @@ class SeesGreen(Known):
     def agent_map(self, current: Tensor) -> Tensor:
         return ((current[:, 1] > 0.9) & (current[:, 0] < -0.9)).float() * -3 + 0.1
 
-    def motion(self, current: Tensor, following: Tensor) -> Tensor:
+    def latent_action(self, previous: Tensor, current: Tensor, following: Tensor) -> Tensor:
         places = []
         for image in (current, following):
             weight = (self.agent_map(image) < 0).float()
@@ -48,10 +48,33 @@ class SeesGreen(Known):
     def pixel_shift(self, motion: Tensor) -> Tensor:
         return motion
 
-    def predict_with_motion(self, previous: Tensor, current: Tensor, motion: Tensor) -> Tensor:
+    def predict_with_latent(self, previous: Tensor, current: Tensor, latent: Tensor) -> Tensor:
         """Grey whose level is the motion: one pixel more to the right is one level brighter."""
-        level = (motion[:, 0] + 2 * motion[:, 1] + 127.5) / 127.5 - 1
+        level = (latent[:, 0] + 2 * latent[:, 1] + 127.5) / 127.5 - 1
         return level[:, None, None, None].expand_as(current)
+
+
+class KnowsNoPlace(Known):
+    """Has a latent action, but neither a map of the agent nor a shift in pixels."""
+
+    def __init__(self) -> None:
+        super().__init__(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+        self.eye = SeesGreen()
+
+    def latent_action(self, previous: Tensor, current: Tensor, following: Tensor) -> Tensor:
+        return self.eye.latent_action(previous, current, following).flip(1) * -3
+
+    def predict_with_latent(self, previous: Tensor, current: Tensor, latent: Tensor) -> Tensor:
+        return self.eye.predict_with_latent(previous, current, latent.flip(1) / -3)
+
+
+def test_a_model_is_asked_for_what_it_has(grid: Dataset) -> None:
+    scores = score_model(KnowsNoPlace(), grid, metrics=("prediction",), settings=ScoreSettings(resamples=200))
+    whole = score_model(SeesGreen(), grid, metrics=("prediction",), settings=ScoreSettings(resamples=200))
+
+    assert set(whole.figures) - set(scores.figures) == {"agent_iou", "motion_shift_error"}
+    for name in ("motion_probe_accuracy", "mse_true_motion", "motion_swap_change"):
+        assert scores.figures[name].mean == pytest.approx(whole.figures[name].mean, rel=1e-3)
 
 
 def test_a_model_that_sees_the_agent_scores_as_one(grid: Dataset) -> None:

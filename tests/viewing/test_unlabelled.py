@@ -88,11 +88,11 @@ def test_an_unlabelled_run_is_told_the_motion_it_sees(run: Run, unlabelled: Data
 
     images = to_model(torch.from_numpy(unlabelled.video(0)))
     with torch.no_grad():
-        motion = run.model.motion(images[1:-1], images[2:])
-        steps = to_pixels(run.model.predict_with_motion(images[:-2], images[1:-1], motion)).numpy()
+        motion = run.model.latent_action(images[:-2], images[1:-1], images[2:])
+        steps = to_pixels(run.model.predict_with_latent(images[:-2], images[1:-1], motion)).numpy()
         own = [images[:1], images[1:2]]
         for one in motion:
-            own.append(run.model.predict_with_motion(own[-2], own[-1], one[None]))
+            own.append(run.model.predict_with_latent(own[-2], own[-1], one[None]))
         imagined = to_pixels(torch.cat(own[2:])).numpy()
     for kind, expected in (("one_step", steps), ("imagined", imagined)):
         column = values(rrd, f"/episode_0/{kind}/frame", "Image:buffer")

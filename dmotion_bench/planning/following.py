@@ -7,7 +7,8 @@ counts as lost, no push ever looks good. What is known about objects helps (meas
 
 - from one step to the next an object does not go farther than the agent does, so only its own surroundings are
   looked at, and they move along with it;
-- objects do not cease to be: one that fades away is believed to be where it was imagined last.
+- objects do not fade away: one that does is believed to be where it was imagined last. But one that is gone after the
+  first imagined step, which is predicted from real pictures, may be lost.
 
 What is partly hidden is treated as in ``tracking.py``. Nothing but pictures is looked at.
 """
@@ -18,7 +19,8 @@ from dataclasses import replace
 from typing import Any, Final, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Int, UInt8
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.learning.images import to_pixels
@@ -34,6 +36,13 @@ STILL: Final = 1.0
 
 DOUBT: Final = 4 / 128
 """Whatever changes the cost by less than this share of the frame's width, as a distance, is not believed."""
+
+GONE: Final = 0.15
+"""An object of which the first step leaves less than this share of its pixels is lost."""
+
+LOSS: Final = 1 / 8
+"""What such an object costs on top of its distance: this share of the frame's width, as a distance. The arm may have
+covered it as well, so what gains more may be done."""
 
 LOOSE: Final = 1.5
 """So much longer and wider than before may an object be that is seen in one piece: it may have turned."""
@@ -55,6 +64,9 @@ class Following(Protocol):
 class FollowedCost:
     """Summed squared distances of the objects' centres, each followed step by step [px^2].
 
+    What is known of an object at a step is its centre's x and y [px], and whether it is still there: 1, 0 for one that
+    the first step lost, NaN before that.
+
     Args:
         spec: Says what the objects look like.
         known: Where they are now, by all that has been seen.
@@ -73,33 +85,40 @@ class FollowedCost:
     ) -> None:
         self._tracker, self._known, self._wanted = Tracker(spec), known, wanted
         self._reach, self._still, self._doubt = reach * spec.width, still, (doubt * spec.width) ** 2
-        self._nowhere = (spec.width / 2) ** 2
-        self._now = self._apart(known.centre, wanted)
+        self._nowhere, self._loss = (spec.width / 2) ** 2, (LOSS * spec.width) ** 2
+        self._now = self._apart(known.centre, wanted, torch.zeros_like(known.seen))
 
-    def begin(self) -> Float[Tensor, "b k 2"]:
+    def begin(self) -> Float[Tensor, "b k 3"]:
         """Where the objects of each task are."""
-        return self._known.centre
+        return F.pad(self._known.centre, (0, 1), value=torch.nan)
 
     def follow(
-        self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"], known: Float[Tensor, "n k 2"]
-    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 2"]]:
+        self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"], known: Float[Tensor, "n k 3"]
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 3"]]:
         """The cost of the frames that the states look like, and where the objects are in them."""
         return self.of_frames(to_pixels(model.frame(state)), task, known)
 
     def of_frames(
-        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], known: Float[Tensor, "n k 2"]
-    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 2"]]:
+        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], known: Float[Tensor, "n k 3"]
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 3"]]:
         """The cost of pictures, and where the objects are in them."""
         start, wanted = self._known.of(task), self._wanted.of(task)
-        before = replace(start, centre=known)
+        before, there = replace(start, centre=known[..., :2]), known[..., 2]
         now = self._look(before, frames)
         centre = believed(before, now).centre
         moved = (centre - start.centre).norm(dim=-1, keepdim=True) >= self._still
-        cost, present = self._apart(torch.where(moved, centre, start.centre), wanted), self._now[task]
-        return torch.where((cost - present).abs() < self._doubt, present, cost), centre
+        left = ~start.seen | (now.seen & (now.pixels >= GONE * start.pixels))
+        there = torch.where(there.isnan(), left.to(there), there)
+        cost = self._apart(torch.where(moved, centre, start.centre), wanted, there == 0)
+        present = self._now[task]
+        cost = torch.where((cost - present).abs() < self._doubt, present, cost)
+        return cost, torch.cat([centre, there[..., None]], dim=-1)
 
-    def _apart(self, centre: Float[Tensor, "n k 2"], wanted: Outlines) -> Float[Tensor, " n"]:
+    def _apart(
+        self, centre: Float[Tensor, "n k 2"], wanted: Outlines, lost: Bool[Tensor, "n k"]
+    ) -> Float[Tensor, " n"]:
         squared = (centre - wanted.centre).square().sum(-1).nan_to_num(self._nowhere)
+        squared = squared + self._loss * lost
         return torch.where(wanted.seen, squared, 0.0).sum(-1)
 
     def _look(self, before: Outlines, frames: UInt8[Tensor, "n h w 3"]) -> Outlines:

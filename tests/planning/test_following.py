@@ -11,7 +11,7 @@ from planning.boxes import AT, FIRST, RED, SPEC, picture
 from planning.worlds import PerfectGridModel
 
 from dmotion_bench.planning.costs import PositionCost, TrackedCost, make_cost
-from dmotion_bench.planning.following import DOUBT, FollowedCost
+from dmotion_bench.planning.following import DOUBT, LOSS, FollowedCost
 from dmotion_bench.planning.futures import ModelFutures
 from dmotion_bench.planning.tracking import Tracker
 from dmotion_bench.planning.tree import FutureTree
@@ -19,6 +19,7 @@ from dmotion_bench.specs import EnvSpec
 from recorders.grid_world import FACTS, draw
 
 GOAL = (44, 30)
+LOST = (LOSS * SPEC.width) ** 2
 BELOW = int(DOUBT * SPEC.width) ** 2
 
 
@@ -60,7 +61,21 @@ def test_an_object_that_fades_away_stays_where_it_was_imagined_last() -> None:
     assert tracked.of_looks(Tracker(SPEC).look(gone), FIRST).item() == 32**2
 
 
-@pytest.mark.parametrize("curtain", [slice(10, 20), slice(20, 40), slice(10, 30)])
+def test_an_object_that_the_first_step_lacks_may_be_lost_and_does_not_come_back() -> None:
+    sliver = picture(curtain=slice(16, 40))
+    assert followed(picture(red=None), picture(red=GOAL)) == pytest.approx([24**2 + LOST, LOST])
+    assert followed(sliver, picture(red=GOAL))[1] == pytest.approx(LOST)
+    assert followed(picture(), picture(red=None), picture(red=GOAL)) == pytest.approx([24**2, 24**2, 0])
+
+
+def test_what_the_arm_hides_at_the_start_is_not_lost() -> None:
+    tracker = Tracker(SPEC)
+    known = tracker.follow(tracker.look(picture()), hidden := picture(curtain=slice(10, 30)))
+    cost = FollowedCost(SPEC, known, tracker.look(picture(red=GOAL)))
+    assert cost.of_frames(hidden, FIRST, cost.begin())[0].item() == pytest.approx(24**2)
+
+
+@pytest.mark.parametrize("curtain", [slice(10, 20), slice(20, 40), slice(10, 24)])
 def test_a_curtain_moves_nothing(curtain: slice) -> None:
     assert followed(picture(curtain=curtain)) == pytest.approx([24**2])
 
@@ -91,7 +106,8 @@ def test_each_row_has_its_own_task_and_its_own_past() -> None:
     cost = FollowedCost(SPEC, known, wanted)
     task = torch.tensor([1, 0, 1])
     frames = torch.cat([picture(red=(33, 14)), picture(red=(23, 30)), picture(red=None)])
-    past = cost.begin()[task] + torch.tensor([[[2.0, 1.0]], [[1.0, 0.0]], [[0.0, 3.0]]])
+    past = cost.begin()[task] + torch.tensor([[[2.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]], [[0.0, 3.0, 0.0]]])
+    past[2, :, 2] = torch.tensor([1.0, 0.0])
     prices, after = cost.of_frames(frames, task, past)
     for row, of in enumerate(task.tolist()):
         alone = FollowedCost(SPEC, known.of(torch.tensor([of])), wanted.of(torch.tensor([of])))

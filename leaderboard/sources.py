@@ -38,18 +38,21 @@ def find_run(check: Findings, workspace: Workspace) -> Run | None:
 
 
 def find_dataset(check: Findings, workspace: Workspace) -> Dataset | None:
-    """The data set with the entry's fingerprint, its files as they were recorded."""
-    wanted = check.entry.content["dataset"]["fingerprint"]
+    """The data set with the entry's fingerprint, its files as they were recorded; of copies the one with its name."""
+    said, found = check.entry.content["dataset"], list[Dataset]()
     for path in workspace.datasets():
         try:
             dataset = Dataset.open(path)
         except DmbenchError:
             continue
-        if dataset.fingerprint == wanted:
-            check.wrong += [f"data set: {path.name}/{damage}" for damage in _damages(dataset)]
-            return dataset
-    check.wrong.append(f"data set: none in {str(workspace.data)!r} has the fingerprint {wanted[:12]}")
-    return None
+        if dataset.fingerprint == said["fingerprint"]:
+            found.append(dataset)
+    if not found:
+        check.wrong.append(f"data set: none in {str(workspace.data)!r} has the fingerprint {said['fingerprint'][:12]}")
+        return None
+    chosen = next((dataset for dataset in found if dataset.name == said["name"]), found[0])
+    check.wrong += [f"data set: {chosen.name}/{damage}" for damage in _damages(chosen)]
+    return chosen
 
 
 def _damages(dataset: Dataset) -> Iterator[str]:

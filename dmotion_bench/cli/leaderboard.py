@@ -76,11 +76,16 @@ def check(
 ) -> None:
     """Score entries again from their weights and data, and say whether their figures hold."""
     from dmotion_bench.cli.progress import progress_bar
-    from dmotion_bench.errors import RunError
+    from dmotion_bench.errors import RunError, UsageError
     from dmotion_bench.workspace import Workspace
 
     workspace = Workspace.current()
-    asked = paths or [workspace.reports / FOLDER / "entries"]
+    built = workspace.reports / FOLDER / "entries"
+    if not paths and not built.is_dir():
+        raise UsageError(
+            f"nothing to check: there is no '{built}'; build it with 'dmbench leaderboard build', or name entries."
+        )
+    asked = paths or [built]
     with progress_bar() as bar:
         task = bar.add_task("checking", total=None, status="")
 

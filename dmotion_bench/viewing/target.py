@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.errors import RunMissing, UnknownName, UsageError
 from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, Workspace
 
 REPORT = "report"
@@ -31,6 +31,7 @@ def find_target(given: Path, workspace: Workspace) -> Target:
 
     Raises:
         UnknownName: Nothing does; the closest name is said.
+        RunMissing: It is the report of a run that has none.
         UsageError: Something else does.
     """
     if given.is_file() and given.suffix == ".rrd":
@@ -42,6 +43,10 @@ def find_target(given: Path, workspace: Workspace) -> Target:
             return Target("run", folder)
         if (folder / REPORT_MANIFEST).is_file() and (folder.resolve().parent / RUN_MANIFEST).is_file():
             return Target("report", folder.resolve().parent)
+    if given.name == REPORT:
+        for run in (given.parent, workspace.runs / given.parent):
+            if (run / RUN_MANIFEST).is_file():
+                raise RunMissing(f"the run {str(run)!r} has no report; score it with 'dmbench score {run.name}'.")
     if given.exists():
         raise UsageError(
             f"{str(given)!r} is nothing to look at: a data set holds {DATASET_MANIFEST}, a run {RUN_MANIFEST}, "

@@ -16,7 +16,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from dmotion_bench.cli import leaderboard as command
-from dmotion_bench.errors import DmbenchError, RunError, UnknownName
+from dmotion_bench.errors import DmbenchError, RunError, UnknownName, UsageError
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.build import Built
 from leaderboard.comparison import Difference
@@ -93,6 +93,10 @@ def test_build_takes_named_runs_and_others_entries(run: Callable[..., Result], p
 
 
 def test_check_tells_what_does_not_hold_and_fails(run: Callable[..., Result], parts: Parts, tmp_path: Path) -> None:
+    missing = run("check").exception
+    assert isinstance(missing, UsageError)
+    assert "build it with 'dmbench leaderboard build'" in str(missing)
+    (tmp_path / "reports/leaderboard/entries").mkdir(parents=True)
     result = run("check")
 
     assert parts.asked == [([tmp_path / "reports/leaderboard/entries"], False, 0.0)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -226,6 +227,15 @@ def test_a_changed_data_set_is_found(workspace: Workspace, sound: Entry, kind: s
 
     findings = check_entry(sound, workspace, QUICK).findings
     assert any(f"{kind}/{path.name} is not what was recorded" in finding for finding in findings)
+
+
+def test_a_copy_of_the_data_set_under_another_name_is_not_taken_for_it(workspace: Workspace, sound: Entry) -> None:
+    shutil.copytree(workspace.data / "grid_world-tiny", workspace.data / "a-copy")
+    assert check_entry(sound, workspace, QUICK).holds
+
+    shutil.rmtree(workspace.data / "grid_world-tiny")
+    findings = check_entry(sound, workspace, QUICK).findings
+    assert findings == ("dataset.name: the entry says 'grid_world-tiny', it is 'a-copy'",)
 
 
 def test_a_changed_frame_cache_is_found(workspace: Workspace, sound: Entry) -> None:

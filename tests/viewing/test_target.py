@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.errors import RunMissing, UnknownName, UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.episodes import choose_episodes
@@ -31,6 +31,12 @@ def test_a_report_belongs_to_its_run(workspace: Workspace, run: Run) -> None:
     finally:
         (report / "report.json").unlink()
         report.rmdir()
+
+
+def test_a_run_without_a_report_is_to_be_scored(workspace: Workspace, run: Run) -> None:
+    for given in (run.path / "report", Path(run.name) / "report"):
+        with pytest.raises(RunMissing, match=f"has no report; score it with 'dmbench score {run.name}'"):
+            find_target(given, workspace)
 
 
 def test_a_saved_scene(workspace: Workspace, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ def figure(mean: float) -> dict[str, float | int | None]:
     return {"mean": mean, "std": 2.0, "low": mean - 1, "high": mean + 1, "n": 6}
 
 
-def write_made_up(run: Run, mse: Mapping[int, Sequence[float]]) -> Path:
+def write_made_up(run: Run, mse: Mapping[int, Sequence[float]], column: str = "mse") -> Path:
     """A report of these errors by episode; rows of rollouts and references must not count."""
     rows = SampleRows("prediction", "model")
     for episode, values in mse.items():
@@ -26,7 +26,7 @@ def write_made_up(run: Run, mse: Mapping[int, Sequence[float]]) -> Path:
                 "episode": np.full(len(values), episode),
                 "step": count,
                 "ahead": np.ones_like(count),
-                "mse": np.array(values, np.float32),
+                column: np.array(values, np.float32),
             }
         )
     for metric, predictor in (("rollout", "model"), ("prediction", "copy_last")):
@@ -34,7 +34,7 @@ def write_made_up(run: Run, mse: Mapping[int, Sequence[float]]) -> Path:
         other.add({"episode": np.array([7]), "mse": np.array([1e6], np.float32)})
         rows._batches.extend(other._batches)
     mean = float(np.mean([value for values in mse.values() for value in values]))
-    figures = {"mse": figure(mean), **{f"rollout_mse[{ahead}]": figure(10.0**ahead) for ahead in (1, 2, 3)}}
+    figures = {column: figure(mean), **{f"rollout_mse[{ahead}]": figure(10.0**ahead) for ahead in (1, 2, 3)}}
     report = Report(
         run=run.name,
         model="dmotion",

@@ -10,6 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, sync_folder
+from dmotion_bench.viewing.scene import application_id
 
 FLUSH_SECONDS = 60.0
 
@@ -38,7 +39,7 @@ def recording_to(
         temporary = file.with_name(f"{file.name}{TEMPORARY_SUFFIX}")
         temporary.touch()  # says at once, and as an OSError, when the folder cannot be written
         sinks.append(rr.FileSink(temporary))
-    recording = rr.RecordingStream(f"dmbench {name}")
+    recording = rr.RecordingStream(application_id(name))
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
     try:

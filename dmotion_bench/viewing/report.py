@@ -20,6 +20,7 @@ ROOT = "/report"
 COLORS: tuple[Color, ...] = ((230, 159, 0), (140, 140, 140), (86, 180, 233))
 SHOWN = (
     "mse",
+    "mse_true_motion",
     "psnr",
     "ssim",
     "position_error_paper",
@@ -53,6 +54,8 @@ def telling_episodes(run: Path) -> dict[int, str]:
 def episode_means(run: Path) -> dict[int, float]:
     """The MSE of single steps of each scored episode; empty where the run has no report, or its samples are gone.
 
+    Where actions are not known it is the MSE with the true motion, all that is scored there.
+
     Raises:
         RunCorrupt: The report cannot be read.
     """
@@ -63,6 +66,10 @@ def episode_means(run: Path) -> dict[int, float]:
     metric, predictor = (np.asarray(samples[name].to_pylist()) for name in ("metric", "predictor"))
     chosen = (metric == "prediction") & (predictor == "model")
     episode, mse = samples["episode"].to_numpy()[chosen], samples["mse"].to_numpy()[chosen]
+    if not np.isfinite(mse).any():
+        mse = samples["mse_true_motion"].to_numpy()[chosen]
+    known = np.isfinite(mse)
+    episode, mse = episode[known], mse[known]
     episodes, place = np.unique(episode, return_inverse=True)
     means = np.bincount(place, mse) / np.maximum(np.bincount(place), 1)
     return dict(zip(episodes.tolist(), means.tolist(), strict=True))

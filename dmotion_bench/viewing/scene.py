@@ -10,6 +10,7 @@ hides the others in a catalogue.
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,6 +77,11 @@ class Scene:
         )
 
 
+def application_id(name: str) -> str:
+    """What Rerun calls a recording of this name; it takes no dots and the like."""
+    return re.sub(r"[^\w -]", "_", f"dmbench {name}", flags=re.ASCII)
+
+
 def write_scene(scene: Scene, path: Path) -> None:
     """Write a scene to an .rrd; the file is whole as soon as it has its name.
 
@@ -104,7 +110,7 @@ def write_scene(scene: Scene, path: Path) -> None:
 
 
 def _write(scene: Scene, path: Path) -> None:
-    recording = rr.RecordingStream(f"dmbench {scene.name}")
+    recording = rr.RecordingStream(application_id(scene.name))
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
     try:

@@ -14,7 +14,7 @@ from dmotion_bench.scoring.report import REPORT_FOLDER
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.report import report_tab, telling_episodes
 from dmotion_bench.viewing.run import run_scene
-from dmotion_bench.viewing.scene import write_scene
+from dmotion_bench.viewing.scene import application_id, write_scene
 
 MSE = {1: [10.0, 30.0], 4: [90.0, 10.0], 5: [1.0, 3.0]}  # of the triplets of each episode
 
@@ -28,6 +28,22 @@ def scored(run: Run) -> Iterator[Path]:
 
 def test_worst_middle_and_best_by_the_mean_of_an_episodes_steps(scored: Path) -> None:
     assert telling_episodes(scored) == {4: "worst, MSE 50", 1: "middle, MSE 20", 5: "best, MSE 2"}
+
+
+def test_where_actions_are_not_known_it_is_the_error_with_the_true_motion(
+    run: Run, dataset: Dataset, rrd: Path
+) -> None:
+    folder = write_made_up(run, MSE, "mse_true_motion")
+    try:
+        assert telling_episodes(run.path) == {4: "worst, MSE 50", 1: "middle, MSE 20", 5: "best, MSE 2"}
+        write_scene(run_scene(run, dataset, []), rrd)
+    finally:
+        remove(folder)
+    assert "| mse true motion | 24 ± 2 |" in static(rrd, "/report/figures", "TextDocument:text")[0]
+
+
+def test_rerun_takes_the_name_as_it_is() -> None:
+    assert application_id("dmotion-grid-epochs_0.5-s0 ö") == "dmbench dmotion-grid-epochs_0_5-s0 _"
 
 
 def test_samples_that_the_report_does_not_vouch_for_tell_nothing(scored: Path) -> None:

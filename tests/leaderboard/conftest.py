@@ -146,3 +146,19 @@ def changed(sound: Entry) -> Callable[..., Entry]:
         return Entry(copy.deepcopy(dict(sound.content)) | content)
 
     return change
+
+
+def controlled(entry: Entry, model: str, distance: float) -> Entry:
+    """An entry with made-up figures of control: 50 steps that lead to a distance."""
+
+    def figure(mean: float) -> dict[str, Any]:
+        return {"mean": mean, "std": 0.1, "low": mean - 0.1, "high": mean + 0.1, "n": 7}
+
+    def figures(end: float) -> dict[str, Any]:
+        steps = {f"control_distance[{step}]": figure(1 + (end - 1) * step / 50) for step in range(1, 51)}
+        return steps | {"control_success": figure(0.5), "control_lost": figure(0.0)}
+
+    content = copy.deepcopy(dict(entry.content)) | {"run": f"{model}-s0", "model": model}
+    content["figures"] |= figures(distance)
+    content["reference"] |= {"idle": figures(1.0), "oracle": figures(0.1)}
+    return Entry(content)

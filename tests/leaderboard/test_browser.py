@@ -17,6 +17,7 @@ from leaderboard.page import make_page
 from leaderboard.paper import label_count
 
 from .browser import CHROMIUM, Browser, browsing
+from .conftest import controlled
 from .test_page import _hostile
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (apt install chromium)")
@@ -33,7 +34,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def page(sound: Entry, tmp_path_factory: pytest.TempPathFactory) -> Path:
     published = [published_entry(row, label_count(row.environment, row.labels)) for row in published_results()]
-    others = [Entry(dict(sound.content) | {"run": f"{model}-s0", "model": model}) for model in ("cswm", "lapo")]
+    others = [controlled(sound, "cswm", 0.8), controlled(sound, "lapo", 0.3)]
     path = tmp_path_factory.mktemp("page") / "index.html"
     path.write_text(make_page([sound, *others, *published]))
     return path
@@ -105,6 +106,21 @@ def test_headings_sort_by_mouse_and_by_keyboard(browser: Browser, page: Path) ->
     assert known == sorted(known, reverse=True)
     assert counts[: len(known)] == known  # what has no value stays last
     assert _sorted_by(browser) == [["Labels", "descending"]]
+
+
+def test_the_table_of_control_sorts_and_its_chart_names_lines_inside_it(browser: Browser, page: Path) -> None:
+    _show(browser, page, PHONE)
+    table = 'document.querySelectorAll("table.standings")[1]'
+    ends = f"""JSON.stringify([...{table}.tBodies[0].rows].map(row => Number(row.cells[2].dataset.value)))"""
+    assert json.loads(browser.ask(ends)) == pytest.approx([0.1, 0.3, 0.8, 1.0])  # the oracle, two models, idle
+    browser.ask(f'{table}.tHead.rows[0].cells[2].querySelector("button").click()')
+    assert json.loads(browser.ask(ends)) == pytest.approx([1.0, 0.8, 0.3, 0.1])
+    inside = """[...document.querySelectorAll(".chart .name")].every(name => {
+      const own = name.getBoundingClientRect(), chart = name.closest("svg").getBoundingClientRect();
+      return own.left >= chart.left && own.right <= chart.right && own.top >= chart.top && own.bottom <= chart.bottom;
+    })"""
+    assert browser.ask('document.querySelectorAll(".chart .name").length') >= 4
+    assert browser.ask(inside)
 
 
 def test_every_control_can_be_reached_by_tab(browser: Browser, page: Path) -> None:

@@ -19,6 +19,7 @@ from leaderboard.markup import VOID
 from leaderboard.page import make_page
 from leaderboard.paper import label_count
 
+from .conftest import controlled
 from .test_markup import Reader
 
 Changed = Callable[..., Entry]
@@ -163,22 +164,8 @@ def test_pictures_give_way_before_the_page_grows_too_large(
     assert "What the models predict" not in none
 
 
-def _controlled(entry: Entry, model: str, distance: float) -> Entry:
-    def figure(mean: float) -> dict[str, Any]:
-        return {"mean": mean, "std": 0.1, "low": mean - 0.1, "high": mean + 0.1, "n": 7}
-
-    def figures(end: float) -> dict[str, Any]:
-        steps = {f"control_distance[{step}]": figure(1 + (end - 1) * step / 50) for step in range(1, 51)}
-        return steps | {"control_success": figure(0.5), "control_lost": figure(0.0)}
-
-    content = copy.deepcopy(dict(entry.content)) | {"run": f"{model}-s0", "model": model}
-    content["figures"] |= figures(distance)
-    content["reference"] |= {"idle": figures(1.0), "oracle": figures(0.1)}
-    return Entry(content)
-
-
 def test_control_has_a_table_and_a_chart_of_its_own(sound: Entry) -> None:
-    page = make_page([_controlled(sound, "far", 0.8), _controlled(sound, "near", 0.3), sound])
+    page = make_page([controlled(sound, "far", 0.8), controlled(sound, "near", 0.3), sound])
     predictions, control = re.findall(r"<table class=\"standings\">.*?</table>", page, re.DOTALL)[:2]
 
     def names(table: str) -> list[str]:

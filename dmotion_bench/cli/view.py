@@ -40,6 +40,10 @@ def view(
     split: Annotated[
         str | None, typer.Option(help="Take the episodes from train, validation or test; of a run, from test.")
     ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Another data set of the run's environment to show it on; its own if left out."),
+    ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Follow a training or a recording that is going on, until it ends.")
     ] = False,
@@ -60,6 +64,9 @@ def view(
     if len(targets) > 1 and (odd := next((one for one in targets if one.kind not in ("run", "report")), None)):
         raise UsageError(f"only runs can be seen side by side, and {str(odd.path)!r} is a {odd.kind}; name it alone.")
     target = targets[0]
+    if data is not None and (live or len(targets) > 1 or target.kind not in ("run", "report")):
+        raise UsageError("--data shows one run on another data set; name that run alone.")
+    other = None if data is None else workspace.dataset(data)
 
     from dmotion_bench.viewing.viewer import require_display
 
@@ -79,12 +86,12 @@ def view(
     from dmotion_bench.viewing.scene import write_scene
 
     part = next((name for name in SPLITS if name == split), None)
-    others = beside(target, workspace) if len(targets) == 1 and target.kind == "report" else []
+    others = beside(target, workspace) if len(targets) == 1 and target.kind == "report" and other is None else []
     beside_each_other = [one.path for one in targets] if len(targets) > 1 else others
     if len(beside_each_other) > 1:
         scene = scene_of_several(beside_each_other, episode or [], part)
     else:
-        scene = scene_of(target, episode or [], part)
+        scene = scene_of(target, episode or [], part, other)
     with tempfile.TemporaryDirectory(prefix="dmbench-view-") as folder:
         file = save or Path(folder) / "scene.rrd"
         write_scene(scene, file)
@@ -95,8 +102,11 @@ def view(
             _show(file, web)
 
 
-def scene_of(target: Target, episodes: list[int], split: SplitName | None) -> Scene:
-    """What there is to see of a data set, a run or a report: the episodes asked for, or a few telling ones."""
+def scene_of(target: Target, episodes: list[int], split: SplitName | None, data: Path | None = None) -> Scene:
+    """What there is to see of a data set, a run or a report: the episodes asked for, or a few telling ones.
+
+    A run is shown on its own data set, or on the one at ``data``.
+    """
     from dataclasses import replace
 
     from dmotion_bench.storage.dataset import Dataset
@@ -107,13 +117,17 @@ def scene_of(target: Target, episodes: list[int], split: SplitName | None) -> Sc
         dataset = Dataset.open(target.path)
         return dataset_scene(dataset, choose_episodes(dataset, episodes, split))
     from dmotion_bench.learning.run import Run
+    from dmotion_bench.scoring.transfer import report_folder, require_fitting
     from dmotion_bench.viewing.report import telling_episodes
     from dmotion_bench.viewing.run import run_scene
 
     run = Run.open(target.path)
-    dataset = Dataset.open(run.dataset_path)
-    told = {} if episodes or split else telling_episodes(run.path)
-    chosen = choose_episodes(dataset, episodes or list(told), split or ("test" if not episodes else None))
+    dataset = Dataset.open(data or run.dataset_path)
+    if data is not None:
+        require_fitting(run, dataset)
+    folder = report_folder(run.path, run.spec.fingerprint, dataset)
+    told = {} if episodes or split else telling_episodes(run.path, folder)
+    chosen = choose_episodes(dataset, episodes or list(told), split or (None if episodes or told else "test"))
     scene = run_scene(run, dataset, chosen, told)
     return replace(scene, front="Report") if target.kind == "report" else scene
 
@@ -176,7 +190,7 @@ def scene_of_several(paths: list[Path], episodes: list[int], split: SplitName | 
     runs = comparable([Run.open(path) for path in paths])
     dataset = Dataset.open(runs[0].dataset_path)
     told = {} if episodes or split else contrasting_episodes([run.path for run in runs])
-    chosen = choose_episodes(dataset, episodes or list(told), split or ("test" if not episodes else None))
+    chosen = choose_episodes(dataset, episodes or list(told), split or (None if episodes or told else "test"))
     return comparison_scene(runs, dataset, chosen, told)
 
 

@@ -12,7 +12,7 @@ hold as a test what the other holds as training.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,7 +25,18 @@ from dmotion_bench.storage.dataset import Dataset
 _SHOWN: Final = 5
 
 
-def report_folder(run: Path, trained_on: str, dataset: Dataset) -> Path:
+@runtime_checkable
+class Identified(Protocol):
+    """What is asked of a data set to find reports on it."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def fingerprint(self) -> str: ...
+
+
+def report_folder(run: Path, trained_on: str, dataset: Identified) -> Path:
     """Where a run's report on a data set lies.
 
     Args:
@@ -48,12 +59,30 @@ def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
     Raises:
         RunMismatch: It is of another environment, or holds episodes that the run was trained on.
     """
+    require_fitting(run, dataset)
+    own, name = _trained_on(run), dataset.name
+    known = [] if own is None else _known_before(own, dataset, split)
+    if known:
+        listed = ", ".join(map(str, known[:_SHOWN])) + (" ..." if len(known) > _SHOWN else "")
+        raise RunMismatch(
+            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} begin as episodes do that "
+            f"{run.name!r} was trained on (episodes {listed}: same seed, same picture); record the data set with "
+            f"another '--seed'."
+        )
+
+
+def require_fitting(run: Run, dataset: Dataset) -> None:
+    """See that a run's model can be shown a data set: the same environment, actions and size of the pictures.
+
+    Raises:
+        RunMismatch: It cannot.
+    """
     spec, name = run.spec, dataset.name
     own = _trained_on(run)
     if own is not None and own.recipe.environment != dataset.recipe.environment:
         raise RunMismatch(
             f"{run.name!r} was trained in {own.recipe.environment!r}, and {name!r} is of "
-            f"{dataset.recipe.environment!r}; score it on data of its own environment: "
+            f"{dataset.recipe.environment!r}; take data of its own environment: "
             f"'dmbench record {own.recipe.environment} --seed 1 --out DIR'."
         )
     for what, mine, theirs in (
@@ -62,20 +91,10 @@ def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
     ):
         if mine != theirs:
             raise RunMismatch(f"{run.name!r} was trained on {mine} {what}, and {name!r} has {theirs}.")
-    if own is None:
-        return
-    if own.spec.actions != dataset.spec.actions:
+    if own is not None and own.spec.actions != dataset.spec.actions:
         raise RunMismatch(
             f"the actions of {name!r} are {', '.join(dataset.spec.actions)}, and those of {own.name!r}, which "
             f"{run.name!r} was trained on, {', '.join(own.spec.actions)}."
-        )
-    known = _known_before(own, dataset, split)
-    if known:
-        listed = ", ".join(map(str, known[:_SHOWN])) + (" ..." if len(known) > _SHOWN else "")
-        raise RunMismatch(
-            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} begin as episodes do that "
-            f"{run.name!r} was trained on (episodes {listed}: same seed, same picture); record the data set with "
-            f"another '--seed'."
         )
 
 

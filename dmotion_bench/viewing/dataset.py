@@ -28,6 +28,9 @@ class ViewableDataset(Protocol):
     def name(self) -> str: ...
 
     @property
+    def fingerprint(self) -> str: ...
+
+    @property
     def recipe(self) -> DatasetRecipe: ...
 
     @property

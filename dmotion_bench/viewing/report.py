@@ -35,15 +35,17 @@ SHOWN = (
 AHEAD = re.compile(r"rollout_mse\[(\d+)\]")
 
 
-def telling_episodes(run: Path) -> dict[int, str]:
+def telling_episodes(run: Path, folder: Path | None = None) -> dict[int, str]:
     """The worst, the middle and the best episode by the MSE of single steps, and what is to be said of each.
+
+    Of the run's own report, or of the one in a folder.
 
     Empty where the run has no report, or its samples are gone.
 
     Raises:
         RunCorrupt: The report cannot be read.
     """
-    means = episode_means(run)
+    means = episode_means(run, folder)
     order = sorted(means, key=lambda episode: -means[episode])
     told: dict[int, str] = {}
     for word, rank in (("worst", 0), ("middle", len(order) // 2), ("best", -1)) if order else ():
@@ -51,7 +53,7 @@ def telling_episodes(run: Path) -> dict[int, str]:
     return told
 
 
-def episode_means(run: Path) -> dict[int, float]:
+def episode_means(run: Path, folder: Path | None = None) -> dict[int, float]:
     """The MSE of single steps of each scored episode; empty where the run has no report, or its samples are gone.
 
     Where actions are not known it is the MSE with the true motion, all that is scored there.
@@ -59,8 +61,9 @@ def episode_means(run: Path) -> dict[int, float]:
     Raises:
         RunCorrupt: The report cannot be read.
     """
-    report = read_report(run / REPORT_FOLDER)
-    samples = None if report is None else read_report_samples(run / REPORT_FOLDER, report)
+    folder = folder or run / REPORT_FOLDER
+    report = read_report(folder)
+    samples = None if report is None else read_report_samples(folder, report)
     if samples is None:
         return {}
     metric, predictor = (np.asarray(samples[name].to_pylist()) for name in ("metric", "predictor"))
@@ -75,13 +78,13 @@ def episode_means(run: Path) -> dict[int, float]:
     return dict(zip(episodes.tolist(), means.tolist(), strict=True))
 
 
-def report_tab(run: Path) -> Tab | None:
-    """The page of a report; None where the run has none.
+def report_tab(run: Path, folder: Path | None = None) -> Tab | None:
+    """The page of a run's own report, or of the one in a folder; None where there is none.
 
     Raises:
         RunCorrupt: The report cannot be read.
     """
-    report = read_report(run / REPORT_FOLDER)
+    report = read_report(folder or run / REPORT_FOLDER)
     if report is None:
         return None
     curves = rollout_curves(report)
@@ -117,12 +120,13 @@ def rollout_curves(report: Report) -> dict[str, Curve]:
 
 
 def _figures(report: Report) -> str:
+    own = "" if report.trained_on is None else f", trained on *{report.trained_on}*"
     beside = [name for name in ("paper", "copy_last") if name in report.reference]
     lines = [
         f"**{report.run}**",
         "",
-        f"*{report.dataset['name']}*, {report.settings['split']} episodes, labels used: **{report.labels['asked']} "
-        f"({report.labels['total']})**, protocol {report.protocol}.",
+        f"*{report.dataset['name']}*{own}, {report.settings['split']} episodes, labels used: "
+        f"**{report.labels['asked']} ({report.labels['total']})**, protocol {report.protocol}.",
         "",
         f"| | mean ± std | 95% interval | {' | '.join(map(plain, beside))} |",
         "|---|---|---|" + "---|" * len(beside),

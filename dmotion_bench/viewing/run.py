@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.samples import samples_of
+from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import EpisodeLabels
 from dmotion_bench.viewing.curves import read_curves, training_tab
 from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
@@ -46,8 +47,8 @@ def run_scene(
 
     Args:
         run: A finished one.
-        dataset: Its own. Without labels a model that separates the agent's motion follows what it sees; of
-            another there is the video to see, and the training.
+        dataset: Its own, or another that fits it. Without labels a model that separates the agent's motion follows
+            what it sees; of another model there is the video to see, and the training.
         episodes: Numbers of episodes.
         why: What is said of an episode on its tab, such as ``"worst"``.
 
@@ -56,7 +57,7 @@ def run_scene(
     """
     notes = why or {}
     tabs = [_tab(run, dataset, episode, notes.get(episode, "")) for episode in episodes]
-    figures = report_tab(run.path)
+    figures = report_tab(run.path, report_folder(run.path, run.spec.fingerprint, dataset))
     training = training_tab(read_curves(run.metrics), _of_training(run), samples_of(run.path))
     return Scene(
         name=run.name,
@@ -207,9 +208,11 @@ def _log_maps(recording: rr.RecordingStream, root: str, seen: Imagination) -> No
 def _headline(run: Run, dataset: ViewableDataset, episode: int) -> str:
     spec = run.spec
     part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
-    seen_before = "" if part == "test" else ": *not held out*"
+    elsewhere = dataset.fingerprint != spec.fingerprint
+    trained = f"trained on *{spec.dataset}*, shown on *{dataset.name}*" if elsewhere else f"on *{spec.dataset}*"
+    seen_before = "" if part == "test" or elsewhere else ": *not held out*"
     return (
-        f"**{spec.model}** ({spec.arch}) on *{spec.dataset}*, labels: **{_labels_used(run)}**, seed {spec.seed}. "
+        f"**{spec.model}** ({spec.arch}) {trained}, labels: **{_labels_used(run)}**, seed {spec.seed}. "
         f"Episode {episode}, {part} split{seen_before}."
     )
 

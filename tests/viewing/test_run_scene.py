@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -9,18 +10,22 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 import torch
-from pushed_squares import SPEC
+from made_up_report import write_made_up
+from pushed_squares import SPEC, write_squares
 from rrd_contents import curve, read, static, tabs_of, values
 
+from dmotion_bench.cli.view import scene_of
 from dmotion_bench.errors import RunMissing
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, Losses, TripletBatch
 from dmotion_bench.learning.run import Run
+from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.maps import brightest, tiles
 from dmotion_bench.viewing.run import AMPLIFIED, run_scene
 from dmotion_bench.viewing.scene import write_scene
+from dmotion_bench.viewing.target import Target
 
 
 class Blind(ForwardModel[None]):
@@ -168,3 +173,23 @@ def test_things_without_colour_have_no_position_error(run: Run, dataset: Dataset
     dataset.spec = replace(SPEC, agent_has_color=False)
     write_scene(run_scene(run, dataset, [episode]), rrd)
     assert len(values(rrd, f"/episode_{episode}/camera/places", "Ellipses2D:centers")[0][1]) == 4  # two rings each
+
+
+def test_a_run_is_shown_on_another_data_set_with_the_report_on_it(run: Run, tmp_path: Path, rrd: Path) -> None:
+    other = write_squares(tmp_path / "data/others", frames=9)
+    folder = report_folder(run.path, run.spec.fingerprint, other)
+    assert folder == run.path / "report/on/others"
+    made_up = write_made_up(run, {1: [10.0], 4: [90.0], 5: [1.0]})
+    folder.parent.mkdir()
+    shutil.copytree(made_up, folder, ignore=lambda *_: ["on"])
+    try:
+        target = Target("run", run.path)
+        write_scene(scene_of(target, [], None, other.path), rrd)
+    finally:
+        shutil.rmtree(made_up)
+    told = ["Episode 4 (worst, MSE 90)", "Episode 1 (middle, MSE 10)", "Episode 5 (best, MSE 1)"]
+    assert tabs_of(rrd) == [*told, "Report", "Training"]
+    (text,) = static(rrd, "/episode_4/about", "TextDocument:text")
+    assert "trained on *squares-tiny*, shown on *others*" in text
+    assert "not held out" not in text
+    assert len(curve(rrd, "/episode_4/mse/one_step")) == 7

@@ -202,29 +202,13 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
         (slots,) = state
         return (slots + self.transition(slots, action),)
 
+    def embedding(self, state: tuple[Float[Tensor, "b k d"]]) -> Float[Tensor, "b k d"]:
+        """The slots, for H@1 and MRR."""
+        return state[0]
+
     def frame(self, state: tuple[Float[Tensor, "b k d"]]) -> Float[Tensor, "b c h w"]:
         """The states, decoded."""
         return self._decode(state[0])
 
     def _decode(self, state: Float[Tensor, "b k d"]) -> Float[Tensor, "b c h w"]:
         return unpack(self.decoder(rearrange(state, "b k d -> b (k d)"))).float()
-
-
-@dataclass(frozen=True)
-class Ranking:
-    """C-SWM's own figures: where the true next state stands among all, by its distance from the predicted one.
-
-    Attributes:
-        hits_at_1: Share of predictions that lie nearest to their own next state.
-        mean_reciprocal_rank: Mean of 1 / rank.
-    """
-
-    hits_at_1: float
-    mean_reciprocal_rank: float
-
-
-def ranking(predicted: Float[Tensor, "n *d"], true: Float[Tensor, "n *d"]) -> Ranking:
-    """Rank each true state among all true states; one as near as another counts in the prediction's favour."""
-    distance = torch.cdist(predicted.flatten(1).double(), true.flatten(1).double())
-    rank = 1 + (distance < distance.diagonal()[:, None]).sum(1)
-    return Ranking((rank == 1).double().mean().item(), rank.double().reciprocal().mean().item())

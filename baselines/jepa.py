@@ -203,6 +203,10 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
         previous, current = state
         return current, self.predictor(previous, current, action)
 
+    def embedding(self, state: tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]) -> Float[Tensor, "b d"]:
+        """The last embedding."""
+        return state[1]
+
     def frame(self, state: tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]) -> Float[Tensor, "b c h w"]:
         """The last embedding, decoded."""
         return self._decode(state[1])

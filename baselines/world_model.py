@@ -133,6 +133,10 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
         previous, current = state
         return current, self._step(previous, current, action)
 
+    def embedding(self, state: tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]) -> Float[Tensor, "b d"]:
+        """The last code."""
+        return state[1]
+
     def frame(self, state: tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]) -> Float[Tensor, "b c h w"]:
         """The last code, decoded."""
         return self._decode(state[1])

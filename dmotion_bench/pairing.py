@@ -23,7 +23,9 @@ from dmotion_bench.scoring.report import REPORT_FOLDER, TRANSFERS, Report, read_
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, IDENTIFICATION_COLUMNS, column
 from dmotion_bench.scoring.statistics import Estimate, paired_difference
 
-HIGHER_IS_BETTER: Final = frozenset({"psnr", "ssim", "agent_iou", "motion_probe_accuracy", "control_success"})
+HIGHER_IS_BETTER: Final = frozenset(
+    {"psnr", "ssim", "agent_iou", "motion_probe_accuracy", "hit_at_1", "reciprocal_rank", "control_success"}
+)
 NEITHER_IS_BETTER: Final = frozenset({"motion_swap_change"})
 Better = Literal["first", "second"]
 CONTROL: Final = "control"

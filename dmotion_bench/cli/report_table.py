@@ -31,6 +31,8 @@ WORDS = {
     "mse_true_motion": "MSE with the true motion",
     "motion_swap_change": "change by a swapped motion",
     "motion_within_over_between": "motion within/between",
+    "hit_at_1": "H@1",
+    "reciprocal_rank": "MRR",
     "control_distance": "control, distance",
     "control_success": "control, tasks solved",
     "control_lost": "control, objects lost",

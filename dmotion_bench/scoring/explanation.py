@@ -34,7 +34,7 @@ REMARK = (
 def explain_steps(
     model: ForwardModel[Any], dataset: Dataset, split: SplitName, protocol: SplitProtocol, how: Execution
 ) -> pa.Table:
-    """Every held-out triplet's next frame, drawn with the motion of the true pair; and as a copy of the last.
+    """Every held-out triplet's next frame, drawn with the motion of the true frames; and as a copy of the last.
 
     Raises:
         LabelsNotAvailable: The model has no latent action.

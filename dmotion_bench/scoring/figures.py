@@ -10,13 +10,14 @@ from dmotion_bench.scoring.identification import motion_within_over_between
 from dmotion_bench.scoring.samples import (
     FIGURE_COLUMNS,
     IDENTIFICATION_COLUMNS,
+    RANK_COLUMNS,
     column,
     vectors,
 )
 from dmotion_bench.scoring.statistics import RESAMPLES, EpisodeBootstrap, Estimate
 
 PUSH = "_push"
-ROLLOUT_COLUMNS = ("mse", "position_error", "position_error_paper", "miss_rate")
+ROLLOUT_COLUMNS = ("mse", "position_error", "position_error_paper", "miss_rate", *RANK_COLUMNS)
 SUCCESS = 0.2
 """Normalised distance at the end of a control task that counts as solved."""
 

@@ -21,6 +21,7 @@ from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.frame_measures import FrameMeasures
 from dmotion_bench.scoring.identification import Identification, LatentActionModel, identify
+from dmotion_bench.scoring.latent_ranking import Ranks, rank_rollouts
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.samples import SampleRows
@@ -87,7 +88,7 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
 
 
 def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, *, horizon: int) -> pa.Table:
-    """Rollouts of ``horizon`` steps from up to four places of each held-out episode."""
+    """Rollouts of ``horizon`` steps from up to four places of each held-out episode, and their ranks if it has any."""
 
     def predict(batch: RolloutBatch) -> UInt8[Tensor, "b t h w 3"]:
         previous, current = (
@@ -97,7 +98,9 @@ def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, 
         frames = model.rollout(previous, current, actions)
         return _pixels(model, frames, (len(current), actions.shape[1], *current.shape[1:]))
 
-    return _rolled_out(MODEL, predict, held_out, how, horizon)
+    size = _rollouts_at_once(how, horizon)
+    ranked = rank_rollouts(model, held_out, horizon=horizon, batch_size=size, device=how.device)
+    return _rolled_out(MODEL, predict, held_out, how, horizon, ranked)
 
 
 def score_reference_steps(held_out: HeldOut, how: Execution) -> pa.Table:
@@ -134,10 +137,11 @@ def _rolled_out(
     held_out: HeldOut,
     how: Execution,
     horizon: int,
+    ranked: Ranks | None = None,
 ) -> pa.Table:
     measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("rollout", predictor), 0
     total = held_out.count_rollouts(horizon)
-    for batch in held_out.rollouts(horizon, max(1, how.batch_size // horizon)):
+    for batch in held_out.rollouts(horizon, _rollouts_at_once(how, horizon)):
         predicted, truth = predict(batch), torch.from_numpy(batch.future).to(how.device)
         for ahead in range(horizon):
             positions = measures.positions(truth[:, ahead])
@@ -149,10 +153,18 @@ def _rolled_out(
                 "action": batch.actions[:, ahead],
                 "pushed": batch.pushed[:, ahead],
             }
+            if ranked is not None:
+                here = slice(done, done + len(batch.start))
+                described["hit_at_1"] = ranked.hit_at_1[here, ahead]
+                described["reciprocal_rank"] = ranked.reciprocal_rank[here, ahead]
             rows.add(described | _numpy(columns))
         done += len(batch.start)
         how.progress(f"rollouts of {predictor}", done, total)
     return rows.table()
+
+
+def _rollouts_at_once(how: Execution, horizon: int) -> int:
+    return max(1, how.batch_size // horizon)
 
 
 def _by_latent(

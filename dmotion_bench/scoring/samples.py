@@ -9,7 +9,8 @@
 figures            as in the report; null where the frame has no value (see ``position_errors``)
 ``distance``       of each thing's centre [px], objects first, then the agent if it has a colour; null if not in both
 ``found``          whether the prediction shows each thing; ``found_truth`` the true frame
-``motion``         phi^0 of the true pair
+``hit_at_1``       H@1 of a rollout in the model's own space; ``reciprocal_rank`` its part of the MRR
+``motion``         phi^0 of the true triplet, or any other latent action
 ================== ==================================================================================
 
 A figure of the report is the mean of its column over the rows of its predictor and metric: all of them, those with
@@ -44,6 +45,7 @@ IDENTIFICATION_COLUMNS = (
     "mse_true_motion",
     "motion_swap_change",
 )
+RANK_COLUMNS = ("hit_at_1", "reciprocal_rank")
 CONTROL_COLUMNS = ("task", "control_distance", "control_lost")
 FIGURE_COLUMNS = PIXEL_COLUMNS + POSITION_COLUMNS + OBJECT_COLUMNS + IDENTIFICATION_COLUMNS
 
@@ -56,7 +58,7 @@ SCHEMA = pa.schema(
         ("ahead", pa.int16()),
         ("action", pa.int16()),
         ("pushed", pa.bool_()),
-        *((name, pa.float32()) for name in FIGURE_COLUMNS),
+        *((name, pa.float32()) for name in FIGURE_COLUMNS + RANK_COLUMNS),
         ("distance", pa.list_(pa.float32())),
         ("found", pa.list_(pa.bool_())),
         ("found_truth", pa.list_(pa.bool_())),
@@ -129,6 +131,6 @@ def read_samples(path: Path) -> pa.Table:
     """
     table: Any = pq.read_table(path)
     for field in SCHEMA:
-        if field.name not in table.column_names and field.name in CONTROL_COLUMNS:  # of before control was scored
+        if field.name not in table.column_names and field.name in RANK_COLUMNS + CONTROL_COLUMNS:  # of earlier versions
             table = table.append_column(field, pa.nulls(len(table), field.type))
     return table.cast(SCHEMA)

@@ -6,7 +6,7 @@ The first two frames of an episode are given. From then on two predictions of ev
 - **imagined**: from the model's own last two frames; only the actions are still the recorded ones.
 
 Where the actions are not known, a model with a latent action (``LatentActionModel``) is told the one that
-it reads off the true pair of frames instead, as in ``scoring/explanation.py``.
+it reads off the true frames instead, as in ``scoring/explanation.py``.
 """
 
 from __future__ import annotations

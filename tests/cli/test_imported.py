@@ -94,7 +94,7 @@ def test_as_video_alone(typed, tmp_path: Path) -> None:  # type: ignore[no-untyp
     scored = typed("score")
     assert scored.code == 0, scored.err
     assert "MSE with the true motion" in scored.out
-    assert "actions: not known; frames are drawn with the motion read off the true pair" in scored.out
+    assert "actions: not known; frames are drawn with the motion read off the true frames" in scored.out
     (report,) = json.loads(typed("score", "--json").out)["reports"]
     assert set(report["figures"]) == set(report["reference"]["copy_last"]) == {"mse_true_motion"}
     assert "MSE with the true motion" in typed("score", "--all").out

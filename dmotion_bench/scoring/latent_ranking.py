@@ -1,0 +1,73 @@
+"""Whether a model that predicts in a space of its own predicts the right point of it (Kipf et al. 2020, section 4.4).
+
+A rollout ahead in that space is held against the true states of all rollouts after as many steps, by distance:
+
+- ``hit_at_1``: 1 if its own true state is the nearest, else 0. The mean is H@1.
+- ``reciprocal_rank``: 1 / the place of its own true state among all. The mean is MRR.
+
+One that is as near as the own counts in the prediction's favour. No decoder has a part in this, so a model whose
+pictures are bad can be seen to know what comes, and the other way round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.scoring.transitions import HeldOut
+
+
+@runtime_checkable
+class EmbeddingModel(Protocol):
+    """A ``ForwardModel`` whose state has a point in a space of its own."""
+
+    def embedding(self, state: Any) -> Float[Tensor, "b *d"]:
+        """Where the frame is that the state stands for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranks:
+    """Of each rollout after each of its steps, in the order of ``HeldOut.rollouts``."""
+
+    hit_at_1: Float32[np.ndarray, "r t"]
+    reciprocal_rank: Float32[np.ndarray, "r t"]
+
+
+def rank_rollouts(
+    model: ForwardModel[Any], held_out: HeldOut, *, horizon: int, batch_size: int, device: torch.device
+) -> Ranks | None:
+    """Roll out in the model's own space; None for a model that has none."""
+    if not isinstance(model, EmbeddingModel):
+        return None
+    imagined: list[Tensor] = []
+    true: list[Tensor] = []
+    for batch in held_out.rollouts(horizon, batch_size):
+        frames = torch.from_numpy(np.concatenate([batch.previous[:, None], batch.current[:, None], batch.future], 1))
+        actions = torch.from_numpy(batch.actions.astype(np.int64)).to(device)
+        images = [to_model(frames[:, place].to(device)) for place in range(horizon + 2)]
+        state = model.begin(images[0], images[1])
+        steps, after = [], []
+        for step in range(horizon):
+            state = model.advance(state, actions[:, step])
+            steps.append(model.embedding(state).flatten(1).double().cpu())
+            after.append(model.embedding(model.begin(images[step + 1], images[step + 2])).flatten(1).double().cpu())
+        imagined.append(torch.stack(steps, 1))
+        true.append(torch.stack(after, 1))
+    if not imagined:
+        return Ranks(hit_at_1=np.zeros((0, horizon), np.float32), reciprocal_rank=np.zeros((0, horizon), np.float32))
+    ahead = zip(torch.cat(imagined).unbind(1), torch.cat(true).unbind(1), strict=True)
+    rank = torch.stack([ranks(predicted, truth) for predicted, truth in ahead], 1)
+    return Ranks(hit_at_1=(rank == 1).float().numpy(), reciprocal_rank=rank.float().reciprocal().numpy())
+
+
+def ranks(predicted: Float[Tensor, "n d"], true: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+    """The place of each own true state among all, by the distance from the prediction: 1 is the nearest."""
+    distance = torch.cdist(predicted, true, compute_mode="donot_use_mm_for_euclid_dist")
+    return 1 + (distance < distance.diagonal()[:, None]).sum(1).double()

@@ -1,0 +1,80 @@
+"""H@1 and MRR against brute force, and of models that know everything or nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.scoring.latent_ranking import rank_rollouts, ranks
+from dmotion_bench.scoring.samples import column
+from dmotion_bench.scoring.score import ScoreSettings, score_model
+from dmotion_bench.scoring.transitions import HeldOut
+from dmotion_bench.storage.dataset import Dataset
+
+from .conftest import Known, NoConfig, Oracle
+
+CPU = torch.device("cpu")
+
+
+class KnowingOracle(Oracle):
+    """Embeds a frame as its pixels."""
+
+    def embedding(self, state: tuple[Tensor, Tensor]) -> Tensor:
+        return state[1]
+
+
+class KnowingNothing(Known):
+    """Stays where it was; the first rollout's place is as good as another."""
+
+    def embedding(self, state: tuple[Tensor, Tensor]) -> Tensor:
+        return state[1]
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 12))
+@settings(deadline=None, derandomize=True, max_examples=40)
+def test_ranks_are_those_of_brute_force(seed: int, count: int) -> None:
+    generator = np.random.default_rng(seed)
+    predicted, true = generator.integers(-2, 3, (2, count, 4)).astype(np.float64)  # whole numbers: many ties
+    expected = []
+    for row in range(count):
+        distances = [((predicted[row] - true[other]) ** 2).sum() for other in range(count)]
+        expected.append(1 + sum(distance < distances[row] for distance in distances))
+    np.testing.assert_array_equal(ranks(torch.from_numpy(predicted), torch.from_numpy(true)), expected)
+
+
+def test_who_knows_what_comes_ranks_first_and_who_does_not_does_not(grid: Dataset) -> None:
+    held_out = HeldOut(grid, "test")
+    oracle = rank_rollouts(KnowingOracle(grid), held_out, horizon=4, batch_size=5, device=CPU)
+    assert oracle is not None
+    assert oracle.hit_at_1.shape == (held_out.count_rollouts(4), 4)
+    np.testing.assert_array_equal(oracle.hit_at_1, 1)
+    np.testing.assert_array_equal(oracle.reciprocal_rank, 1)
+
+    nothing = KnowingNothing(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+    still = rank_rollouts(nothing, held_out, horizon=4, batch_size=5, device=CPU)
+    assert still is not None
+    assert still.hit_at_1[:, 3].mean() < 1
+    assert ((still.reciprocal_rank == 1) == (still.hit_at_1 == 1)).all()
+    other = rank_rollouts(nothing, held_out, horizon=4, batch_size=64, device=CPU)
+    assert other is not None
+    np.testing.assert_array_equal(other.reciprocal_rank, still.reciprocal_rank)
+
+
+def test_a_model_without_a_space_of_its_own_has_no_rank(grid: Dataset) -> None:
+    assert rank_rollouts(Oracle(grid), HeldOut(grid, "test"), horizon=4, batch_size=5, device=CPU) is None
+
+
+def test_the_report_has_them_for_each_step(grid: Dataset) -> None:
+    chosen = ScoreSettings(horizon=3, resamples=100)
+    scores = score_model(KnowingOracle(grid), grid, metrics=("rollout",), settings=chosen)
+    for step in (1, 2, 3):
+        assert scores.figures[f"rollout_hit_at_1[{step}]"].mean == 1
+        assert scores.figures[f"rollout_reciprocal_rank[{step}]"].mean == pytest.approx(1)
+    assert "rollout_hit_at_1[1]" not in scores.reference["copy_last"]
+    of_model = scores.samples.filter([name == "model" for name in scores.samples["predictor"].to_pylist()])
+    assert (column(of_model, "hit_at_1") == 1).all()

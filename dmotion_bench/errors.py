@@ -154,6 +154,10 @@ class PackageNotInstalled(DmbenchError):
         super().__init__(f"{why} needs the package {package!r}, which is not installed; install it with '{install}'.")
 
 
+class FolderInUse(DmbenchError):
+    """Another process writes into the folder."""
+
+
 class StorageFull(DmbenchError):
     """No space left on the device."""
 

@@ -37,6 +37,7 @@ from dmotion_bench.learning.optimization import (
 from dmotion_bench.learning.randomness import seeded
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets, write_sample
+from dmotion_bench.storage.lock import held
 
 CHECKPOINT_SECONDS = 60.0
 LOG_ROWS = 200  # rows of metrics.jsonl in a training
@@ -86,14 +87,18 @@ def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Repor
 
     Raises:
         LabelsNotAvailable: The budget asks for labels that are not there; before the first step.
+        FolderInUse: Another process trains the run.
         KeyboardInterrupt: After the checkpoint of the step that was interrupted has been written.
     """
     if run.result is not None:
         return run.result
     trainer = _Trainer(run, data, fabric)  # what is missing is said here, before anything is written
-    if fabric.is_global_zero:
+    if not fabric.is_global_zero:
+        return trainer.fit(on_step)
+    run.path.mkdir(parents=True, exist_ok=True)
+    with held(run.path):
         run.write()
-    return trainer.fit(on_step)
+        return trainer.fit(on_step)
 
 
 class _Trainer:

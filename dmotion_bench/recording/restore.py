@@ -19,7 +19,8 @@ from dmotion_bench.recording.session import ShardJob, record_shard
 from dmotion_bench.registry import environment_names
 from dmotion_bench.storage.atomic import sync_folder
 from dmotion_bench.storage.check import CheckReport, check_dataset
-from dmotion_bench.storage.repair import Salvaged, held, rebuild_tables, salvage
+from dmotion_bench.storage.lock import held
+from dmotion_bench.storage.repair import Salvaged, rebuild_tables, salvage
 from dmotion_bench.storage.shard import LABELS, VIDEO, shard_path
 
 _STAGING = "repairing"

@@ -15,8 +15,6 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +22,6 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from dmotion_bench import __version__
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName
 from dmotion_bench.learning.checkpoint import weights_hash
 from dmotion_bench.learning.model import ForwardModel
@@ -36,6 +33,7 @@ from dmotion_bench.planning.planner import DEFAULT_PLANNER, make_planner
 from dmotion_bench.planning.problems import Moving, TaskDataset, load_problems, task_environment
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import SampleRows
+from dmotion_bench.versions import code_version
 
 METRIC: Final = "control"
 QUICK: Final = ("idle", "random", "scripted")
@@ -233,13 +231,6 @@ def _kept(name: str, dataset: TaskDataset, scoring: ControlScoring) -> Path:
     return dataset.path / "cache" / f"control-{name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
 
 
-@cache
 def planning_version() -> str:
-    """The version of dmbench and a hash over the code that plans: what other code did is not gone on with."""
-    digest = hashlib.sha256()
-    package = resources.files("dmotion_bench")
-    files = sorted(package.joinpath("planning").iterdir(), key=lambda file: file.name)
-    for file in (*files, package.joinpath("positions.py")):
-        if file.name.endswith(".py"):
-            digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return f"{__version__}+{digest.hexdigest()[:12]}"
+    """The version of the code that plans: what other code did is not gone on with."""
+    return code_version("planning", "positions.py")

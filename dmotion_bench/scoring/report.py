@@ -25,17 +25,15 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from dmotion_bench import __version__
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.versions import code_version
 
 PROTOCOL = "dmbench-1"
 REPORT_FOLDER = "report"
@@ -138,16 +136,9 @@ def read_report_samples(folder: Path, report: Report) -> pa.Table | None:
     return read_samples(path)
 
 
-@cache
-def code_version() -> str:
-    """The version of dmbench and a hash over the code that scores: a report by other code is not up to date."""
-    digest = hashlib.sha256()
-    package = resources.files("dmotion_bench")
-    files = sorted(package.joinpath("scoring").iterdir(), key=lambda file: file.name)
-    for file in (*files, package.joinpath("positions.py")):
-        if file.name.endswith(".py"):
-            digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return f"{__version__}+{digest.hexdigest()[:12]}"
+def scoring_version() -> str:
+    """The version of the code that scores: a report by other code is not up to date."""
+    return code_version("scoring", "positions.py")
 
 
 def _sha256(path: Path) -> str:

@@ -34,9 +34,9 @@ from dmotion_bench.scoring.references import REFERENCES, published_for
 from dmotion_bench.scoring.report import (
     PROTOCOL,
     Report,
-    code_version,
     read_report,
     read_report_samples,
+    scoring_version,
     write_report,
 )
 from dmotion_bench.scoring.samples import SCHEMA
@@ -45,6 +45,7 @@ from dmotion_bench.scoring.transfer import report_folder, require_transferable
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.lock import held
 from dmotion_bench.versions import versions
 
 Metric = Literal["prediction", "rollout", "control"]
@@ -52,8 +53,8 @@ METRICS: tuple[Metric, ...] = get_args(Metric)
 DEFAULT_METRICS: tuple[Metric, ...] = ("prediction", "rollout")
 """Those that take seconds; control acts in a simulator and takes minutes."""
 
-DECIDES = {"rollout": "horizon", "control": "control_"}
-"""How the settings begin that decide one group of figures alone."""
+CONTROL = "control_"
+"""How the settings begin that decide the figures of control; they alone do."""
 
 BESIDE = (*REFERENCES, *CONTROL_REFERENCES)
 REMARKS = {
@@ -197,8 +198,8 @@ def score_run(
 ) -> Report:
     """Score a run on the held-out episodes of its data set, or of another one, and write its report.
 
-    Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings
-    and code.
+    Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings and
+    code, which of control is the code that plans.
 
     Args:
         renew: Whether to score again what the report already holds.
@@ -209,6 +210,7 @@ def score_run(
         RunMissing, RunCorrupt: There is no trained run at this path.
         RunMismatch: The data set has changed since the run was trained on it, or the other one does not fit the run.
         DatasetError, LabelsNotAvailable: Control is asked for where it cannot be scored.
+        FolderInUse: Another process scores the run.
     """
     run = Run.open(path)
     dataset = Dataset.open(data or run.dataset_path)
@@ -227,58 +229,59 @@ def score_run(
         require_tasks(dataset)  # said before the work, not after it
     if not dataset.spec.actions:
         metrics = ("prediction",)
-    held: tuple[str, ...] = ()
-    kept = SCHEMA.empty_table()
-    old = _still_true(folder, run, dataset, settings)
-    if old is not None:
-        report, samples = old
-        if "rollout" not in metrics:
-            settings = replace(settings, horizon=report.settings["horizon"])
-        if "control" not in metrics and "control" in report.settings["metrics"]:
-            settings = replace(settings, control=ControlScoring.from_json(report.settings))
-        said = settings.to_json(METRICS)
-        held = tuple(
-            metric
-            for metric in report.settings["metrics"]
-            if all(said[name] == report.settings[name] for name in said if name.startswith(DECIDES.get(metric, "-")))
+    folder.mkdir(parents=True, exist_ok=True)
+    with held(folder):
+        report, samples = _stored(folder, run, dataset)
+        true: tuple[str, ...] = ()
+        if report is not None:
+            settings = _with_stored(settings, report, metrics)
+            true = tuple(metric for metric in report.settings["metrics"] if _is_true(metric, report, settings))
+            if not renew and set(metrics) <= set(true):
+                return report
+        metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
+        scores = score_model(
+            run.model,
+            dataset,
+            metrics=metrics,
+            settings=settings,
+            how=how,
+            references=references,
+            earlier=samples.filter(pc.is_in(samples["metric"], pa.array(set(true) - set(metrics), pa.string()))),
+            journal=(journal := folder / "control.json"),
         )
-        if not renew and set(metrics) <= set(held):
-            return report
-        metrics = metrics if renew else tuple(metric for metric in metrics if metric not in held)
-        kept = samples.filter(pc.is_in(samples["metric"], pa.array(set(held) - set(metrics), pa.string())))
-    scores = score_model(
-        run.model,
-        dataset,
-        metrics=metrics,
-        settings=settings,
-        how=how,
-        references=references,
-        earlier=kept,
-        journal=(journal := folder / "control.json"),
-    )
-    scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*held, *metrics))))
-    written = write_report(folder, scored, scores.samples)
-    journal.unlink(missing_ok=True)
+        scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*true, *metrics))))
+        written = write_report(folder, scored, scores.samples)
+        journal.unlink(missing_ok=True)
     return written
 
 
-def _still_true(folder: Path, run: Run, dataset: Dataset, settings: ScoreSettings) -> tuple[Report, pa.Table] | None:
-    """The report of a folder with its samples, if single steps scored now would come to the same."""
+def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa.Table]:
+    """The report of a folder with its samples, if it is of these weights on this data."""
     report = read_report(folder)
-    if report is None or run.result is None:
-        return None
-    mine, theirs = (
-        {name: value for name, value in said.items() if not name.startswith(("metrics", *DECIDES.values()))}
-        for said in (settings.to_json(()), report.settings)
-    )
-    same = (
-        report.weights == run.result["weights"]
-        and report.dataset["fingerprint"] == dataset.fingerprint
-        and report.code == code_version()
-        and mine == theirs
-    )
-    samples = read_report_samples(folder, report) if same else None
-    return None if samples is None else (report, samples)
+    if report is not None and run.result is not None:
+        same = report.weights == run.result["weights"] and report.dataset["fingerprint"] == dataset.fingerprint
+        samples = read_report_samples(folder, report) if same else None
+        if samples is not None:
+            return report, samples
+    return None, SCHEMA.empty_table()
+
+
+def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ...]) -> ScoreSettings:
+    """Settings of groups that are not asked for are the report's."""
+    if "rollout" not in metrics:
+        settings = replace(settings, horizon=report.settings["horizon"])
+    if "control" not in metrics and "control" in report.settings["metrics"]:
+        settings = replace(settings, control=ControlScoring.from_json(report.settings))
+    return settings
+
+
+def _is_true(metric: str, report: Report, settings: ScoreSettings) -> bool:
+    """Whether scoring the same model on the same data now would come to a report's figures of one group."""
+    said = settings.to_json(METRICS)
+    others = {"metrics", *(() if metric == "rollout" else ("horizon",))}
+    decisive = [name for name in said if name.startswith(CONTROL) == (metric == "control") and name not in others]
+    same_code = metric == "control" or report.code == scoring_version()  # the code of control is among its settings
+    return same_code and all(said[name] == report.settings.get(name) for name in decisive)
 
 
 def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
@@ -333,7 +336,7 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             if key in result
         },
         versions=versions(),
-        code=code_version(),
+        code=scoring_version(),
         figures=_json(scores.figures),
         reference=reference,
         remarks=remarks,

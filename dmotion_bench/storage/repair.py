@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from pathlib import Path
 from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable
 from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.lock import lock_folder
+from dmotion_bench.storage.lock import held, lock_folder
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections
 from dmotion_bench.storage.shard import (
@@ -53,16 +52,6 @@ class Salvaged:
     kept: tuple[int, ...]
     lost: tuple[int, ...]
     original: Path
-
-
-@contextlib.contextmanager
-def held(path: Path) -> Iterator[None]:
-    """Nobody else writes into the folder meanwhile."""
-    lock = lock_folder(path)
-    try:
-        yield
-    finally:
-        os.close(lock)
 
 
 def rebuild_tables(path: Path, manifest: Manifest) -> None:

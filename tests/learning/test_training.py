@@ -10,7 +10,7 @@ import pytest
 import torch
 from walking_square import record_walks
 
-from dmotion_bench.errors import LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
+from dmotion_bench.errors import FolderInUse, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
@@ -121,6 +121,19 @@ def test_a_finished_run_is_not_trained_again(recorded, trained) -> None:
     before = trained.best.read_bytes()
     _train(_run(recorded, trained.path), recorded, stop_at=1)
     assert trained.best.read_bytes() == before
+
+
+def test_a_run_is_trained_by_one_at_a_time(recorded, tmp_path) -> None:
+    run = _run(recorded, tmp_path / "run")
+    data = training_data(run, Dataset.open(recorded))
+
+    def train_too(report: Report) -> None:
+        with pytest.raises(FolderInUse, match="another dmbench is writing into"):
+            _train(_run(recorded, run.path), recorded)
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        train(run, data, launch("cpu"), train_too)
 
 
 def test_damaged_runs_are_said_in_a_sentence(trained, tmp_path) -> None:

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from torch import Tensor
 
-from dmotion_bench.errors import DatasetError
+from dmotion_bench.errors import DatasetError, FolderInUse
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.control import ControlProgress
 from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
@@ -131,6 +131,34 @@ def test_control_is_kept_while_it_is_true(run: Run) -> None:
     fewer = replace(QUICK, control=replace(SCORING, tasks=2))
     assert score(run, "control", how=how, settings=fewer, renew=False).figures["control_lost"]["n"] == 2
     assert "control by the model" in asked
+
+
+def test_other_scoring_code_leaves_control_true_and_other_planning_code_does_not(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    how = Execution(progress=lambda what, done, total: asked.append(what.partition(",")[0]))
+    before = score(run, "prediction", "control")
+    control = {name: one for name, one in before.figures.items() if name.startswith("control_")}
+    monkeypatch.setattr("dmotion_bench.scoring.score.scoring_version", lambda: "newer")
+
+    renewed = score(run, "prediction", how=how, renew=False)
+
+    assert "single steps" in asked
+    assert not any(what.startswith("control by") for what in asked)
+    assert renewed.code == "newer"
+    assert {name: one for name, one in renewed.figures.items() if name.startswith("control_")} == control
+    assert score(run, "control", how=how, renew=False) == renewed
+    monkeypatch.setattr("dmotion_bench.scoring.control.planning_version", lambda: "newer")
+    assert not any(name.startswith("control_") for name in score(run, "prediction").figures)
+
+
+def test_a_run_is_scored_by_one_at_a_time(run: Run) -> None:
+    def score_too(what: str, done: int, total: int) -> None:
+        with pytest.raises(FolderInUse, match=f"another dmbench is writing into '{run.path / 'report'}'; wait for it"):
+            score(run, "prediction")
+
+    score(run, how=Execution(progress=score_too))
 
 
 def test_a_model_that_draws_nothing_is_controlled_by_its_features(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

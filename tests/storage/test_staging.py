@@ -13,7 +13,7 @@ import pytest
 from dmbench_command import finish, start_dmbench
 from storage.foreign import foxglove_file, steady
 
-from dmotion_bench.errors import DatasetError, UsageError
+from dmotion_bench.errors import FolderInUse, UsageError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.staging import CONTENT, MARKER, staged, sweep
 
@@ -173,7 +173,7 @@ def test_a_crash_at_any_moment_leaves_what_the_next_takes_away(tmp_path: Path) -
 def test_two_at_once_never_share_a_folder(tmp_path: Path) -> None:
     with (
         staged(tmp_path / "made", ".importing"),
-        pytest.raises(DatasetError, match="another dmbench"),
+        pytest.raises(FolderInUse, match="another dmbench"),
         staged(tmp_path / "made", ".importing"),
     ):
         raise AssertionError("it began")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from noise_world import files_of, noise_episode, noise_lengths, noise_spec, write_noise
 
-from dmotion_bench.errors import DatasetError, RecipeMismatch, StorageFull, UsageError
+from dmotion_bench.errors import DatasetError, FolderInUse, RecipeMismatch, StorageFull, UsageError
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.dataset import Dataset
@@ -94,7 +94,7 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
 
 def test_two_writers_do_not_share_a_folder(tmp_path: Path) -> None:
     first = DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC)
-    with pytest.raises(DatasetError, match="another dmbench"):
+    with pytest.raises(FolderInUse, match="another dmbench"):
         DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC)
     first.close()
     DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC).close()

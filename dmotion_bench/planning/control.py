@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.environment import Environment
 from dmotion_bench.planning.controllers import NO_ACTION, Controller, Decision, KnowsSimulator, Seen
+from dmotion_bench.planning.exploring import Sights
 from dmotion_bench.planning.journal import Journal, TaskRecord
 from dmotion_bench.planning.problems import Problem, World
 from dmotion_bench.planning.tracking import Tracker
@@ -224,6 +225,7 @@ class _Gaze:
     def __init__(self, worlds: Sequence[World], actions: int, spec: EnvSpec) -> None:
         self._current: UInt8[np.ndarray, "b h w 3"] = np.stack([world.frame for world in worlds])
         self._previous = self._current
+        self._sights = Sights.first(torch.from_numpy(self._current))
         self._goals = np.stack([world.problem.goal_frame for world in worlds])
         self._blocked: Bool[np.ndarray, "b a"] = np.zeros((len(worlds), actions), np.bool_)
         self._tracker = Tracker(spec) if spec.objects else None
@@ -241,6 +243,7 @@ class _Gaze:
         still = ~changed[:, None, None, None]
         self._previous = np.where(still, self._previous, self._current)
         self._current = frames
+        self._sights = self._sights.after(torch.from_numpy(actions), torch.from_numpy(frames))
         if self._tracker is not None:
             self._known = self._tracker.follow(self._known, torch.from_numpy(frames))
 
@@ -255,6 +258,7 @@ class _Gaze:
             generators=tuple(task_generator(seed, world.problem, step) for world in worlds),
             memory=memory,
             tracked=None if self._tracker is None else (self._known, self._wanted),
+            sights=self._sights,
         )
 
 

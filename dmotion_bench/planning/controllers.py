@@ -19,6 +19,7 @@ from dmotion_bench.environment import Environment
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.costs import PositionCost, TrackedCost, make_cost
+from dmotion_bench.planning.exploring import Sights
 from dmotion_bench.planning.futures import ModelFutures
 from dmotion_bench.planning.planner import DEFAULT_PLANNER, Moment, Plan, Planner, make_planner
 from dmotion_bench.planning.problems import World
@@ -43,6 +44,7 @@ class Seen:
         generators: See ``Moment``.
         memory: See ``Moment``.
         tracked: Where the objects are, by all that was seen, and where they should be; None where there are none.
+        sights: All that was seen, and what was done there; None for a controller that is asked out of the blue.
     """
 
     previous: UInt8[np.ndarray, "b h w 3"]
@@ -53,6 +55,7 @@ class Seen:
     generators: tuple[np.random.Generator, ...]
     memory: Int[np.ndarray, "b n t"] | None = None
     tracked: tuple[Outlines, Outlines] | None = None
+    sights: Sights | None = None
 
     @property
     def moment(self) -> Moment:
@@ -125,7 +128,7 @@ class ModelController:
         )
         tracked = None if seen.tracked is None else (seen.tracked[0].to(self.device), seen.tracked[1].to(self.device))
         with torch.inference_mode():
-            cost = make_cost(self.cost, self.model, self.spec, goals, tracked)
+            cost = make_cost(self.cost, self.model, self.spec, current, goals, tracked, seen.sights)
         return ModelFutures(self.model, cost, previous, current, bf16=self.bf16)
 
     def act(self, seen: Seen) -> Decision:

@@ -19,6 +19,8 @@ from torch import Tensor
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, State
+from dmotion_bench.planning.covering import Ground
+from dmotion_bench.planning.exploring import Exploration, Sights
 from dmotion_bench.planning.following import FollowedCost, Following
 from dmotion_bench.planning.tracking import Outlines, Tracker, believed
 from dmotion_bench.positions import PositionFinder
@@ -148,8 +150,10 @@ def make_cost(
     name: str | None,
     model: ForwardModel[Any],
     spec: EnvSpec,
+    current: UInt8[Tensor, "b h w 3"],
     goals: UInt8[Tensor, "b h w 3"],
     tracked: tuple[Outlines, Outlines] | None = None,
+    sights: Sights | None = None,
 ) -> Cost | Following:
     """A cost by its name; None is that of object positions for models of pixels, else that of features.
 
@@ -157,7 +161,9 @@ def make_cost(
     else those of tracked ones.
 
     Args:
+        current, goals: The present images, and those that are wanted.
         tracked: Where objects are and where they should be; without it both images are looked at by themselves.
+        sights: All that has been seen; without it the cost of followed objects sends nobody exploring.
 
     Raises:
         UnknownName: There is no such cost.
@@ -167,7 +173,11 @@ def make_cost(
     if name == "position" or (name in ("tracked", "followed") and tracked is None):
         return PositionCost(spec, goals)
     if name == "followed" and tracked is not None:
-        return FollowedCost(spec, *tracked)
+        known, wanted = tracked
+        exploration = None
+        if sights is not None:
+            exploration = Exploration(sights.to(current.device), known, wanted, spec.width, len(spec.actions))
+        return FollowedCost(spec, known, wanted, ground=Ground(current, known), exploration=exploration)
     if name == "tracked" and tracked is not None:
         return TrackedCost(spec, *tracked)
     if name == "pixel":

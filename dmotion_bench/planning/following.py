@@ -7,10 +7,11 @@ counts as lost, no push ever looks good. What is known about objects helps (meas
 
 - from one step to the next an object does not go farther than the agent does, so only its own surroundings are
   looked at, and they move along with it;
-- objects do not fade away: one that does is believed to be where it was imagined last. But one that is gone after the
-  first imagined step, which is predicted from real pictures, may be lost.
+- objects do not fade away: one that does is believed to be where it was imagined last. But one of which the first
+  imagined step, which is predicted from real pictures, leaves nothing but bare ground is lost (``covering.py``).
 
-What is partly hidden is treated as in ``tracking.py``. Nothing but pictures is looked at.
+What is partly hidden is treated as in ``tracking.py``; of futures that cost the same, ``exploring.py`` says which is
+to be preferred. Nothing but pictures is looked at.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from torch import Tensor
 
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.model import ForwardModel, State
+from dmotion_bench.planning.covering import Ground
+from dmotion_bench.planning.exploring import Exploration
 from dmotion_bench.planning.tracking import CLEAR, PLAY, Outlines, Tracker, believed
 from dmotion_bench.specs import EnvSpec
 
@@ -41,8 +44,8 @@ GONE: Final = 0.15
 """An object of which the first step leaves less than this share of its pixels is lost."""
 
 LOSS: Final = 1 / 8
-"""What such an object costs on top of its distance: this share of the frame's width, as a distance. The arm may have
-covered it as well, so what gains more may be done."""
+"""What such an object costs on top of its distance: this share of the frame's width, as a distance. It may be there
+all the same, so what gains more may be done."""
 
 LOOSE: Final = 1.5
 """So much longer and wider than before may an object be that is seen in one piece: it may have turned."""
@@ -56,21 +59,31 @@ class Following(Protocol):
         """What is known of each task before anything is imagined."""
 
     def follow(
-        self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"], known: Tensor
+        self,
+        model: ForwardModel[Any],
+        state: State,
+        task: Int[Tensor, " n"],
+        action: Int[Tensor, " n"],
+        known: Tensor,
     ) -> tuple[Float[Tensor, " n"], Tensor]:
-        """The cost of some futures, and what is to be known at the next step, from what was known at the last."""
+        """The cost of some futures, and what is to be known at the next step, from what was known at the last.
+
+        ``action`` is the one that led to each.
+        """
 
 
 class FollowedCost:
     """Summed squared distances of the objects' centres, each followed step by step [px^2].
 
-    What is known of an object at a step is its centre's x and y [px], and whether it is still there: 1, 0 for one that
-    the first step lost, NaN before that.
+    What is known of an object at a step is its centre's x and y [px], whether it is still there: 1, 0 for one that the
+    first step lost, NaN before that; and how weary the first action made the agent, the same for all objects.
 
     Args:
         spec: Says what the objects look like.
         known: Where they are now, by all that has been seen.
         wanted: Where they should be; what the goal image does not show at all does not count.
+        ground: What they stand on; without it what the first step covers counts as lost, too.
+        exploration: Which of the futures that cost the same is to be preferred; without it none is.
     """
 
     def __init__(
@@ -82,37 +95,55 @@ class FollowedCost:
         reach: float = REACH,
         still: float = STILL,
         doubt: float = DOUBT,
+        ground: Ground | None = None,
+        exploration: Exploration | None = None,
     ) -> None:
         self._tracker, self._known, self._wanted = Tracker(spec), known, wanted
         self._reach, self._still, self._doubt = reach * spec.width, still, (doubt * spec.width) ** 2
         self._nowhere, self._loss = (spec.width / 2) ** 2, (LOSS * spec.width) ** 2
+        self._ground, self._exploration = ground, exploration
         self._now = self._apart(known.centre, wanted, torch.zeros_like(known.seen))
 
-    def begin(self) -> Float[Tensor, "b k 3"]:
+    def begin(self) -> Float[Tensor, "b k 4"]:
         """Where the objects of each task are."""
-        return F.pad(self._known.centre, (0, 1), value=torch.nan)
+        return F.pad(F.pad(self._known.centre, (0, 1), value=torch.nan), (0, 1))
 
     def follow(
-        self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"], known: Float[Tensor, "n k 3"]
-    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 3"]]:
+        self,
+        model: ForwardModel[Any],
+        state: State,
+        task: Int[Tensor, " n"],
+        action: Int[Tensor, " n"],
+        known: Float[Tensor, "n k 4"],
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 4"]]:
         """The cost of the frames that the states look like, and where the objects are in them."""
-        return self.of_frames(to_pixels(model.frame(state)), task, known)
+        return self.of_frames(to_pixels(model.frame(state)), task, action, known)
 
     def of_frames(
-        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], known: Float[Tensor, "n k 3"]
-    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 3"]]:
+        self,
+        frames: UInt8[Tensor, "n h w 3"],
+        task: Int[Tensor, " n"],
+        action: Int[Tensor, " n"],
+        known: Float[Tensor, "n k 4"],
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 4"]]:
         """The cost of pictures, and where the objects are in them."""
         start, wanted = self._known.of(task), self._wanted.of(task)
-        before, there = replace(start, centre=known[..., :2]), known[..., 2]
+        before, there, weary = replace(start, centre=known[..., :2]), known[..., 2], known[..., 3]
         now = self._look(before, frames)
         centre = believed(before, now).centre
         moved = (centre - start.centre).norm(dim=-1, keepdim=True) >= self._still
         left = ~start.seen | (now.seen & (now.pixels >= GONE * start.pixels))
+        if bool((gone := there.isnan() & ~left).any()) and self._ground is not None:
+            left = left | self._ground.covered(frames, task, gone)
+        if self._exploration is not None:
+            weary = torch.where(there.isnan(), self._exploration.weariness(task, action)[:, None], weary)
         there = torch.where(there.isnan(), left.to(there), there)
         cost = self._apart(torch.where(moved, centre, start.centre), wanted, there == 0)
         present = self._now[task]
         cost = torch.where((cost - present).abs() < self._doubt, present, cost)
-        return cost, torch.cat([centre, there[..., None]], dim=-1)
+        if self._exploration is not None:
+            cost = cost + self._doubt * (weary[:, 0] - self._exploration.novelty(frames, task))
+        return cost, torch.cat([centre, there[..., None], weary[..., None]], dim=-1)
 
     def _apart(
         self, centre: Float[Tensor, "n k 2"], wanted: Outlines, lost: Bool[Tensor, "n k"]

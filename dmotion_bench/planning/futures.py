@@ -97,7 +97,7 @@ class ModelFutures:
             task, action = task.to(self._device), action.to(self._device)
             if isinstance(self._cost, Following):
                 after = as_tuple(self._model.advance(states[:-1], action))
-                cost, known = self._cost.follow(self._model, after, task, states[-1])
+                cost, known = self._cost.follow(self._model, after, task, action, states[-1])
                 return (*after, known), cost.float().cpu()
             after = as_tuple(self._model.advance(states, action))
             return after, self._cost(self._model, after, task).float().cpu()

@@ -87,12 +87,12 @@ class Blind(PerfectGridModel):
 
 def test_the_cost_that_suits_the_model_is_chosen() -> None:
     goals = pictures(HOME)
-    assert isinstance(make_cost(None, PerfectGridModel(), FACTS, goals), PositionCost)
-    assert isinstance(make_cost(None, Blind(), FACTS, goals), FeatureCost)
-    assert isinstance(make_cost("pixel", PerfectGridModel(), FACTS, goals), PixelCost)
+    assert isinstance(make_cost(None, PerfectGridModel(), FACTS, goals, goals), PositionCost)
+    assert isinstance(make_cost(None, Blind(), FACTS, goals, goals), FeatureCost)
+    assert isinstance(make_cost("pixel", PerfectGridModel(), FACTS, goals, goals), PixelCost)
     nothing = EnvSpec(id="empty", actions=("go",), agent=ObjectSpec(name="a", shape="dot", color=(0, 0, 0)), objects=())
-    assert isinstance(make_cost(None, PerfectGridModel(), nothing, goals), FeatureCost)
+    assert isinstance(make_cost(None, PerfectGridModel(), nothing, goals, goals), FeatureCost)
     with pytest.raises(InvalidSetting, match="'empty' has no coloured objects to find"):
-        make_cost("position", PerfectGridModel(), nothing, goals)
+        make_cost("position", PerfectGridModel(), nothing, goals, goals)
     with pytest.raises(UnknownName, match="did you mean 'pixel'"):
-        make_cost("pixels", PerfectGridModel(), FACTS, goals)
+        make_cost("pixels", PerfectGridModel(), FACTS, goals, goals)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from planning.boxes import AT, FIRST, RED, SPEC, picture
 from planning.worlds import PerfectGridModel
 
@@ -33,7 +34,7 @@ def followed(*frames: torch.Tensor) -> list[float]:
     cost, prices = cost_of(), []
     known = cost.begin()
     for frame in frames:
-        price, known = cost.of_frames(frame, FIRST, known)
+        price, known = cost.of_frames(frame, FIRST, FIRST, known)
         prices.append(price.item())
     return prices
 
@@ -72,7 +73,7 @@ def test_what_the_arm_hides_at_the_start_is_not_lost() -> None:
     tracker = Tracker(SPEC)
     known = tracker.follow(tracker.look(picture()), hidden := picture(curtain=slice(10, 30)))
     cost = FollowedCost(SPEC, known, tracker.look(picture(red=GOAL)))
-    assert cost.of_frames(hidden, FIRST, cost.begin())[0].item() == pytest.approx(24**2)
+    assert cost.of_frames(hidden, FIRST, FIRST, cost.begin())[0].item() == pytest.approx(24**2)
 
 
 @pytest.mark.parametrize("curtain", [slice(10, 20), slice(20, 40), slice(10, 24)])
@@ -87,7 +88,7 @@ def test_less_than_a_pixel_is_no_movement() -> None:
     known, wanted = tracker.meet(picture(), picture(red=GOAL))
     for still, price in ((0.4, 23.5**2), (0.6, 24**2)):
         cost = FollowedCost(SPEC, known, wanted, still=still, doubt=0.0)
-        assert cost.of_frames(narrower, FIRST, cost.begin())[0].item() == pytest.approx(price)
+        assert cost.of_frames(narrower, FIRST, FIRST, cost.begin())[0].item() == pytest.approx(price)
 
 
 def test_a_little_better_is_no_better_and_a_little_worse_no_worse() -> None:
@@ -95,7 +96,7 @@ def test_a_little_better_is_no_better_and_a_little_worse_no_worse() -> None:
     near, goal = picture(red=(42, 30)), picture(red=GOAL)
     cost = FollowedCost(SPEC, *tracker.meet(near, goal))
     for place, price in (((42, 30), 4), ((43, 30), 4), ((41, 30), 9), ((40, 30), 16), ((38, 30), 36)):
-        found = cost.of_frames(picture(red=place), FIRST, cost.begin())[0].item()
+        found = cost.of_frames(picture(red=place), FIRST, FIRST, cost.begin())[0].item()
         assert found == pytest.approx(4 if abs(price - 4) < BELOW else price)
 
 
@@ -106,12 +107,12 @@ def test_each_row_has_its_own_task_and_its_own_past() -> None:
     cost = FollowedCost(SPEC, known, wanted)
     task = torch.tensor([1, 0, 1])
     frames = torch.cat([picture(red=(33, 14)), picture(red=(23, 30)), picture(red=None)])
-    past = cost.begin()[task] + torch.tensor([[[2.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]], [[0.0, 3.0, 0.0]]])
+    past = cost.begin()[task] + F.pad(torch.tensor([[[2.0, 1.0]], [[1.0, 0.0]], [[0.0, 3.0]]]), (0, 2))
     past[2, :, 2] = torch.tensor([1.0, 0.0])
-    prices, after = cost.of_frames(frames, task, past)
+    prices, after = cost.of_frames(frames, task, task, past)
     for row, of in enumerate(task.tolist()):
         alone = FollowedCost(SPEC, known.of(torch.tensor([of])), wanted.of(torch.tensor([of])))
-        price, place = alone.of_frames(frames[row : row + 1], FIRST, past[row : row + 1])
+        price, place = alone.of_frames(frames[row : row + 1], FIRST, FIRST, past[row : row + 1])
         torch.testing.assert_close(prices[row], price[0])
         torch.testing.assert_close(after[row], place[0])
 
@@ -127,16 +128,17 @@ def test_a_tree_remembers_what_was_followed() -> None:
     for place, actions in enumerate(sequences[0]):
         state, known = model.begin(*(start.float().mul(2 / 255).sub(1).movedim(-1, -3),) * 2), cost.begin()
         for step, action in enumerate(actions.tolist()):
-            state = model.advance(state, torch.tensor([action]))
-            price, known = cost.follow(model, state, FIRST, known)
+            chosen = torch.tensor([action])
+            state = model.advance(state, chosen)
+            price, known = cost.follow(model, state, FIRST, chosen, known)
             assert found[0, place, step] == pytest.approx(price.item())
     assert found.min() == pytest.approx(0, abs=1)  # right, then down: the circle is pushed to its place
 
 
 def test_it_is_the_cost_where_colours_are_told_by_hue() -> None:
-    tracked = Tracker(FACTS).meet(*(torch.zeros(1, 128, 128, 3, dtype=torch.uint8),) * 2)
-    goals, model = torch.zeros(1, 128, 128, 3, dtype=torch.uint8), PerfectGridModel()
-    assert isinstance(make_cost(None, model, FACTS, goals, tracked), TrackedCost)
-    assert isinstance(make_cost(None, model, replace(FACTS, shaded=True), goals, tracked), FollowedCost)
-    assert isinstance(make_cost("followed", model, FACTS, goals, tracked), FollowedCost)
-    assert isinstance(make_cost("followed", model, FACTS, goals), PositionCost)
+    images = (torch.zeros(1, 128, 128, 3, dtype=torch.uint8),) * 2
+    tracked, model = Tracker(FACTS).meet(*images), PerfectGridModel()
+    assert isinstance(make_cost(None, model, FACTS, *images, tracked), TrackedCost)
+    assert isinstance(make_cost(None, model, replace(FACTS, shaded=True), *images, tracked), FollowedCost)
+    assert isinstance(make_cost("followed", model, FACTS, *images, tracked), FollowedCost)
+    assert isinstance(make_cost("followed", model, FACTS, *images), PositionCost)

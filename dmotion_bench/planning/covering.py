@@ -1,0 +1,65 @@
+"""Whether an object that is gone from an imagined picture is covered, or has fallen off the table.
+
+What has fallen leaves bare ground where it was; what is covered has the agent's pixels there. What the ground looks
+like is seen around the object in the present picture. Nothing but pictures is looked at.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.planning.tracking import Outlines
+
+NEAR: Final = 2 / 128
+FAR: Final = 6 / 128
+"""The ground is looked at between so far and so far beyond an object's outline, as shares of the frame's width."""
+
+ALIKE: Final = 30.0
+"""A pixel whose three colours differ by less than this from the ground's is bare ground, of 255."""
+
+BARE: Final = 0.4
+"""From this share of bare ground on, an object that is gone has fallen."""
+
+
+class Ground:
+    """The colour of what some tasks' objects stand on.
+
+    Args:
+        frames: The present pictures.
+        known: Where the objects are in them.
+    """
+
+    def __init__(self, frames: UInt8[Tensor, "b h w 3"], known: Outlines) -> None:
+        near, far = NEAR * frames.shape[2], FAR * frames.shape[2]
+        self._known = known
+        self._color: Float[Tensor, "b k 3"] = known.centre.new_full((*known.centre.shape[:2], 3), torch.nan)
+        for task, one in (~known.centre[..., 0].isnan()).nonzero().tolist():
+            ring = torch.zeros_like(frames[task, :, :, 0], dtype=torch.bool)
+            ring[self._box(task, one, far, ring)] = True
+            ring[self._box(task, one, near, ring)] = False
+            if ring.any():
+                self._color[task, one] = frames[task][ring].float().median(dim=0).values
+
+    def covered(
+        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
+    ) -> Bool[Tensor, "n k"]:
+        """Which of the objects that are asked about, all gone from the pictures, something stands before."""
+        covered = torch.zeros_like(asked)
+        for place, one in asked.nonzero().tolist():
+            own = int(task[place])
+            patch = frames[place][self._box(own, one, 0.0, frames[place])].float()
+            alike = (patch - self._color[own, one]).abs().amax(dim=-1) < ALIKE
+            covered[place, one] = alike.numel() > 0 and float(alike.float().mean()) < BARE
+        return covered
+
+    def _box(self, task: int, one: int, beyond: float, picture: Tensor) -> tuple[slice, slice]:
+        """The part of a picture within an object's outline, and so far beyond it."""
+        centre, low, high = (part[task, one] for part in (self._known.centre, self._known.low, self._known.high))
+        left, top = (centre - low - beyond).floor().int().tolist()
+        right, bottom = (centre + high + beyond).ceil().int().tolist()
+        height, width = picture.shape[:2]
+        return slice(min(max(top, 0), height), max(bottom, 0)), slice(min(max(left, 0), width), max(right, 0))

@@ -1,0 +1,129 @@
+"""Where to go while nothing that the planner can think of brings an object nearer to its goal.
+
+Five actions do not reach an object on the other side of the table, and where all plans come to the same, the first
+of them is taken: the agent goes to and fro in one place until the steps are used up. Two things that pictures tell
+set such plans apart:
+
+- how new what they lead to looks, above all around the objects that are not where they should be;
+- whether their first action has been taken before where everything looked as it does now. A model may believe in a
+  way through a wall; who has tried it knows better.
+
+Both together weigh less than any gain that the cost believes in. Where every object is near its goal they are turned
+round: the agent stays where it has been, and does no harm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.planning.tracking import Outlines
+
+SIDE: Final = 16
+"""Pictures are compared at this many pixels a side."""
+
+SAME: Final = 2e-4
+"""Pictures that differ by less look the same, as a mean squared difference in [0, 1] units; a step of the robot's arm
+makes 3e-4 or more."""
+
+VAGUE: Final = 2e-3
+"""What is imagined differs by this much from what is then seen, on a good day."""
+
+NEW: Final = 1e-2
+"""A difference that is new for sure."""
+
+AROUND: Final = 0.12
+"""Around an object means within this distance of it, as a share of the frame's width (a standard deviation)."""
+
+ELSEWHERE: Final = 0.1
+"""What all other places count, where those around an object count 1."""
+
+NEAR: Final = 4 / 128
+AWAY: Final = 20 / 128
+"""An object that is nearer to its goal than ``NEAR`` is there, and from ``AWAY`` on it counts in full; as shares of
+the frame's width."""
+
+NOVELTY: Final = 0.35
+WEARINESS: Final = 0.6
+"""What the two weigh at most, as shares of the smallest gain that the cost believes in."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sights:
+    """All that has been seen of some tasks, and what was done there.
+
+    Attributes:
+        pictures: Small ones, one for each moment; the last is the present.
+        actions: Taken between them.
+    """
+
+    pictures: Float[Tensor, "b m d"]
+    actions: Int[Tensor, "b m-1"]
+
+    @classmethod
+    def first(cls, frames: UInt8[Tensor, "b h w 3"]) -> Sights:
+        """Before anything was done."""
+        return cls(pictures=small(frames)[:, None], actions=torch.zeros((len(frames), 0), dtype=torch.int64))
+
+    def after(self, actions: Int[Tensor, " b"], frames: UInt8[Tensor, "b h w 3"]) -> Sights:
+        """With what the actions led to."""
+        return Sights(
+            pictures=torch.cat([self.pictures, small(frames)[:, None]], dim=1),
+            actions=torch.cat([self.actions, actions[:, None]], dim=1),
+        )
+
+    def tried(self, actions: int) -> Int[Tensor, "b a"]:
+        """How often each action was taken where it looked as it does now."""
+        apart = (self.pictures[:, :-1] - self.pictures[:, -1:]).square().mean(dim=2)
+        taken = (self.actions[..., None] == torch.arange(actions)) & (apart < SAME)[..., None]
+        return taken.sum(dim=1)
+
+    def to(self, device: torch.device) -> Sights:
+        """The same on a device."""
+        return Sights(pictures=self.pictures.to(device), actions=self.actions.to(device))
+
+
+def small(frames: UInt8[Tensor, "n h w 3"]) -> Float[Tensor, "n d"]:
+    """Pictures at ``SIDE`` x ``SIDE`` pixels, in [0, 1]."""
+    return F.adaptive_avg_pool2d(frames.permute(0, 3, 1, 2).float() / 255, SIDE).flatten(1)
+
+
+class Exploration:
+    """What makes one of two futures that cost the same the better one, as shares of the smallest believed gain.
+
+    Args:
+        sights: What has been seen.
+        known, wanted: Where the objects are, and where they should be.
+        width: Of a frame [px]; frames are square here, others are stretched.
+        actions: How many there are.
+    """
+
+    def __init__(self, sights: Sights, known: Outlines, wanted: Outlines, width: int, actions: int) -> None:
+        off = (known.centre - wanted.centre).norm(dim=-1).nan_to_num(0.0) * wanted.seen / width
+        off = (off / AWAY).clamp(max=1) * (off > NEAR)
+        place = (torch.arange(SIDE, device=off.device) + 0.5) / SIDE
+        across, down = (
+            torch.exp(-(place - known.centre[..., axis, None].nan_to_num(torch.inf) / width).square() / (2 * AROUND**2))
+            for axis in (0, 1)
+        )
+        weight = ELSEWHERE + torch.einsum("bk,bky,bkx->byx", off, down, across)
+        weight = (weight / weight.sum(dim=(1, 2), keepdim=True) / 3).flatten(1).repeat(1, 3).sqrt()
+        self._weight, self._seen = weight, sights.pictures * weight[:, None]
+        self._seeking = torch.where(off.amax(dim=1) > 0, 1.0, -1.0)
+        tried = sights.to(torch.device("cpu")).tried(actions).to(off)
+        self._weariness = WEARINESS * tried / (1 + tried) * (self._seeking > 0)[:, None]
+
+    def novelty(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """How much better than the rest imagined pictures make a future; below zero where nothing is sought."""
+        own = small(frames) * self._weight[task]
+        apart = (own[:, None] - self._seen[task]).square().sum(dim=2).amin(dim=1)
+        return self._seeking[task] * NOVELTY * (1 - torch.exp((VAGUE - apart).clamp(max=0) / NEW))
+
+    def weariness(self, task: Int[Tensor, " n"], action: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """How much worse than the rest futures are that begin with these actions."""
+        return self._weariness[task, action]

@@ -1,0 +1,60 @@
+"""What something stands before is not lost, and what leaves bare ground is."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from planning.boxes import AT, FIRST, SPEC, picture
+
+from dmotion_bench.planning.covering import Ground
+from dmotion_bench.planning.following import LOSS, FollowedCost
+from dmotion_bench.planning.tracking import Tracker
+
+GOAL = (44, 30)
+LOST = (LOSS * SPEC.width) ** 2
+RED_ONE = torch.tensor([[True, False]])
+
+
+def ground() -> Ground:
+    return Ground(picture(), Tracker(SPEC).look(picture()))
+
+
+@pytest.mark.parametrize(
+    ("curtain", "covered"),
+    [
+        (None, False),
+        (slice(0, 14), False),
+        (slice(14, 27), True),
+        (slice(17, 25), True),
+        (slice(19, 24), False),
+        (slice(14, 16), False),
+    ],
+)
+def test_what_is_seen_where_an_object_was_decides(curtain: slice | None, covered: bool) -> None:
+    gone = picture(red=None, curtain=curtain)
+    assert ground().covered(gone, FIRST, RED_ONE).tolist() == [[covered, False]]
+
+
+def test_only_what_is_asked_about_is_covered() -> None:
+    everything = picture(curtain=slice(0, 64))
+    assert ground().covered(everything, FIRST, ~RED_ONE).tolist() == [[False, True]]
+    assert not ground().covered(everything, FIRST, RED_ONE & ~RED_ONE).any()
+
+
+def test_an_object_at_the_edge_of_the_picture_and_one_that_was_never_seen() -> None:
+    start = picture(red=(5, 5), blue=None)
+    ground = Ground(start, Tracker(SPEC).look(start))
+    both = torch.tensor([[True, True]])
+    assert ground.covered(picture(curtain=slice(0, 64)), FIRST, both).tolist() == [[True, False]]
+    assert ground.covered(picture(red=None), FIRST, both).tolist() == [[False, False]]
+
+
+def test_the_cost_tells_them_apart() -> None:
+    known, wanted = Tracker(SPEC).meet(picture(), picture(red=GOAL))
+    for frame, price in ((picture(red=None), 24**2 + LOST), (picture(red=None, curtain=slice(14, 27)), 24**2)):
+        for grounded in (True, False):
+            cost = FollowedCost(SPEC, known, wanted, ground=ground() if grounded else None)
+            found, known_then = cost.of_frames(frame, FIRST, FIRST, cost.begin())
+            assert found.item() == pytest.approx(price if grounded else 24**2 + LOST)
+            back, _ = cost.of_frames(picture(red=AT), FIRST, FIRST, known_then)
+            assert back.item() == found.item()  # what the first step says stays said

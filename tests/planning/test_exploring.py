@@ -1,0 +1,92 @@
+"""Of plans that come to the same, those that lead to something new are better, as long as there is something to do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from planning.boxes import AT, FIRST, SPEC, picture
+
+from dmotion_bench.planning.exploring import NOVELTY, WEARINESS, Exploration, Sights
+from dmotion_bench.planning.following import DOUBT, FollowedCost
+from dmotion_bench.planning.tracking import Tracker
+
+GOAL = (44, 30)
+LEFT, RIGHT = torch.tensor([0]), torch.tensor([1])
+HERE, THERE, FARTHER = (picture(curtain=slice(at, at + 4)) for at in (0, 30, 36))
+LEAST = (DOUBT * SPEC.width) ** 2
+
+
+def walked(*steps: tuple[torch.Tensor, torch.Tensor]) -> Sights:
+    sights = Sights.first(HERE)
+    for action, frame in steps:
+        sights = sights.after(action, frame)
+    return sights
+
+
+def exploration(sights: Sights, goal: tuple[int, int] = GOAL) -> Exploration:
+    known, wanted = Tracker(SPEC).meet(picture(), picture(red=goal))
+    return Exploration(sights, known, wanted, SPEC.width, len(SPEC.actions))
+
+
+def test_what_was_seen_is_not_new_and_what_is_near_a_misplaced_object_is_newer() -> None:
+    explored = exploration(walked((RIGHT, THERE)))
+    far = picture(curtain=slice(60, 64))
+    news = [explored.novelty(frame, FIRST).item() for frame in (HERE, THERE, far, FARTHER)]
+    assert news[:2] == [0, 0]
+    assert 0 < news[2] < news[3] <= NOVELTY
+
+
+def test_it_is_turned_round_where_everything_is_in_its_place() -> None:
+    settled = exploration(walked((RIGHT, THERE)), goal=(AT[0] + 1, AT[1]))
+    assert settled.novelty(HERE, FIRST).item() == 0
+    assert -NOVELTY <= settled.novelty(FARTHER, FIRST).item() < 0
+    again = exploration(walked((RIGHT, THERE), (LEFT, HERE)), goal=(AT[0] + 1, AT[1]))
+    assert again.weariness(FIRST, RIGHT).item() == 0
+
+
+def test_an_action_wearies_where_it_has_been_taken() -> None:
+    back = walked((RIGHT, THERE), (LEFT, HERE))
+    assert back.tried(2).tolist() == [[0, 1]]
+    more = back.after(RIGHT, THERE).after(LEFT, HERE).after(LEFT, HERE)
+    assert more.tried(2).tolist() == [[1, 2]]
+    assert more.after(RIGHT, FARTHER).tried(2).tolist() == [[0, 0]]
+    weary = [exploration(more).weariness(FIRST, action).item() for action in (LEFT, RIGHT)]
+    assert weary == pytest.approx([WEARINESS / 2, WEARINESS * 2 / 3])
+
+
+def test_both_weigh_less_than_the_smallest_gain() -> None:
+    assert NOVELTY + WEARINESS < 1
+    known, wanted = Tracker(SPEC).meet(picture(), picture(red=GOAL))
+    weary = exploration(walked(*((RIGHT, HERE),) * 9))
+    cost = FollowedCost(SPEC, known, wanted, exploration=weary)
+    plain = FollowedCost(SPEC, known, wanted)
+
+    def prices(action: torch.Tensor, *frames: torch.Tensor) -> list[float]:
+        then, found = cost.begin(), []
+        for frame in frames:
+            price, then = cost.of_frames(frame, FIRST, action, then)
+            action = LEFT  # the first one counts
+            found.append(price.item())
+        return found
+
+    same = plain.of_frames(HERE, FIRST, LEFT, plain.begin())[0].item()
+    fresh, tired = prices(LEFT, HERE, THERE), prices(RIGHT, HERE, THERE)
+    assert same == fresh[0] == pytest.approx(24**2)
+    assert fresh[1] < fresh[0] < tired[0]
+    assert tired[0] - fresh[0] == pytest.approx(tired[1] - fresh[1])
+    gain = prices(RIGHT, picture(red=(22, 30), curtain=slice(0, 4)))[0]
+    assert gain == pytest.approx(22**2 + LEAST * WEARINESS * 0.9, abs=1)  # the moved box is new, too
+    assert gain < min(fresh)
+
+
+def test_tasks_do_not_know_of_each_other_and_other_sizes_are_fine() -> None:
+    both = Sights.first(torch.cat([HERE, THERE])).after(torch.tensor([0, 1]), torch.cat([THERE, THERE]))
+    known, wanted = Tracker(SPEC).meet(picture().repeat(2, 1, 1, 1), picture(red=GOAL).repeat(2, 1, 1, 1))
+    explored = Exploration(both, known, wanted, SPEC.width, 2)
+    assert both.tried(2).tolist() == [[0, 0], [0, 1]]
+    task = torch.tensor([0, 1, 1])
+    found = explored.novelty(torch.cat([HERE, HERE, THERE]), task)
+    assert found[0] == found[2] == 0 < found[1]
+    assert explored.weariness(task, torch.tensor([1, 1, 0])).tolist() == pytest.approx([0, WEARINESS / 2, 0])
+    assert Sights.first(torch.from_numpy(np.zeros((3, 40, 56, 3), np.uint8))).pictures.shape == (3, 1, 768)

@@ -177,7 +177,7 @@ def make_cost(
         exploration = None
         if sights is not None:
             exploration = Exploration(sights.to(current.device), known, wanted, spec.width, len(spec.actions))
-        return FollowedCost(spec, known, wanted, ground=Ground(current, known), exploration=exploration)
+        return FollowedCost(spec, known, wanted, ground=Ground(Tracker(spec), current, known), exploration=exploration)
     if name == "tracked" and tracked is not None:
         return TrackedCost(spec, *tracked)
     if name == "pixel":

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.planning.tracking import Outlines
+from dmotion_bench.planning.tracking import Outlines, Tracker
 
 NEAR: Final = 2 / 128
 FAR: Final = 6 / 128
@@ -21,28 +21,37 @@ FAR: Final = 6 / 128
 ALIKE: Final = 30.0
 """A pixel whose three colours differ by less than this from the ground's is bare ground, of 255."""
 
-BARE: Final = 0.4
+BARE: Final = 0.3
 """From this share of bare ground on, an object that is gone has fallen."""
+
+SECOND: Final = 0.3
+"""An object at the table's edge has two grounds: what is unlike the first around it, if it is this share of all."""
 
 
 class Ground:
-    """The colour of what some tasks' objects stand on.
+    """The colours of what some tasks' objects stand on.
 
     Args:
+        tracker: Knows what is an object and no ground.
         frames: The present pictures.
         known: Where the objects are in them.
     """
 
-    def __init__(self, frames: UInt8[Tensor, "b h w 3"], known: Outlines) -> None:
+    def __init__(self, tracker: Tracker, frames: UInt8[Tensor, "b h w 3"], known: Outlines) -> None:
         near, far = NEAR * frames.shape[2], FAR * frames.shape[2]
         self._known = known
-        self._color: Float[Tensor, "b k 3"] = known.centre.new_full((*known.centre.shape[:2], 3), torch.nan)
+        self._colors: Float[Tensor, "b k 2 3"] = known.centre.new_full((*known.centre.shape[:2], 2, 3), torch.nan)
+        objects = tracker.show_objects(frames)
         for task, one in (~known.centre[..., 0].isnan()).nonzero().tolist():
             ring = torch.zeros_like(frames[task, :, :, 0], dtype=torch.bool)
             ring[self._box(task, one, far, ring)] = True
             ring[self._box(task, one, near, ring)] = False
-            if ring.any():
-                self._color[task, one] = frames[task][ring].float().median(dim=0).values
+            around = frames[task][ring & ~objects[task]].float()
+            enough = SECOND * len(around)
+            for place in range(2):
+                if len(around) > place * enough:
+                    self._colors[task, one, place] = around[around.sum(dim=1).argsort(stable=True)[len(around) // 2]]
+                    around = around[~_alike(around, self._colors[task, one])]
 
     def covered(
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
@@ -52,8 +61,8 @@ class Ground:
         for place, one in asked.nonzero().tolist():
             own = int(task[place])
             patch = frames[place][self._box(own, one, 0.0, frames[place])].float()
-            alike = (patch - self._color[own, one]).abs().amax(dim=-1) < ALIKE
-            covered[place, one] = alike.numel() > 0 and float(alike.float().mean()) < BARE
+            bare = _alike(patch, self._colors[own, one])
+            covered[place, one] = bare.numel() > 0 and float(bare.float().mean()) < BARE
         return covered
 
     def _box(self, task: int, one: int, beyond: float, picture: Tensor) -> tuple[slice, slice]:
@@ -63,3 +72,9 @@ class Ground:
         right, bottom = (centre + high + beyond).ceil().int().tolist()
         height, width = picture.shape[:2]
         return slice(min(max(top, 0), height), max(bottom, 0)), slice(min(max(left, 0), width), max(right, 0))
+
+
+def _alike(pixels: Float[Tensor, "*p 3"], colors: Float[Tensor, "c 3"]) -> Bool[Tensor, "*p"]:
+    """Which pixels have one of some colours; NaN is none."""
+    alike: Bool[Tensor, "*p"] = ((pixels[..., None, :] - colors).abs().amax(dim=-1) < ALIKE).any(dim=-1)
+    return alike

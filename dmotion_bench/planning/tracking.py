@@ -98,6 +98,10 @@ class Tracker:
             seen=found.found[:, : self._objects],
         )
 
+    def show_objects(self, frames: UInt8[Tensor, "b h w 3"]) -> Bool[Tensor, "b h w"]:
+        """Which pixels have an object's colour."""
+        return self._finder.labels(frames) < self._objects
+
     def meet(self, start: UInt8[Tensor, "b h w 3"], goals: UInt8[Tensor, "b h w 3"]) -> tuple[Outlines, Outlines]:
         """Where things are at the start and at the goal, each helped by the other where something is hidden."""
         first, last = self.look(start), self.look(goals)

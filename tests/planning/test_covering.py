@@ -16,7 +16,8 @@ RED_ONE = torch.tensor([[True, False]])
 
 
 def ground() -> Ground:
-    return Ground(picture(), Tracker(SPEC).look(picture()))
+    tracker = Tracker(SPEC)
+    return Ground(tracker, picture(), tracker.look(picture()))
 
 
 @pytest.mark.parametrize(
@@ -43,7 +44,8 @@ def test_only_what_is_asked_about_is_covered() -> None:
 
 def test_an_object_at_the_edge_of_the_picture_and_one_that_was_never_seen() -> None:
     start = picture(red=(5, 5), blue=None)
-    ground = Ground(start, Tracker(SPEC).look(start))
+    tracker = Tracker(SPEC)
+    ground = Ground(tracker, start, tracker.look(start))
     both = torch.tensor([[True, True]])
     assert ground.covered(picture(curtain=slice(0, 64)), FIRST, both).tolist() == [[True, False]]
     assert ground.covered(picture(red=None), FIRST, both).tolist() == [[False, False]]
@@ -58,3 +60,19 @@ def test_the_cost_tells_them_apart() -> None:
             assert found.item() == pytest.approx(price if grounded else 24**2 + LOST)
             back, _ = cost.of_frames(picture(red=AT), FIRST, FIRST, known_then)
             assert back.item() == found.item()  # what the first step says stays said
+
+
+def test_an_object_at_the_edge_of_the_table_has_two_grounds() -> None:
+    def on_a_table(frame: torch.Tensor) -> torch.Tensor:
+        table = frame.clone()
+        black = (frame == 0).all(-1)
+        black[..., : AT[0] - 1] = False  # the table's edge runs below the object
+        table[black] = torch.tensor([200, 180, 150], dtype=torch.uint8)
+        return table
+
+    start = on_a_table(picture())
+    tracker = Tracker(SPEC)
+    ground = Ground(tracker, start, tracker.look(start))
+    assert ground.covered(on_a_table(picture(red=None)), FIRST, RED_ONE).tolist() == [[False, False]]
+    behind = on_a_table(picture(red=None, curtain=slice(17, 25)))
+    assert ground.covered(behind, FIRST, RED_ONE).tolist() == [[True, False]]

@@ -1,7 +1,7 @@
 """Whether an object that is gone from an imagined picture is covered, or has fallen off the table.
 
-What has fallen leaves bare ground where it was; what is covered has the agent's pixels there. What the ground looks
-like is seen around the object in the present picture. Nothing but pictures is looked at.
+What has fallen leaves bare ground where it was; what is covered has the agent's pixels there, or some of them already.
+What the ground looks like is seen around the object in the present picture. Nothing but pictures is looked at.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.planning.tracking import Outlines, Tracker
+from dmotion_bench.planning.tracking import CLEAR, Outlines, Tracker
 
 NEAR: Final = 2 / 128
 FAR: Final = 6 / 128
@@ -21,7 +21,7 @@ FAR: Final = 6 / 128
 ALIKE: Final = 30.0
 """A pixel whose three colours differ by less than this from the ground's is bare ground, of 255."""
 
-BARE: Final = 0.3
+BARE: Final = 0.4
 """From this share of bare ground on, an object that is gone has fallen."""
 
 SECOND: Final = 0.3
@@ -41,6 +41,7 @@ class Ground:
         near, far = NEAR * frames.shape[2], FAR * frames.shape[2]
         self._known = known
         self._colors: Float[Tensor, "b k 2 3"] = known.centre.new_full((*known.centre.shape[:2], 2, 3), torch.nan)
+        self._hidden = tracker.look(frames).pixels < CLEAR * known.pixels
         objects = tracker.show_objects(frames)
         for task, one in (~known.centre[..., 0].isnan()).nonzero().tolist():
             ring = torch.zeros_like(frames[task, :, :, 0], dtype=torch.bool)
@@ -57,8 +58,8 @@ class Ground:
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
     ) -> Bool[Tensor, "n k"]:
         """Which of the objects that are asked about, all gone from the pictures, something stands before."""
-        covered = torch.zeros_like(asked)
-        for place, one in asked.nonzero().tolist():
+        covered = asked & self._hidden[task]
+        for place, one in (asked & ~covered).nonzero().tolist():
             own = int(task[place])
             patch = frames[place][self._box(own, one, 0.0, frames[place])].float()
             bare = _alike(patch, self._colors[own, one])

@@ -8,8 +8,9 @@ set such plans apart:
 - whether their first action has been taken before where everything looked as it does now. A model may believe in a
   way through a wall; who has tried it knows better.
 
-Both together weigh less than any gain that the cost believes in. Where every object is near its goal they are turned
-round: the agent stays where it has been, and does no harm.
+What is new weighs less than any gain or harm that the cost believes in. What has been tried weighs more each time, in
+the end more than either: gains that do not come and harm that was only imagined keep nobody in one place for ever.
+Where every object is near its goal the agent stays where it has been, and does no harm.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ NEW: Final = 1e-2
 AROUND: Final = 0.12
 """Around an object means within this distance of it, as a share of the frame's width (a standard deviation)."""
 
-ELSEWHERE: Final = 0.1
+ELSEWHERE: Final = 0.03
 """What all other places count, where those around an object count 1."""
 
 NEAR: Final = 4 / 128
@@ -48,8 +49,10 @@ AWAY: Final = 20 / 128
 the frame's width."""
 
 NOVELTY: Final = 0.35
+"""What is new weighs at most this share of the smallest change that the cost believes in."""
+
 WEARINESS: Final = 0.6
-"""What the two weigh at most, as shares of the smallest gain that the cost believes in."""
+"""Each time that an action has been tried weighs this share of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +102,7 @@ def small(frames: UInt8[Tensor, "n h w 3"]) -> Float[Tensor, "n d"]:
 
 
 class Exploration:
-    """What makes one of two futures that cost the same the better one, as shares of the smallest believed gain.
+    """What makes one of two futures that cost the same the better one, as shares of the smallest believed change.
 
     Args:
         sights: What has been seen.
@@ -121,7 +124,7 @@ class Exploration:
         self._weight, self._seen = weight, sights.pictures * weight[:, None]
         self._seeking = torch.where(off.amax(dim=1) > 0, 1.0, -1.0)
         tried = sights.to(torch.device("cpu")).tried(actions).to(off)
-        self._weariness = WEARINESS * tried / (1 + tried) * (self._seeking > 0)[:, None]
+        self._weariness = WEARINESS * tried * (self._seeking > 0)[:, None]
 
     def novelty(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
         """How much better than the rest imagined pictures make a future; below zero where nothing is sought."""

@@ -62,6 +62,12 @@ def test_the_cost_tells_them_apart() -> None:
             assert back.item() == found.item()  # what the first step says stays said
 
 
+def test_what_is_partly_hidden_already_is_covered_when_it_is_gone() -> None:
+    tracker = Tracker(SPEC)
+    known = tracker.follow(tracker.look(picture()), hidden := picture(curtain=slice(10, 18)))
+    assert Ground(tracker, hidden, known).covered(picture(red=None), FIRST, RED_ONE).tolist() == [[True, False]]
+
+
 def test_an_object_at_the_edge_of_the_table_has_two_grounds() -> None:
     def on_a_table(frame: torch.Tensor) -> torch.Tensor:
         table = frame.clone()

@@ -52,11 +52,11 @@ def test_an_action_wearies_where_it_has_been_taken() -> None:
     assert more.tried(2).tolist() == [[1, 2]]
     assert more.after(RIGHT, FARTHER).tried(2).tolist() == [[0, 0]]
     weary = [exploration(more).weariness(FIRST, action).item() for action in (LEFT, RIGHT)]
-    assert weary == pytest.approx([WEARINESS / 2, WEARINESS * 2 / 3])
+    assert weary == pytest.approx([WEARINESS, WEARINESS * 2])
 
 
-def test_both_weigh_less_than_the_smallest_gain() -> None:
-    assert NOVELTY + WEARINESS < 1
+def test_what_is_new_weighs_less_than_a_gain_and_what_was_tried_in_vain_more() -> None:
+    assert NOVELTY < WEARINESS < 1
     known, wanted = Tracker(SPEC).meet(picture(), picture(red=GOAL))
     weary = exploration(walked(*((RIGHT, HERE),) * 9))
     cost = FollowedCost(SPEC, known, wanted, exploration=weary)
@@ -74,10 +74,11 @@ def test_both_weigh_less_than_the_smallest_gain() -> None:
     fresh, tired = prices(LEFT, HERE, THERE), prices(RIGHT, HERE, THERE)
     assert same == fresh[0] == pytest.approx(24**2)
     assert fresh[1] < fresh[0] < tired[0]
-    assert tired[0] - fresh[0] == pytest.approx(tired[1] - fresh[1])
+    assert tired[0] - fresh[0] == pytest.approx(tired[1] - fresh[1], rel=1e-4)
     gain = prices(RIGHT, picture(red=(22, 30), curtain=slice(0, 4)))[0]
-    assert gain == pytest.approx(22**2 + LEAST * WEARINESS * 0.9, abs=1)  # the moved box is new, too
-    assert gain < min(fresh)
+    assert gain == pytest.approx(22**2 + LEAST * WEARINESS * 9, abs=LEAST * NOVELTY)
+    assert gain > fresh[0]
+    assert prices(LEFT, picture(red=(22, 30), curtain=slice(0, 4)))[0] < min(fresh)
 
 
 def test_tasks_do_not_know_of_each_other_and_other_sizes_are_fine() -> None:
@@ -88,5 +89,5 @@ def test_tasks_do_not_know_of_each_other_and_other_sizes_are_fine() -> None:
     task = torch.tensor([0, 1, 1])
     found = explored.novelty(torch.cat([HERE, HERE, THERE]), task)
     assert found[0] == found[2] == 0 < found[1]
-    assert explored.weariness(task, torch.tensor([1, 1, 0])).tolist() == pytest.approx([0, WEARINESS / 2, 0])
+    assert explored.weariness(task, torch.tensor([1, 1, 0])).tolist() == pytest.approx([0, WEARINESS, 0])
     assert Sights.first(torch.from_numpy(np.zeros((3, 40, 56, 3), np.uint8))).pictures.shape == (3, 1, 768)

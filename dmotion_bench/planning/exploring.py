@@ -10,7 +10,7 @@ set such plans apart:
 
 What is new weighs less than any gain or harm that the cost believes in. What has been tried weighs more each time, in
 the end more than either: gains that do not come and harm that was only imagined keep nobody in one place for ever.
-Where every object is near its goal the agent stays where it has been, and does no harm.
+Where every object is near its goal the agent goes back to where it has just been: what else it would push may fall.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ AROUND: Final = 0.12
 ELSEWHERE: Final = 0.03
 """What all other places count, where those around an object count 1."""
 
-NEAR: Final = 4 / 128
+NEAR: Final = 10 / 128
 AWAY: Final = 20 / 128
-"""An object that is nearer to its goal than ``NEAR`` is there, and from ``AWAY`` on it counts in full; as shares of
-the frame's width."""
+"""For an object that is nearer to its goal than ``NEAR`` nothing is risked, and from ``AWAY`` on it counts in full; as
+shares of the frame's width."""
 
 NOVELTY: Final = 0.35
 """What is new weighs at most this share of the smallest change that the cost believes in."""
@@ -122,16 +122,27 @@ class Exploration:
         weight = ELSEWHERE + torch.einsum("bk,bky,bkx->byx", off, down, across)
         weight = (weight / weight.sum(dim=(1, 2), keepdim=True) / 3).flatten(1).repeat(1, 3).sqrt()
         self._weight, self._seen = weight, sights.pictures * weight[:, None]
-        self._seeking = torch.where(off.amax(dim=1) > 0, 1.0, -1.0)
+        self._seeking = off.amax(dim=1) > 0
         tried = sights.to(torch.device("cpu")).tried(actions).to(off)
-        self._weariness = WEARINESS * tried * (self._seeking > 0)[:, None]
+        self._weariness = WEARINESS * tried
 
     def novelty(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """How much better than the rest imagined pictures make a future; below zero where nothing is sought."""
-        own = small(frames) * self._weight[task]
-        apart = (own[:, None] - self._seen[task]).square().sum(dim=2).amin(dim=1)
-        return self._seeking[task] * NOVELTY * (1 - torch.exp((VAGUE - apart).clamp(max=0) / NEW))
+        """How much better than the rest imagined pictures make a future."""
+        novelty: Tensor = NOVELTY * self._unlike(frames, task, self._seen) * self._seeking[task]
+        return novelty
 
-    def weariness(self, task: Int[Tensor, " n"], action: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """How much worse than the rest futures are that begin with these actions."""
-        return self._weariness[task, action]
+    def reluctance(
+        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
+    ) -> Float[Tensor, " n"]:
+        """How much worse than the rest futures are that begin with these actions, which lead to these pictures."""
+        away: Tensor = WEARINESS * self._unlike(frames, task, self._seen[:, -2:])
+        return torch.where(self._seeking[task], self._weariness[task, action], away)
+
+    def _unlike(
+        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], seen: Float[Tensor, "b m d"]
+    ) -> Float[Tensor, " n"]:
+        """From 0, like one of the pictures that were seen, to 1."""
+        own = small(frames) * self._weight[task]
+        apart = (own[:, None] - seen[task]).square().sum(dim=2).amin(dim=1)
+        unlike: Tensor = 1 - torch.exp((VAGUE - apart).clamp(max=0) / NEW)
+        return unlike

@@ -76,7 +76,7 @@ class FollowedCost:
     """Summed squared distances of the objects' centres, each followed step by step [px^2].
 
     What is known of an object at a step is its centre's x and y [px], whether it is still there: 1, 0 for one that the
-    first step lost, NaN before that; and how weary the first action made the agent, the same for all objects.
+    first step lost, NaN before that; and how reluctantly the first action is taken, the same for all objects.
 
     Args:
         spec: Says what the objects look like.
@@ -128,7 +128,7 @@ class FollowedCost:
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 4"]]:
         """The cost of pictures, and where the objects are in them."""
         start, wanted = self._known.of(task), self._wanted.of(task)
-        before, there, weary = replace(start, centre=known[..., :2]), known[..., 2], known[..., 3]
+        before, there, reluctance = replace(start, centre=known[..., :2]), known[..., 2], known[..., 3]
         now = self._look(before, frames)
         centre = believed(before, now).centre
         moved = (centre - start.centre).norm(dim=-1, keepdim=True) >= self._still
@@ -136,14 +136,15 @@ class FollowedCost:
         if bool((gone := there.isnan() & ~left).any()) and self._ground is not None:
             left = left | self._ground.covered(frames, task, gone)
         if self._exploration is not None:
-            weary = torch.where(there.isnan(), self._exploration.weariness(task, action)[:, None], weary)
+            first = self._exploration.reluctance(frames, task, action)[:, None]
+            reluctance = torch.where(there.isnan(), first, reluctance)
         there = torch.where(there.isnan(), left.to(there), there)
         cost = self._apart(torch.where(moved, centre, start.centre), wanted, there == 0)
         present = self._now[task]
         cost = torch.where((cost - present).abs() < self._doubt, present, cost)
         if self._exploration is not None:
-            cost = cost + self._doubt * (weary[:, 0] - self._exploration.novelty(frames, task))
-        return cost, torch.cat([centre, there[..., None], weary[..., None]], dim=-1)
+            cost = cost + self._doubt * (reluctance[:, 0] - self._exploration.novelty(frames, task))
+        return cost, torch.cat([centre, there[..., None], reluctance[..., None]], dim=-1)
 
     def _apart(
         self, centre: Float[Tensor, "n k 2"], wanted: Outlines, lost: Bool[Tensor, "n k"]

@@ -37,12 +37,13 @@ def test_what_was_seen_is_not_new_and_what_is_near_a_misplaced_object_is_newer()
     assert 0 < news[2] < news[3] <= NOVELTY
 
 
-def test_it_is_turned_round_where_everything_is_in_its_place() -> None:
+def test_where_everything_is_in_its_place_the_agent_goes_back() -> None:
     settled = exploration(walked((RIGHT, THERE)), goal=(AT[0] + 1, AT[1]))
-    assert settled.novelty(HERE, FIRST).item() == 0
-    assert -NOVELTY <= settled.novelty(FARTHER, FIRST).item() < 0
-    again = exploration(walked((RIGHT, THERE), (LEFT, HERE)), goal=(AT[0] + 1, AT[1]))
-    assert again.weariness(FIRST, RIGHT).item() == 0
+    assert settled.novelty(FARTHER, FIRST).item() == 0
+    assert settled.reluctance(HERE, FIRST, LEFT).item() == settled.reluctance(THERE, FIRST, RIGHT).item() == 0
+    assert 0 < settled.reluctance(FARTHER, FIRST, RIGHT).item() <= WEARINESS
+    long_ago = exploration(walked((RIGHT, THERE), (RIGHT, FARTHER)), goal=(AT[0] + 1, AT[1]))
+    assert long_ago.reluctance(HERE, FIRST, LEFT).item() > long_ago.reluctance(THERE, FIRST, LEFT).item()
 
 
 def test_an_action_wearies_where_it_has_been_taken() -> None:
@@ -51,7 +52,7 @@ def test_an_action_wearies_where_it_has_been_taken() -> None:
     more = back.after(RIGHT, THERE).after(LEFT, HERE).after(LEFT, HERE)
     assert more.tried(2).tolist() == [[1, 2]]
     assert more.after(RIGHT, FARTHER).tried(2).tolist() == [[0, 0]]
-    weary = [exploration(more).weariness(FIRST, action).item() for action in (LEFT, RIGHT)]
+    weary = [exploration(more).reluctance(FARTHER, FIRST, action).item() for action in (LEFT, RIGHT)]
     assert weary == pytest.approx([WEARINESS, WEARINESS * 2])
 
 
@@ -89,5 +90,7 @@ def test_tasks_do_not_know_of_each_other_and_other_sizes_are_fine() -> None:
     task = torch.tensor([0, 1, 1])
     found = explored.novelty(torch.cat([HERE, HERE, THERE]), task)
     assert found[0] == found[2] == 0 < found[1]
-    assert explored.weariness(task, torch.tensor([1, 1, 0])).tolist() == pytest.approx([0, WEARINESS, 0])
+    assert explored.reluctance(torch.cat([HERE] * 3), task, torch.tensor([1, 1, 0])).tolist() == pytest.approx(
+        [0, WEARINESS, 0]
+    )
     assert Sights.first(torch.from_numpy(np.zeros((3, 40, 56, 3), np.uint8))).pictures.shape == (3, 1, 768)

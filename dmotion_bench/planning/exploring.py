@@ -37,6 +37,9 @@ VAGUE: Final = 2e-3
 NEW: Final = 1e-2
 """A difference that is new for sure."""
 
+PLACID: Final = 0.2
+"""Both are so much smaller where nothing is sought: then the whole picture counts alike, most of it no agent."""
+
 AROUND: Final = 0.12
 """Around an object means within this distance of it, as a share of the frame's width (a standard deviation)."""
 
@@ -123,6 +126,7 @@ class Exploration:
         weight = (weight / weight.sum(dim=(1, 2), keepdim=True) / 3).flatten(1).repeat(1, 3).sqrt()
         self._weight, self._seen = weight, sights.pictures * weight[:, None]
         self._seeking = off.amax(dim=1) > 0
+        self._scale = torch.where(self._seeking, 1.0, PLACID)
         tried = sights.to(torch.device("cpu")).tried(actions).to(off)
         self._weariness = WEARINESS * tried
 
@@ -144,5 +148,5 @@ class Exploration:
         """From 0, like one of the pictures that were seen, to 1."""
         own = small(frames) * self._weight[task]
         apart = (own[:, None] - seen[task]).square().sum(dim=2).amin(dim=1)
-        unlike: Tensor = 1 - torch.exp((VAGUE - apart).clamp(max=0) / NEW)
+        unlike: Tensor = 1 - torch.exp((VAGUE - apart / self._scale[task]).clamp(max=0) / NEW)
         return unlike

@@ -54,7 +54,7 @@ shares of the frame's width."""
 NOVELTY: Final = 0.35
 """What is new weighs at most this share of the smallest change that the cost believes in."""
 
-WEARINESS: Final = 0.6
+WEARINESS: Final = 0.3
 """Each time that an action has been tried weighs this share of it."""
 
 
@@ -116,7 +116,7 @@ class Exploration:
 
     def __init__(self, sights: Sights, known: Outlines, wanted: Outlines, width: int, actions: int) -> None:
         off = (known.centre - wanted.centre).norm(dim=-1).nan_to_num(0.0) * wanted.seen / width
-        off = (off / AWAY).clamp(max=1) * (off > NEAR)
+        off = (off / AWAY).clamp(max=1) * ((off > NEAR) & known.seen)  # what is not seen may have fallen
         place = (torch.arange(SIDE, device=off.device) + 0.5) / SIDE
         across, down = (
             torch.exp(-(place - known.centre[..., axis, None].nan_to_num(torch.inf) / width).square() / (2 * AROUND**2))
@@ -139,7 +139,7 @@ class Exploration:
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
     ) -> Float[Tensor, " n"]:
         """How much worse than the rest futures are that begin with these actions, which lead to these pictures."""
-        away: Tensor = WEARINESS * self._unlike(frames, task, self._seen[:, -2:])
+        away: Tensor = NOVELTY * self._unlike(frames, task, self._seen[:, -2:])
         return torch.where(self._seeking[task], self._weariness[task, action], away)
 
     def _unlike(

@@ -40,6 +40,10 @@ STILL: Final = 1.0
 DOUBT: Final = 4 / 128
 """Whatever changes the cost by less than this share of the frame's width, as a distance, is not believed."""
 
+TOUCH: Final = 4 / 128
+"""Objects that are imagined to move so far in all, as a share of the frame's width, and bring nothing thereby, cost as
+much as a change that is not believed: what is imagined of a first touch is too little."""
+
 GONE: Final = 0.15
 """An object of which the first step leaves less than this share of its pixels is lost."""
 
@@ -100,6 +104,7 @@ class FollowedCost:
     ) -> None:
         self._tracker, self._known, self._wanted = Tracker(spec), known, wanted
         self._reach, self._still, self._doubt = reach * spec.width, still, (doubt * spec.width) ** 2
+        self._touch = TOUCH * spec.width
         self._nowhere, self._loss = (spec.width / 2) ** 2, (LOSS * spec.width) ** 2
         self._ground, self._exploration = ground, exploration
         self._now = self._apart(known.centre, wanted, torch.zeros_like(known.seen))
@@ -141,7 +146,9 @@ class FollowedCost:
         there = torch.where(there.isnan(), left.to(there), there)
         cost = self._apart(torch.where(moved, centre, start.centre), wanted, there == 0)
         present = self._now[task]
-        cost = torch.where((cost - present).abs() < self._doubt, present, cost)
+        distance = torch.where(moved, (centre - start.centre).norm(dim=-1, keepdim=True), 0.0).sum(dim=(1, 2))
+        idle = (cost - present).abs() < self._doubt
+        cost = torch.where(idle, present + self._doubt * (distance / self._touch).clamp(max=1), cost)
         if self._exploration is not None:
             cost = cost + self._doubt * (reluctance[:, 0] - self._exploration.novelty(frames, task))
         return cost, torch.cat([centre, there[..., None], reluctance[..., None]], dim=-1)

@@ -57,9 +57,9 @@ def test_an_action_wearies_where_it_has_been_taken() -> None:
 
 
 def test_what_is_new_weighs_less_than_a_gain_and_what_was_tried_in_vain_more() -> None:
-    assert NOVELTY < WEARINESS < 1
+    assert 0 < WEARINESS < 1 > NOVELTY > 0
     known, wanted = Tracker(SPEC).meet(picture(), picture(red=GOAL))
-    weary = exploration(walked(*((RIGHT, HERE),) * 40))
+    weary = exploration(walked(*((RIGHT, HERE),) * 90))
     cost = FollowedCost(SPEC, known, wanted, exploration=weary)
     plain = FollowedCost(SPEC, known, wanted)
 
@@ -77,7 +77,7 @@ def test_what_is_new_weighs_less_than_a_gain_and_what_was_tried_in_vain_more() -
     assert fresh[1] < fresh[0] < tired[0]
     assert tired[0] - fresh[0] == pytest.approx(tired[1] - fresh[1], rel=1e-4)
     gain = prices(RIGHT, picture(red=(22, 30), curtain=slice(0, 4)))[0]
-    assert gain == pytest.approx(22**2 + LEAST * WEARINESS * 40, abs=LEAST * NOVELTY)
+    assert gain == pytest.approx(22**2 + LEAST * WEARINESS * 90, abs=LEAST * NOVELTY)
     assert gain > fresh[0]
     assert prices(LEFT, picture(red=(22, 30), curtain=slice(0, 4)))[0] < min(fresh)
 

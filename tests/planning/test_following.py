@@ -12,7 +12,7 @@ from planning.boxes import AT, FIRST, RED, SPEC, picture
 from planning.worlds import PerfectGridModel
 
 from dmotion_bench.planning.costs import PositionCost, TrackedCost, make_cost
-from dmotion_bench.planning.following import DOUBT, LOSS, FollowedCost
+from dmotion_bench.planning.following import DOUBT, LOSS, TOUCH, FollowedCost
 from dmotion_bench.planning.futures import ModelFutures
 from dmotion_bench.planning.tracking import Tracker
 from dmotion_bench.planning.tree import FutureTree
@@ -91,13 +91,14 @@ def test_less_than_a_pixel_is_no_movement() -> None:
         assert cost.of_frames(narrower, FIRST, FIRST, cost.begin())[0].item() == pytest.approx(price)
 
 
-def test_a_little_better_is_no_better_and_a_little_worse_no_worse() -> None:
+def test_a_little_better_is_no_better_but_a_touch_for_nothing_is_worse() -> None:
     tracker = Tracker(SPEC)
     near, goal = picture(red=(42, 30)), picture(red=GOAL)
     cost = FollowedCost(SPEC, *tracker.meet(near, goal))
     for place, price in (((42, 30), 4), ((43, 30), 4), ((41, 30), 9), ((40, 30), 16), ((38, 30), 36)):
         found = cost.of_frames(picture(red=place), FIRST, FIRST, cost.begin())[0].item()
-        assert found == pytest.approx(4 if abs(price - 4) < BELOW else price)
+        touch = min(abs(place[0] - 42) / (TOUCH * SPEC.width), 1) * BELOW
+        assert found == pytest.approx(4 + touch if abs(price - 4) < BELOW else price)
 
 
 def test_each_row_has_its_own_task_and_its_own_past() -> None:

@@ -7,12 +7,20 @@ import fcntl
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 from dmotion_bench.errors import FolderInUse
 
+ANOTHER_FOLDER: Final = ", or name another folder with '--out DIR'"
+"""The way out of what is told where to write."""
 
-def lock_folder(path: Path) -> int:
+
+def lock_folder(path: Path, way_out: str = "") -> int:
     """Hold a folder until the descriptor that is returned is closed.
+
+    Args:
+        path: The folder.
+        way_out: What else than waiting helps where it is held already, for the sentence that says so.
 
     Raises:
         FolderInUse: Somebody else holds it.
@@ -22,7 +30,7 @@ def lock_folder(path: Path) -> int:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(handle)
-        raise FolderInUse(f"another dmbench is writing into {str(path)!r}; wait for it to end.") from None
+        raise FolderInUse(f"another dmbench is writing into {str(path)!r}; wait for it{way_out}.") from None
     except OSError:
         pass  # a file system without locks: what is written is atomic in any case
     return handle

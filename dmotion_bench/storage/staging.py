@@ -16,7 +16,7 @@ from typing import Final
 
 from dmotion_bench.errors import StorageFull, UsageError
 from dmotion_bench.storage.atomic import FULL
-from dmotion_bench.storage.lock import lock_folder
+from dmotion_bench.storage.lock import ANOTHER_FOLDER, lock_folder
 
 MARKER: Final = "unfinished.txt"
 CONTENT: Final = "content"
@@ -81,7 +81,7 @@ def _claim(outer: Path) -> int:
             raise _in_the_way(outer) from None
         if outer.is_symlink():
             raise _in_the_way(outer)
-        lock = lock_folder(outer)
+        lock = lock_folder(outer, ANOTHER_FOLDER)
         try:
             if outer.exists() and os.path.samestat(outer.stat(), os.fstat(lock)):  # else its owner has just finished
                 _empty(outer)

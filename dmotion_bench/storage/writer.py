@@ -15,7 +15,7 @@ from types import TracebackType
 from dmotion_bench.errors import DatasetError, RecipeMismatch, UsageError
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode
 from dmotion_bench.storage.atomic import remove_leftovers
-from dmotion_bench.storage.lock import lock_folder
+from dmotion_bench.storage.lock import ANOTHER_FOLDER, lock_folder
 from dmotion_bench.storage.manifest import Manifest, ShardEntry, record_command
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.shard import (
@@ -74,7 +74,7 @@ class DatasetWriter:
             raise UsageError(
                 f"{str(path)!r} cannot be a folder, a file is in the way; name another folder with '--out DIR'."
             ) from None
-        lock = lock_folder(path)
+        lock = lock_folder(path, ANOTHER_FOLDER)
         try:
             receipts: list[ShardReceipt] = []
             standing: Manifest | None = None

@@ -94,7 +94,7 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
 
 def test_two_writers_do_not_share_a_folder(tmp_path: Path) -> None:
     first = DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC)
-    with pytest.raises(FolderInUse, match="another dmbench"):
+    with pytest.raises(FolderInUse, match=r"another dmbench .* or name another folder with '--out DIR'"):
         DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC)
     first.close()
     DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC).close()

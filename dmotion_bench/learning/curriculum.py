@@ -96,6 +96,12 @@ def parts_of(
     return tuple(parts)
 
 
+def steps_before_labels(parts: Sequence[Part]) -> int | None:
+    """How many steps are the same under every label budget; None where all are, or none."""
+    first = next((part.start for part in parts if part.phase.needs_actions), 0)
+    return first or None
+
+
 def _evenly(triplets: TripletSet, most: int) -> TripletSet:
     """At most so many triplets, spread evenly."""
     if len(triplets) <= most:

@@ -7,6 +7,7 @@
       metrics.jsonl       a row every few steps: losses, learning rate, triplets/s; a row a validation
       last.safetensors    all that resuming needs
       best.safetensors    the weights that validated best, with the actions aligned once training is done
+      watched.safetensors where the phases that need no labels ended, if others came after them
       samples/            pictures of what the model predicted at each validation
       report/             written by ``dmbench score``
 """
@@ -171,6 +172,11 @@ class Run:
     def best(self) -> Path:
         """The weights that validated best."""
         return self.path / "best.safetensors"
+
+    @property
+    def watched(self) -> Path:
+        """The checkpoint from which a run of another label budget can go on; few models have one."""
+        return self.path / "watched.safetensors"
 
     @property
     def metrics(self) -> Path:

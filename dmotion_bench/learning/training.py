@@ -13,6 +13,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from torch import Tensor
 
 from dmotion_bench.errors import RunError
 from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of
+from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
 from dmotion_bench.learning.interrupts import stop_between_steps
 from dmotion_bench.learning.metrics_log import MetricsLog
 from dmotion_bench.learning.model import ForwardModel, TrainingConfig
@@ -112,7 +113,7 @@ class _Trainer:
             data, fabric.device
         )  # asked for first: what is missing is said before the work
         self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device)
-        self.steps = self.parts[-1].stop
+        self.steps, self.watched = self.parts[-1].stop, steps_before_labels(self.parts)
         wrapped, self.optimizer = fabric.setup(self.model, make_optimizer(self.model, self.config))
         wrapped.mark_forward_method("losses")
         self.wrapped = wrapped
@@ -157,6 +158,8 @@ class _Trainer:
                     if self.state.step % validate_every == 0 or self.state.step == part.stop:
                         self._validate(part, log)
                         saved = self._save()
+                        if self.state.step == self.watched:
+                            self._write_checkpoint(self.run.watched)
                     elif stopping() or time.monotonic() - saved > CHECKPOINT_SECONDS:
                         saved = self._save()
                     if stopping():
@@ -246,12 +249,17 @@ class _Trainer:
 
     def _save(self) -> float:
         """Write all that resuming needs."""
+        self._write_checkpoint(self.run.last)
+        return time.monotonic()
+
+    def _write_checkpoint(self, path: Path) -> None:
         if self.fabric.is_global_zero:
             tensors = checkpoint.with_prefix("model", self.model.state_dict())
             tensors |= checkpoint.optimizer_tensors(self.optimizer)
             if self.average is not None:
                 tensors |= checkpoint.with_prefix("average", self.average.tensors)
-            tensors |= {f"hardness/{name}": torch.from_numpy(values) for name, values in self.hardness.items()}
+            begun = [part.phase.name for part in self.parts if part.start < self.state.step]
+            tensors |= {f"hardness/{name}": torch.from_numpy(self.hardness[name]) for name in begun}
             state = self.state
             facts = {
                 "step": state.step,
@@ -259,8 +267,7 @@ class _Trainer:
                 "best_step": state.best_step,
                 "seconds": state.clock.before + state.clock.sitting,
             }
-            checkpoint.save(self.run.last, tensors, facts)
-        return time.monotonic()
+            checkpoint.save(path, tensors, facts)
 
     def _resume(self) -> None:
         if not self.run.last.exists():

@@ -1,7 +1,8 @@
-"""Trainings that differ in their labels alone: a model of video is trained once for all of its budgets.
+"""Trainings that differ in their labels alone: what needs no labels is trained once for all budgets.
 
 What an unsupervised model learns does not depend on the budget (the tests compare the bits), only the alignment after
-the training does. So the 5-shot run takes over the one-shot run's checkpoint and is aligned for itself.
+the training does. So the 5-shot run takes over the one-shot run's last checkpoint and is aligned for itself. Of a
+world model the autoencoder comes first and sees video alone: another budget goes on from where it ended.
 """
 
 from __future__ import annotations
@@ -17,22 +18,24 @@ from dmotion_bench.storage.atomic import write_atomically
 
 
 def take_over(run: Run) -> Run | None:
-    """Give a run that has not begun the finished training of one beside it that differs in its labels alone.
+    """Give a run that has not begun what one beside it, which differs in its labels alone, learned without them.
 
     Returns:
         Whose training it was; None where there is none, or the run has one of its own.
     """
-    if run.result is not None or run.last.exists() or model_class(run.spec.model).supervision is not Supervision.NONE:
+    if run.result is not None or run.last.exists():
         return None
-    twin = next(filter(None, (_twin(run, beside) for beside in sorted(run.path.parent.glob("*/")))), None)
-    if twin is None:
-        return None
-    run.path.mkdir(parents=True, exist_ok=True)
-    for source, target in ((twin.metrics, run.metrics), (twin.best, run.best), (twin.last, run.last)):
-        write_atomically(target, source.read_bytes())  # the checkpoint last: with it the run has begun
-    run.manifest["trained_as"] = twin.name
-    run.write()
-    return twin
+    for folder in sorted(run.path.parent.glob("*/")):
+        if (twin := _twin(run, folder)) is None:
+            continue
+        if files := _shared(twin):
+            run.path.mkdir(parents=True, exist_ok=True)
+            for name, source in files.items():
+                write_atomically(run.path / name, source.read_bytes())
+            run.manifest["trained_as"] = twin.name
+            run.write()
+            return twin
+    return None
 
 
 def _twin(run: Run, folder: Path) -> Run | None:
@@ -41,5 +44,16 @@ def _twin(run: Run, folder: Path) -> Run | None:
     except RunError:
         return None
     same = dataclasses.replace(other.spec, labels=run.spec.labels) == run.spec
-    whole = other.result is not None and all(path.is_file() for path in (other.metrics, other.best, other.last))
-    return other if same and whole else None
+    return other if same and other.path != run.path else None
+
+
+def _shared(run: Run) -> dict[str, Path]:
+    """What of a training does not depend on its labels: files by their names in the other run, empty if there is none.
+
+    The checkpoint comes last: with it the other run has begun.
+    """
+    if model_class(run.spec.model).supervision is Supervision.NONE:
+        files = {path.name: path for path in (run.metrics, run.best, run.last)}
+        return files if run.result is not None and all(path.is_file() for path in files.values()) else {}
+    files = {run.metrics.name: run.metrics, run.watched.name: run.watched, run.last.name: run.watched}
+    return files if all(path.is_file() for path in files.values()) else {}

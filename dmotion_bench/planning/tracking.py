@@ -8,6 +8,7 @@ takes for what is visible of it to lie within its outline then. Nothing but pict
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -76,7 +77,7 @@ class Tracker:
     """
 
     def __init__(self, spec: EnvSpec) -> None:
-        self._finder, self._objects = PositionFinder(spec), len(spec.objects)
+        self._finder, self._objects = _finder(spec), len(spec.objects)
 
     def look(self, frames: UInt8[Tensor, "b h w 3"]) -> Outlines:
         """What pictures show by themselves; an object that is not found has no centre (NaN)."""
@@ -110,6 +111,12 @@ class Tracker:
     def follow(self, known: Outlines, frames: UInt8[Tensor, "b h w 3"]) -> Outlines:
         """Where things are believed to be when pictures come after what was known."""
         return believed(known, self.look(frames))
+
+
+@functools.lru_cache(maxsize=8)
+def _finder(spec: EnvSpec) -> PositionFinder:
+    """The same for all trackers: its table of colours takes 0.1 s, and every control step needs it [measured]."""
+    return PositionFinder(spec)
 
 
 def believed(known: Outlines, now: Outlines) -> Outlines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -113,6 +114,33 @@ def test_another_budget_takes_the_training_over_and_ends_with_the_same_bits(name
     assert more.result["weights"] == alone.result["weights"] != one.result["weights"]
     assert (more.result["labels_total"], one.result["labels_total"]) == (6, 2)
     assert take_over(open_run(request("3-shot", seed=1), dataset, None, runs)) is None
+
+
+@pytest.mark.parametrize("name", ["wm-ae", "wm-vae"])
+def test_another_share_of_labels_goes_on_where_the_video_was_learned(name, recorded, tmp_path) -> None:
+    dataset, runs = Dataset.open(recorded), Workspace(tmp_path)
+    _train(name, recorded, tmp_path / "runs" / "all")
+    tenth = open_run(
+        TrainingRequest(model=name, labels="10%", preset=Preset.TINY, settings=SETTINGS), dataset, None, runs
+    )
+    twin = take_over(tenth)
+    assert twin is not None
+    assert twin.name == "all"
+    steps: list[int] = []
+    train(tenth, training_data(tenth, dataset), launch("cpu"), lambda report: steps.append(report.step))
+    alone = _train(name, recorded, tmp_path / "alone", labels="10%")
+    assert steps == list(range(tenth.result["steps"] // 2 + 1, tenth.result["steps"] + 1))
+    same = ("weights", "labels", "triplets", "best_step", "validation_loss")
+    assert [tenth.result[key] for key in same] == [alone.result[key] for key in same]
+    logged = [[json.loads(row)["step"] for row in run.metrics.read_text().splitlines()] for run in (tenth, alone)]
+    assert logged[0] == logged[1]
+
+
+@pytest.mark.parametrize("name", ["ed-cnn", "cswm"])
+def test_what_learns_from_labels_at_once_shares_nothing(name, recorded, tmp_path) -> None:
+    _train(name, recorded, tmp_path / "runs" / "all")
+    request = TrainingRequest(model=name, labels="10%", preset=Preset.TINY, settings=SETTINGS)
+    assert take_over(open_run(request, Dataset.open(recorded), None, Workspace(tmp_path))) is None
 
 
 @pytest.mark.parametrize("name", sorted({*NAMES} - {*UNSUPERVISED}))

@@ -30,6 +30,7 @@ class TripletBatches:
 
     def __init__(self, triplets: TripletSet, actions: Int[np.ndarray, " n"] | None, device: torch.device) -> None:
         self.triplets, self.device = triplets, device
+        self._episodes = torch.from_numpy(triplets.episode).to(device)
         self._actions = None if actions is None else torch.from_numpy(actions).to(device)
         self._resident: Tensor | None = None
         self._first = torch.from_numpy(triplets.first_frame)
@@ -58,4 +59,5 @@ class TripletBatches:
             current=current,
             next=following,
             action=None if self._actions is None else self._actions[rows],
+            episode=self._episodes[rows],
         )

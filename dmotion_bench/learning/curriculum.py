@@ -89,7 +89,9 @@ def parts_of(
                 start=start,
                 stop=start + max(1, round(phase.fraction * total)),
                 batches=batches,
-                order=BatchOrder(len(batches), size, seed + number),
+                order=BatchOrder(
+                    len(batches), size, seed + number, episode=batches.triplets.episode, together=phase.together
+                ),
                 validation=labelled_watched if phase.needs_actions else watched,
             )
         )

@@ -39,13 +39,15 @@ class ModelInputs:
 class TripletBatch:
     """Three consecutive frames; the action that led from the second to the third where it was paid for.
 
-    ``action`` is None in the training of unsupervised models, always.
+    ``action`` is None in the training of unsupervised models, always. ``episode`` says which of them are moments of one
+    recording, for losses that compare moments; it is no label. The training loop always gives it.
     """
 
     previous: Float[Tensor, "b c h w"]
     current: Float[Tensor, "b c h w"]
     next: Float[Tensor, "b c h w"]
     action: Int[Tensor, " b"] | None = None
+    episode: Int[Tensor, " b"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,12 +84,14 @@ class Phase:
         fraction: Of the training's triplets.
         needs_actions: Whether only labelled triplets are of use in this phase.
         batch_size: Triplets a step, where a phase wants another number than the training's.
+        together: So many triplets of one episode, any of its moments, stand side by side in a batch.
     """
 
     name: str = "train"
     fraction: float = 1.0
     needs_actions: bool = False
     batch_size: int | None = None
+    together: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -130,11 +130,29 @@ class BatchOrder:
 
     The order is a function of (seed, step) alone, so a run that is resumed at a step goes on exactly as it
     would have. Epochs follow each other without a gap; a batch may reach over the seam, so all are full.
+
+    Args:
+        triplets: How many there are.
+        batch_size: At most all of them.
+        seed: Of the order.
+        episode: Of each triplet; needed for ``together``.
+        together: So many triplets of one episode follow each other; what is left of an episode is left out of the
+            epoch, others each time.
     """
 
-    def __init__(self, triplets: int, batch_size: int, seed: int) -> None:
+    def __init__(
+        self,
+        triplets: int,
+        batch_size: int,
+        seed: int,
+        *,
+        episode: Int[np.ndarray, " n"] | None = None,
+        together: int = 1,
+    ) -> None:
         self.triplets, self.batch_size, self.seed = triplets, min(batch_size, triplets), seed
+        self._episode, self._together = episode, together
         self._epoch, self._order = -1, np.zeros(0, np.int64)
+        self._length = len(self._epoch_order(0))
 
     def steps(self, epochs: float) -> int:
         """How many steps make so many passes."""
@@ -144,7 +162,7 @@ class BatchOrder:
         """The triplets of one step."""
         place, left, parts = step * self.batch_size, self.batch_size, []
         while left:
-            epoch, offset = divmod(place, self.triplets)
+            epoch, offset = divmod(place, self._length)
             part = self._epoch_order(epoch)[offset : offset + left]
             parts.append(part)
             place, left = place + len(part), left - len(part)
@@ -173,5 +191,23 @@ class BatchOrder:
     def _epoch_order(self, epoch: int) -> Int[np.ndarray, " n"]:
         if epoch != self._epoch:
             generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(epoch,)))
-            self._epoch, self._order = epoch, generator.permutation(self.triplets)
+            order = generator.permutation(self.triplets)
+            if self._episode is not None and self._together > 1:
+                order = _grouped(order, self._episode, self._together, generator)
+            self._epoch, self._order = epoch, order
         return self._order
+
+
+def _grouped(
+    order: Int[np.ndarray, " n"], episode: Int[np.ndarray, " n"], size: int, generator: np.random.Generator
+) -> Int[np.ndarray, " m"]:
+    """Groups of one episode each, in any order; the triplets as they are where no episode has enough of them."""
+    by_episode = order[episode[order].argsort(kind="stable")]
+    counts = np.unique(episode, return_counts=True)[1]
+    place = np.arange(len(order)) - np.repeat(counts.cumsum() - counts, counts)  # within its episode
+    whole = place < np.repeat(counts - counts % size, counts)
+    if not whole.any():
+        return order
+    groups = by_episode[whole].reshape(-1, size)
+    grouped: Int[np.ndarray, " m"] = groups[generator.permutation(len(groups))].reshape(-1)
+    return grouped

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import torch
 
@@ -19,7 +21,7 @@ def test_the_energy_by_hand(build) -> None:
 def test_the_contrastive_loss_by_hand(build, batch, monkeypatch) -> None:
     model = build(ContrastiveWorldModel).eval()
     order = torch.tensor([2, 0, 1, 4, 5, 3])
-    monkeypatch.setattr(torch, "randperm", lambda count, device=None: order)
+    monkeypatch.setattr(model, "negatives", lambda given: order)
     losses = model.losses(batch)
     with torch.no_grad():
         now = model.states(batch.previous, batch.current).numpy()
@@ -32,6 +34,25 @@ def test_the_contrastive_loss_by_hand(build, batch, monkeypatch) -> None:
         far.append(max(0.0, 1 - distance))
     np.testing.assert_allclose(losses.total.item(), np.mean(near) + np.mean(far), rtol=1e-5)
     np.testing.assert_allclose(losses.terms["attraction"], np.mean(near), rtol=1e-5)
+
+
+def test_a_share_of_the_negatives_is_of_the_same_episode(build, batch) -> None:
+    torch.manual_seed(0)
+    episode = torch.tensor([0, 0, 0, 1, 1, 2])  # the last one is alone
+    many = dataclasses.replace(batch, episode=episode)
+    for share in (0.0, 0.5, 1.0):
+        model = build(ContrastiveWorldModel, near=share)
+        drawn = torch.stack([model.negatives(many) for _ in range(400)])
+        assert (drawn != torch.arange(6)).all()
+        same = (episode[drawn] == episode).float().mean(0)
+        torch.testing.assert_close(same, torch.tensor([share] * 5 + [0.0]), atol=0.1, rtol=0)
+        assert all(len(drawn[:, row].unique()) > 1 for row in range(3))
+
+
+def test_without_episodes_the_negatives_are_any_other_state(build, batch) -> None:
+    model = build(ContrastiveWorldModel)
+    drawn = torch.stack([model.negatives(batch) for _ in range(200)])
+    assert all(set(drawn[:, row].tolist()) == {*range(6)} - {row} for row in range(6))
 
 
 def test_exchanging_slots_exchanges_their_changes(build) -> None:

@@ -64,6 +64,29 @@ def test_the_order_is_a_function_of_seed_and_step_alone() -> None:
     assert any((BatchOrder(23, 5, 2).batch(step) != walked[step]).any() for step in range(12))
 
 
+@given(lengths=st.lists(st.integers(1, 9), min_size=1, max_size=8), together=st.integers(2, 4), seed=st.integers(0, 3))
+@settings(deadline=None, derandomize=True)
+def test_moments_of_an_episode_stand_side_by_side(lengths: list[int], together: int, seed: int) -> None:
+    episode = np.repeat(np.arange(len(lengths)) * 3, lengths)  # numbers with gaps, as a split leaves them
+    order = BatchOrder(len(episode), together, seed, episode=episode, together=together)
+    groups = sum(length // together for length in lengths)
+    if not groups or len(episode) < together:
+        assert len(order.batch(0)) == order.batch_size
+        return
+    epochs = [np.stack([order.batch(epoch * groups + step) for step in range(groups)]) for epoch in range(2)]
+    for walked in epochs:
+        assert (episode[walked] == episode[walked][:, :1]).all()
+        assert len(np.unique(walked)) == groups * together
+        for one, length in enumerate(lengths):
+            assert (episode[walked] == 3 * one).sum() == length - length % together
+
+
+def test_groups_differ_from_epoch_to_epoch() -> None:
+    order = BatchOrder(40, 4, 0, episode=np.repeat(np.arange(4), 10), together=4)
+    first, second = ({frozenset(order.batch(epoch * 8 + step).tolist()) for step in range(8)} for epoch in range(2))
+    assert first != second
+
+
 @pytest.mark.parametrize("epochs", [0.5, 1, 3])
 def test_steps_follow_the_epochs(epochs: float) -> None:
     assert BatchOrder(100, 10, 0).steps(epochs) == 10 * epochs

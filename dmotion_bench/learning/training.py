@@ -120,9 +120,9 @@ class _Trainer:
         self.average = AveragedWeights(self.model, self.config.ema) if self.config.ema else None
         self.hardness = {part.phase.name: np.full(len(part.batches), np.nan, np.float32) for part in self.parts}
         self.state = _State()
-        self._resume()
 
     def fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
+        self._resume()  # here, where nobody else trains the run
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)
         sums: dict[str, float] = defaultdict(float)

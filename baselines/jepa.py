@@ -8,6 +8,9 @@ pixel is predicted. Since LeWorldModel is told the actions, this model is, too (
 The benchmark wants frames: in a second phase the embedding is frozen and a decoder is trained on video, as the authors
 do to look into theirs. Nothing of it reaches the embedding.
 
+Batches are of a few episodes, sixteen moments of each. Where every episode has a scene of its own, a code of the scene
+alone is as Gaussian over many episodes as one could wish, and the easiest of all to predict; among a few it is not.
+
 Settled so (docs/baselines.md): the encoder is of the shared backbone instead of a ViT; the predictor sees two frames,
 not three, and is a residual MLP instead of a transformer; it is modulated by the action (AdaLN) as theirs. The
 projector with its batch normalisation, lambda, knots, projections, dropout and length of the embedding are theirs.
@@ -31,7 +34,7 @@ from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision
 
-EMBEDDING = Phase(name="embedding", fraction=0.6, needs_actions=True)
+EMBEDDING = Phase(name="embedding", fraction=0.6, needs_actions=True, together=16)
 DECODER = Phase(name="decoder", fraction=0.4, batch_size=32)
 
 KNOTS = 17

@@ -210,4 +210,5 @@ def _noise(size: int, labelled: bool) -> TripletBatch:
     images = to_model(torch.from_numpy(frames))
     previous, current, following = (images[:, step].contiguous(memory_format=torch.channels_last) for step in range(3))
     action = torch.arange(size) % 4 if labelled else None
-    return TripletBatch(previous=previous, current=current, next=following, action=action)
+    episode = torch.arange(size) // 4
+    return TripletBatch(previous=previous, current=current, next=following, action=action, episode=episode)

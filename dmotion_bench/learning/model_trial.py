@@ -50,6 +50,7 @@ class ModelTrial:
             current=self.images(count, 2),
             next=self.images(count, 3),
             action=self.actions(count) if actions else None,
+            episode=torch.arange(count) // 2,
         )
 
     def demonstrations(self, each: int, shift: int = 0) -> Demonstrations:

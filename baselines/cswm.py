@@ -35,6 +35,7 @@ from baselines.layers import (
     block,
     check_size,
     conv,
+    left_to_adam,
     linear,
     pack,
     squared_error,
@@ -46,7 +47,7 @@ from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phas
 from dmotion_bench.specs import Preset, Supervision
 
 CONTRAST = Phase(name="contrast", fraction=0.6, needs_actions=True, together=4)
-CONTRAST_RATE = 1 / 3  # of the recipe's
+CONTRAST_RATE = 1 / 3  # of the recipe's; with Adam, as the authors
 DECODER = Phase(name="decoder", fraction=0.4)
 
 
@@ -81,8 +82,8 @@ class SlotEncoder(nn.Module):
     """Two packed frames to the states of K slots.
 
     As the authors' for larger pictures: one convolution with a wide stride to small maps (10 x 10 there, 8 x 8 here),
-    their values between 0 and 1. The initial weights are large enough that different frames get different states from
-    the start: the hinge's gradient vanishes where all states are one.
+    their values between 0 and 1. The MLP's initial weights keep the scale, so that different frames get different
+    states from the start: the hinge's gradient vanishes where all states are one.
     """
 
     def __init__(self, config: ContrastiveConfig, inputs: ModelInputs) -> None:
@@ -145,9 +146,7 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
         check_size("C-SWM", inputs)
         self.encoder = SlotEncoder(config, inputs)
         self.transition = GraphTransition(config, inputs.actions)
-        for parameter in [*self.encoder.parameters(), *self.transition.parameters()]:
-            parameter.is_output = True  # type: ignore[attr-defined]  # left to Adam, as the authors'
-            parameter.rate_factor = CONTRAST_RATE  # type: ignore[attr-defined]
+        left_to_adam(*self.encoder.parameters(), *self.transition.parameters(), rate=CONTRAST_RATE)
         self.decoder = FrameDecoder(inputs, config.slots * config.features, hidden=512)
         self.phase = CONTRAST
 
@@ -189,18 +188,12 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
         )
 
     def negatives(self, batch: TripletBatch) -> Int[Tensor, " b"]:
-        """For each state another of the batch: one of the same episode for a share of them, where there is one."""
+        """For each state another of the batch: a share of the same episode, the rest of others, where there are any."""
         count, device = len(batch.current), batch.current.device
-        if count == 1:
-            return torch.zeros(1, dtype=torch.int64, device=device)
-        itself = torch.eye(count, dtype=torch.bool, device=device)
-        allowed = ~itself
-        if batch.episode is not None:
-            own = (batch.episode[:, None] == batch.episode) & ~itself
-            near = (torch.rand(count, device=device) < self.config.near) & own.any(1)
-            other = ~own & ~itself & ~near[:, None]
-            allowed = torch.where(near[:, None], own, torch.where(other.any(1, keepdim=True), other, allowed))
-        return torch.rand(count, count, device=device).masked_fill(~allowed, -1.0).argmax(1)
+        near = torch.rand(count, 1, device=device) < self.config.near
+        wanted = torch.zeros_like(near) if batch.episode is None else (batch.episode[:, None] == batch.episode) == near
+        drawn = torch.rand(count, count, device=device)
+        return torch.where(wanted, drawn, drawn - 1).fill_diagonal_(-2.0).argmax(1)
 
     def energy(self, state: Float[Tensor, "b k d"], other: Float[Tensor, "b k d"]) -> Float[Tensor, " b"]:
         """d(z, z'): how far two states are from each other."""

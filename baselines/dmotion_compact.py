@@ -21,7 +21,20 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baselines.layers import CHANNELS, OUTPUT_GAIN, WIDTHS, MotionTrunk, UNet, block, conv, pack, patches, unpack, up
+from baselines.layers import (
+    CHANNELS,
+    OUTPUT_GAIN,
+    WIDTHS,
+    MotionTrunk,
+    UNet,
+    block,
+    conv,
+    left_to_adam,
+    pack,
+    patches,
+    unpack,
+    up,
+)
 
 __all__ = ["Decoder", "ImageEncoder", "InteractionLearner", "MotionEncoder", "pack", "unpack"]
 
@@ -65,8 +78,7 @@ class MotionEncoder(MotionTrunk):
         self.maps, self.reversible = maps, reversible
         self.motion = nn.Linear(self.length, maps * len(identity), bias=False)
         nn.init.normal_(self.motion.weight, std=0.05)
-        self.motion.weight.rate_factor = MOTION_RATE  # type: ignore[attr-defined]
-        self.motion.weight.is_output = True  # type: ignore[attr-defined]
+        left_to_adam(self.motion.weight, rate=MOTION_RATE)
         self.register_buffer("identity", identity.clone())
 
     def forward(

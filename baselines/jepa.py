@@ -28,7 +28,7 @@ from einops import rearrange
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from baselines.layers import FrameDecoder, FrameEncoder, check_size, pack, squared_error, unpack
+from baselines.layers import FrameDecoder, FrameEncoder, check_size, left_to_adam, pack, squared_error, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
@@ -84,7 +84,7 @@ class ModulatedLayer(nn.Module):
         self.layers = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Dropout(dropout), nn.Linear(width, width))
         self.modulation = nn.Embedding(actions, 3 * width)
         nn.init.zeros_(self.modulation.weight)
-        self.modulation.weight.is_output = True  # type: ignore[attr-defined]
+        left_to_adam(self.modulation.weight)
 
     def forward(self, features: Float[Tensor, "b d"], action: Int[Tensor, " b"]) -> Float[Tensor, "b d"]:
         scale, shift, gate = self.modulation(action).chunk(3, dim=1)

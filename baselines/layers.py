@@ -123,8 +123,14 @@ def conv(
 def output(inputs: int, outputs: int) -> nn.Conv2d:
     """A 1 x 1 convolution that ends a network: small at first, and left to Adam where Muon trains the rest."""
     layer = conv(inputs, outputs, 1, gain=OUTPUT_GAIN)
-    layer.weight.is_output = True  # type: ignore[attr-defined]
+    left_to_adam(layer.weight)
     return layer
+
+
+def left_to_adam(*weights: Tensor, rate: float = 1.0) -> None:
+    """Mark for ``make_optimizer`` what Muon is not to train, and at what multiple of the rate it learns."""
+    for weight in weights:
+        vars(weight).update(is_output=True, rate_factor=rate)
 
 
 def block(

@@ -144,7 +144,7 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
         self.encoder = FrameEncoder(inputs, config.hidden)
         self.projector = Projector(config.hidden, config.hidden, config.length)
         self.predictor = Predictor(config, inputs.actions)
-        self.decoder = FrameDecoder(inputs, config.length)
+        self.decoder = FrameDecoder(inputs, config.length, hidden=256)
         self.phase = EMBEDDING
 
     @classmethod

@@ -250,19 +250,25 @@ class FrameDecoder(nn.Module):
     Args:
         inputs: The size of the frame.
         features: Length of the vector.
-        hidden: Width of the layer between the vector and the smallest map.
+        hidden: Width of the layer between the vector and the smallest map; None: one linear map leads there, which
+            carries over to other layouts where the vector is a linear map of features, too (DECISIONS.md).
     """
 
-    def __init__(self, inputs: ModelInputs, features: int, hidden: int = 256) -> None:
+    def __init__(self, inputs: ModelInputs, features: int, hidden: int | None) -> None:
         super().__init__()
         c, w, d = WIDTHS
         self.height, self.width = inputs.height // 16, inputs.width // 16
+        smallest = c * self.height * self.width
         gain = nn.init.calculate_gain("leaky_relu", SLOPE)
-        self.vector = nn.Sequential(
-            linear(features, hidden, gain),
-            nn.LeakyReLU(SLOPE),
-            linear(hidden, c * self.height * self.width, gain),
-            nn.LeakyReLU(SLOPE),
+        self.vector = (
+            linear(features, smallest)
+            if hidden is None
+            else nn.Sequential(
+                linear(features, hidden, gain),
+                nn.LeakyReLU(SLOPE),
+                linear(hidden, smallest, gain),
+                nn.LeakyReLU(SLOPE),
+            )
         )
         self.layers = nn.Sequential(
             block(c, d),

@@ -34,13 +34,13 @@ class WorldModelConfig:
     """The choices that the paper leaves open.
 
     Attributes:
-        latent: Length of the code z; 32 in the original.
+        latent: Length of the code z; 32 in the original, for smaller frames of one road.
         hidden: Width of the transition's two hidden layers.
         beta: Weight of the VAE's KL divergence against the squared error summed over the pixels of images in [0, 1],
             as in the original; the deterministic autoencoder has none.
     """
 
-    latent: int = 64
+    latent: int = 256
     hidden: int = 512
     beta: float = 1.0
 
@@ -60,7 +60,7 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
         super().__init__(config, inputs)
         check_size("a world model", inputs)
         self.encoder = FrameEncoder(inputs, self._moments() * config.latent)
-        self.decoder = FrameDecoder(inputs, config.latent)
+        self.decoder = FrameDecoder(inputs, config.latent, hidden=None)
         gain = nn.init.calculate_gain("leaky_relu", SLOPE)
         self.transition = nn.Sequential(
             linear(2 * config.latent + inputs.actions, config.hidden, gain),

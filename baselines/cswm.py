@@ -38,7 +38,7 @@ from baselines.layers import (
     left_to_adam,
     linear,
     pack,
-    squared_error,
+    reconstruction_losses,
     unpack,
 )
 from baselines.recipe import compact_recipe
@@ -171,11 +171,7 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
         if self.phase == DECODER:
             with torch.no_grad():
                 state = self.states(batch.previous, batch.current)
-            each = squared_error(self._decode(state), batch.current)
-            reconstruction = each.mean()
-            return Losses(
-                total=reconstruction, terms={"reconstruction": reconstruction.detach()}, per_triplet=each.detach()
-            )
+            return reconstruction_losses(self._decode(state), batch.current)
         assert batch.action is not None, "the loop gives labelled triplets in a phase that needs actions"
         state, following = self.states(
             torch.cat([batch.previous, batch.current]), torch.cat([batch.current, batch.next])

@@ -28,7 +28,7 @@ from einops import rearrange
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from baselines.layers import FrameDecoder, FrameEncoder, check_size, left_to_adam, pack, squared_error, unpack
+from baselines.layers import FrameDecoder, FrameEncoder, check_size, left_to_adam, pack, reconstruction_losses, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
@@ -170,11 +170,7 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
         if self.phase == DECODER:
             with torch.no_grad():
                 embedding = self.embed(batch.current)
-            each = squared_error(self._decode(embedding), batch.current)
-            reconstruction = each.mean()
-            return Losses(
-                total=reconstruction, terms={"reconstruction": reconstruction.detach()}, per_triplet=each.detach()
-            )
+            return reconstruction_losses(self._decode(embedding), batch.current)
         assert batch.action is not None, "the loop gives labelled triplets in a phase that needs actions"
         embeddings = rearrange(
             self.embed(torch.cat([batch.previous, batch.current, batch.next])), "(t b) d -> t b d", t=3

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.learning.model import Losses, ModelInputs
 
 SLOPE = 0.2
 PATCH = 4
@@ -59,6 +59,13 @@ def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp
 def squared_error(predicted: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Float[Tensor, " b"]:
     """Of each row, averaged over all else, in float32."""
     return (predicted.float() - true.float()).square().flatten(1).mean(1)
+
+
+def reconstruction_losses(drawn: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Losses:
+    """What trains a decoder: how far what it draws is from the frame."""
+    each = squared_error(drawn, true)
+    mean = each.mean()
+    return Losses(total=mean, terms={"reconstruction": mean.detach()}, per_triplet=each.detach())
 
 
 class _Wrap(torch.autograd.Function):

@@ -10,6 +10,7 @@ whole sequences: the paper predicts one step from two frames. It predicts the ch
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -19,7 +20,17 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from baselines.gaussian import Gaussian
-from baselines.layers import SLOPE, FrameDecoder, FrameEncoder, check_size, linear, pack, squared_error, unpack
+from baselines.layers import (
+    SLOPE,
+    FrameDecoder,
+    FrameEncoder,
+    check_size,
+    linear,
+    pack,
+    reconstruction_losses,
+    squared_error,
+    unpack,
+)
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
@@ -109,11 +120,7 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
 
     def _reconstruction(self, image: Float[Tensor, "b c h w"]) -> Losses:
         packed = pack(image)
-        each = squared_error(self.decoder(self.encoder(packed)), packed)
-        reconstruction = each.mean()
-        return Losses(
-            total=reconstruction, terms={"reconstruction": reconstruction.detach()}, per_triplet=each.detach()
-        )
+        return reconstruction_losses(self.decoder(self.encoder(packed)), packed)
 
     def code(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d"]:
         """z of a frame."""
@@ -169,11 +176,10 @@ class VariationalWorldModel(AutoencoderWorldModel):
         packed = pack(image)
         code = Gaussian.of(self.encoder(packed))
         drawn = code.sample() if self.training else code.mean
-        each = squared_error(self.decoder(drawn.to(packed.dtype)), packed)
-        reconstruction, divergence = each.mean(), code.divergence()
+        losses, divergence = reconstruction_losses(self.decoder(drawn.to(packed.dtype)), packed), code.divergence()
         weight = 4 * self.config.beta / image[0].numel()
-        return Losses(
-            total=reconstruction + weight * divergence,
-            terms={"reconstruction": reconstruction.detach(), "divergence": divergence.detach()},
-            per_triplet=each.detach(),
+        return dataclasses.replace(
+            losses,
+            total=losses.total + weight * divergence,
+            terms={**losses.terms, "divergence": divergence.detach()},
         )

@@ -5,7 +5,8 @@ actions. Then it is frozen and a transition model learns z_{t+1} from (z_{t-1}, 
 The prediction decodes z_{t+1}.
 
 Settled so (docs/baselines.md): the transition is a deterministic network, not the original's mixture-density RNN over
-whole sequences: the paper predicts one step from two frames. It predicts the change of z.
+whole sequences: the paper predicts one step from two frames. It predicts the change of z. The code is a
+linear map of the encoder's last features and read by one, as in the original.
 """
 
 from __future__ import annotations

@@ -21,9 +21,10 @@ def parse_value(key: str, text: str, wanted: Any) -> Any:
             return None
         return parse_value(key, text, next(kind for kind in arguments if kind is not type(None)))
     if origin is typing.Literal:
-        if text not in arguments:
-            raise InvalidSetting(f"{key} is {text!r}; it can be {', '.join(map(str, arguments))}.")
-        return text
+        choices = {str(choice): choice for choice in arguments}
+        if text not in choices:
+            raise InvalidSetting(f"{key} is {text!r}; it can be {', '.join(choices)}.")
+        return choices[text]
     if origin is tuple:
         return tuple(parse_value(key, part, arguments[0]) for part in text.split(",") if part)
     if wanted is bool:

@@ -12,11 +12,12 @@ from dmotion_bench.learning.settings import from_json, to_json, with_settings
 
 def test_each_key_goes_to_the_config_that_has_it() -> None:
     config, training = with_settings(
-        ["maps=4", "learning_rate=0.01", "second_frame=false", "transform=affine"],
+        ["maps=4", "learning_rate=0.01", "second_frame=false", "transform=affine", "agent_entries=1"],
         DMotionConfig(),
         TrainingConfig(epochs=1),
     )
     assert (config.maps, config.second_frame, config.transform) == (4, False, "affine")
+    assert config.agent_entries == 1  # the number, not its text
     assert training.learning_rate == 0.01
 
 

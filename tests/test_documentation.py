@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -13,6 +14,10 @@ import typer
 from dmbench_command import Outcome, dmbench
 
 from dmotion_bench.cli.app import app, register_commands
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.settings import with_settings
+from dmotion_bench.registry import model_class, model_names
+from dmotion_bench.specs import Preset
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
@@ -30,6 +35,19 @@ def _commands(page: Path) -> list[str]:
 def _is_example(command: str) -> bool:
     """Whether it can be parsed: no ellipsis, no alternatives, no placeholder in capital letters for a subcommand."""
     return not re.search(r"\.\.\.|\[|\||<", command)
+
+
+@pytest.mark.parametrize(
+    "setting", sorted(set(re.findall(r"--set (\w+=[\w.]+)", (ROOT / "docs" / "baselines.md").read_text())))
+)
+def test_every_setting_of_the_baselines_page_is_one_of_their_models(setting: str) -> None:
+    understood = []
+    for name in model_names():
+        model = model_class(name)
+        with suppress(InvalidSetting):
+            with_settings([setting], model.configure("compact"), model.training_defaults(Preset.SMALL, "compact"))
+            understood.append(name)
+    assert understood
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -4,7 +4,7 @@
 
     index.html       the page
     schema.json      what an entry is
-    entries/         one JSON file an entry, measured and published
+    entries/         one JSON file an entry, measured and published; in references/ what they share
 
 The folder can be copied anywhere, put on any static host, or opened from the disk.
 """
@@ -27,7 +27,8 @@ from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from leaderboard.comparison import scored, sums_by_episode
 from leaderboard.control import actions_of
-from leaderboard.entry import FORMAT, REPORT_FIELDS, Entry, published_entry, read_entries, read_entry, schema_text
+from leaderboard.entry import FORMAT, REPORT_FIELDS, Entry, published_entry, schema_text
+from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
 from leaderboard.layout import ENTRIES, PAGE, SCHEMA
 from leaderboard.page import make_page
 from leaderboard.paper import label_count
@@ -88,8 +89,9 @@ def build(
     on_progress("", len(runs), len(runs))
     entries = list({entry.slug: entry for entry in found}.values())
     for entry in entries:
-        entry.write(out / ENTRIES)
+        write_entry(entry, out / ENTRIES)
     _remove_outdated(out / ENTRIES, entries)
+    remove_unused_references(out / ENTRIES)
     write_atomically(out / SCHEMA, schema_text().encode())
     write_atomically(out / PAGE, make_page(entries).encode())
     measured = sum(entry.is_measured for entry in entries)

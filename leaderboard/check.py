@@ -48,7 +48,8 @@ from leaderboard.build import entry_of_run
 from leaderboard.comparison import sums_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.control import check_control
-from leaderboard.entry import Entry, published_entry, read_entry
+from leaderboard.entry import Entry, published_entry
+from leaderboard.entry_file import read_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, identity, take_pictures
 from leaderboard.sources import against_run, find_dataset, find_run

@@ -5,8 +5,8 @@ leaves to other files: the errors by episode, so that two entries can be compare
 control, and a few pictures.
 A published entry is a row of somebody's table.
 
-Entries come from anybody. A file is read up to a limit, checked against the schema, and nothing in it is taken for a
-path or for markup; its pictures are decoded and encoded anew before they are shown (``pictures.py``).
+Entries come from anybody (``entry_file.py``): they are checked against the schema, and nothing in them is taken for a
+path or for markup; their pictures are decoded and encoded anew before they are shown (``pictures.py``).
 """
 
 from __future__ import annotations
@@ -15,24 +15,18 @@ import dataclasses
 import functools
 import hashlib
 import json
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import PublishedResult
 from dmotion_bench.scoring.report import FigureJson, Report
-from dmotion_bench.storage.atomic import write_atomically
 from leaderboard.json_schema import violations
 
 FORMAT: Final = "dmbench-entry/1"
-LARGEST: Final = 8 * 2**20
-"""Bytes of a file that are read."""
-
 REPORT_FIELDS: Final = tuple(field.name for field in dataclasses.fields(Report))
 SHOWN_VIOLATIONS: Final = 3
 
@@ -54,7 +48,7 @@ class Entry:
     """One result.
 
     Args:
-        content: As in the file; checked here.
+        content: As in the file, but for references, whose figures stand here where a file has their hash; checked here.
 
     Raises:
         EntryInvalid: It breaks the schema.
@@ -66,6 +60,8 @@ class Entry:
         found = violations(self.content, schema())
         if not found and self.is_measured:
             found = [one for name, sums in self.by_episode.items() for one in _sums_violations(name, sums)]
+            shared = (name for name, figures in self.content["reference"].items() if isinstance(figures, str))
+            found += [f"reference.{name} is a hash without its figures" for name in shared]
         if found:
             more = f" (and {len(found) - SHOWN_VIOLATIONS} more)" if len(found) > SHOWN_VIOLATIONS else ""
             raise EntryInvalid(f"it breaks the schema: {'; '.join(found[:SHOWN_VIOLATIONS])}{more}")
@@ -140,16 +136,6 @@ class Entry:
         identity += [self.content.get("dataset"), self.content.get("settings"), self.labels, self.model]
         return f"{plain}-{hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:8]}"
 
-    def to_json(self) -> str:
-        """As it stands in a file."""
-        return json.dumps(self.content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-    def write(self, folder: Path) -> Path:
-        """Write it under its own name, in one step."""
-        path = folder / f"{self.slug}.json"
-        write_atomically(path, self.to_json().encode())
-        return path
-
 
 def _sums_violations(name: str, sums: Mapping[str, Any]) -> Iterable[str]:
     episodes = sums["episode"]
@@ -157,63 +143,6 @@ def _sums_violations(name: str, sums: Mapping[str, Any]) -> Iterable[str]:
         yield f"by_episode.{name} has columns of different lengths"
     if sorted(set(episodes)) != episodes:
         yield f"by_episode.{name}.episode is not in order"
-
-
-def read_entry(path: Path) -> Entry:
-    """The entry of a file.
-
-    Raises:
-        EntryInvalid: There is none, or it is no entry; says why.
-    """
-    try:
-        content = json.loads(
-            _read(path), object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_whole, parse_float=_real
-        )
-        return Entry(content)
-    except (OSError, ValueError, RecursionError, EntryInvalid) as error:
-        said = error.strerror if isinstance(error, OSError) else error
-        raise EntryInvalid(
-            f"{str(path)!r} is no entry of the leaderboard: {said}. "
-            "Entries are written by 'dmbench leaderboard build'; what they hold is in leaderboard/schema.json."
-        ) from None
-
-
-def _read(path: Path) -> bytes:
-    with path.open("rb") as file:
-        raw = file.read(LARGEST + 1)
-    if len(raw) > LARGEST:
-        raise ValueError(f"it is larger than {LARGEST} bytes")
-    return raw
-
-
-def read_entries(folder: Path) -> list[Entry]:
-    """Every entry of a folder, in the order of the files' names.
-
-    Raises:
-        EntryInvalid: One cannot be read.
-    """
-    return [read_entry(path) for path in sorted(folder.glob("*.json"))]
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    content = dict(pairs)
-    if len(content) != len(pairs):
-        raise ValueError("it names something twice")
-    return content
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"it holds {text[:20]}, which is no number")
-
-
-def _whole(text: str) -> int:
-    """A whole number that floating point holds exactly."""
-    return int(text) if len(text) < 16 else _no_number(text)
-
-
-def _real(text: str) -> float:
-    value = float(text)
-    return value if math.isfinite(value) else _no_number(text)
 
 
 def published_entry(result: PublishedResult, count: int | None) -> Entry:

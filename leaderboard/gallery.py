@@ -71,11 +71,10 @@ def _told(row: Row) -> str:
 
 
 def _tile(name: str, small: str, where: str, png: str) -> Markup:
-    source = f"data:image/png;base64,{shown(png)}"
     told = f"{name}{f' ({small})' if small else ''}: {where}"
     return element(
         "li",
-        element("img", src=source, alt=told, width=112, height=112, loading="lazy"),
+        element("img", src=shown(png), alt=told, width=112, height=112, loading="lazy"),
         element("span", name),
         element("small", small) if small else None,
     )

@@ -1,4 +1,4 @@
-"""What a built leaderboard's folder holds: the page, the entries' schema, and the entries."""
+"""What a built leaderboard's folder holds: the page, the entries' schema, the entries and what they share."""
 
 from __future__ import annotations
 
@@ -7,3 +7,5 @@ from typing import Final
 PAGE: Final = "index.html"
 SCHEMA: Final = "schema.json"
 ENTRIES: Final = "entries"
+REFERENCES: Final = "references"
+"""In the entries' folder."""

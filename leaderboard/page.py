@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 from collections.abc import Sequence
 from importlib import resources
 from typing import Final
@@ -163,7 +164,7 @@ def _notes(board: Board) -> list[str]:
 
 
 def _footer(entries: Sequence[Entry]) -> Markup:
-    digest = hashlib.sha256("".join(sorted(entry.to_json() for entry in entries)).encode()).hexdigest()
+    digest = hashlib.sha256("".join(sorted(json.dumps(entry.content) for entry in entries)).encode()).hexdigest()
     return element(
         "footer",
         element(

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.errors import UsageError
-from leaderboard.layout import ENTRIES, PAGE, SCHEMA
+from leaderboard.layout import ENTRIES, PAGE, REFERENCES, SCHEMA
 
 LOOPBACK: Final = "127.0.0.1"
-_ENTRY: Final = re.compile(rf"/{ENTRIES}/([A-Za-z0-9_-]+\.json)")
+_ENTRY: Final = re.compile(rf"/{ENTRIES}/((?:{REFERENCES}/)?[A-Za-z0-9_-]+\.json)")
 _HTML, _JSON = "text/html; charset=utf-8", "application/json; charset=utf-8"
 
 

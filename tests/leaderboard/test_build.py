@@ -13,14 +13,15 @@ import pytest
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import build
-from leaderboard.entry import Entry, read_entries, schema_text
+from leaderboard.entry import Entry, schema_text
+from leaderboard.entry_file import read_entries, write_entry
 
 
 def test_runs_tables_and_others_entries_stand_on_one_page(
     workspace: Workspace, changed: Callable[..., Entry], tmp_path: Path
 ) -> None:
     theirs = changed(run="theirs-s0", model="theirs", weights="1" * 64)
-    given = theirs.write(tmp_path / "theirs")
+    given = write_entry(theirs, tmp_path / "theirs")
 
     built = build(workspace.all_runs(), [given], tmp_path / "out")
 
@@ -31,7 +32,7 @@ def test_runs_tables_and_others_entries_stand_on_one_page(
     assert (tmp_path / "out/schema.json").read_text() == schema_text()
     page = built.page.read_text()
     assert "theirs" in page
-    assert page.count("data:image/png") >= 4
+    assert page.count("data:image/webp") >= 4
 
 
 def test_runs_without_a_report_are_left_out_and_it_is_said(workspace: Workspace, tmp_path: Path) -> None:
@@ -98,8 +99,8 @@ def test_an_outdated_entry_of_a_run_is_taken_away_and_nothing_else(
 ) -> None:
     folder = tmp_path / "out/entries"
     (run, *_) = [path for path in workspace.all_runs() if path.name == "dmotion-grid_world-tiny-s0"]
-    outdated = changed(weights="2" * 64).write(folder)
-    of_another_run = changed(run="theirs-s0", weights="1" * 64).write(folder)
+    outdated = write_entry(changed(weights="2" * 64), folder)
+    of_another_run = write_entry(changed(run="theirs-s0", weights="1" * 64), folder)
     renamed = folder / "kept.json"
     renamed.write_bytes(outdated.read_bytes())
     (folder / "notes.json").write_text("mine")

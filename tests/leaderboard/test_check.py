@@ -21,6 +21,7 @@ from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry, check_paths
 from leaderboard.entry import Entry, published_entry
+from leaderboard.entry_file import write_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, to_png
 
@@ -285,7 +286,7 @@ def test_published_rows_are_held_against_the_table() -> None:
 
 def test_folders_files_and_runs_can_be_checked(workspace: Workspace, sound: Entry, tmp_path: Path) -> None:
     folder = tmp_path / "entries"
-    sound.write(folder)
+    write_entry(sound, folder)
     (folder / "broken.json").write_text("{")
 
     verdicts = check_paths([folder, Path(RUN)], workspace, quick=True)

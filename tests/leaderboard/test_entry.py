@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import Report
-from leaderboard.entry import Entry, published_entry, read_entries, read_entry, schema
+from leaderboard.entry import Entry, published_entry, schema
+from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
 from leaderboard.paper import label_count
 
 Changed = Callable[..., Entry]
@@ -41,9 +43,62 @@ def test_an_entry_is_its_report_and_reads_back(sound: Entry, scored_workspace: A
     stored = json.loads((scored_workspace.runs / sound.name / "report/report.json").read_text())
 
     assert dict(sound.report) == stored
-    assert read_entry(sound.write(tmp_path)) == sound
+    assert read_entry(write_entry(sound, tmp_path)) == sound
     assert read_entries(tmp_path) == [sound]
     assert (sound.environment, sound.labels, sound.label_count) == ("grid_world", "one-shot", 4)
+
+
+def test_what_entries_share_stands_once_beside_them(sound: Entry, changed: Changed, tmp_path: Path) -> None:
+    other = changed(run="other", weights="1" * 64)
+    figures = {name: dict(one) for name, one in sound.content["reference"]["copy_last"].items()}
+    figures["mse"]["mean"] += 1
+    elsewhere = changed(run="elsewhere", reference=sound.content["reference"] | {"copy_last": figures})
+
+    paths = {entry.name: write_entry(entry, tmp_path) for entry in (sound, other, elsewhere)}
+
+    stored = {name: json.loads(path.read_text())["reference"]["copy_last"] for name, path in paths.items()}
+    assert stored[sound.name] == stored["other"] != stored["elsewhere"]
+    jsonschema.validate(json.loads(paths["other"].read_text()), schema())
+    assert {entry.name: entry for entry in read_entries(tmp_path)} == {
+        entry.name: entry for entry in (sound, other, elsewhere)
+    }
+    paths["elsewhere"].unlink()
+    remove_unused_references(tmp_path)
+    assert {stored["other"]} <= {path.stem for path in (tmp_path / "references").iterdir()}
+    assert stored["elsewhere"] not in {path.stem for path in (tmp_path / "references").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda path: path.unlink(), "No such file"),
+        (lambda path: path.write_text(path.read_text().replace("1", "2", 1)), "something else than its name says"),
+        (lambda path: path.write_bytes(b"x" * 9_000_000), "larger than"),
+    ],
+)
+def test_a_shared_reference_that_is_not_as_it_was_is_refused(
+    sound: Entry, tmp_path: Path, spoil: Callable[[Path], object], said: str
+) -> None:
+    path = write_entry(sound, tmp_path)
+    shared = json.loads(path.read_text())["reference"]["copy_last"]
+
+    spoil(tmp_path / "references" / f"{shared}.json")
+
+    with pytest.raises(EntryInvalid, match=said):
+        read_entry(path)
+
+
+def test_a_hash_is_no_path_and_no_figures(sound: Entry, changed: Changed, tmp_path: Path) -> None:
+    path = write_entry(sound, tmp_path)
+    (tmp_path / "secret.json").write_text("{}")
+    content = json.loads(path.read_text())
+    content["reference"]["copy_last"] = "../secret"
+    path.write_text(json.dumps(content))
+
+    with pytest.raises(EntryInvalid, match=r"reference\.copy_last is '../secret'"):
+        read_entry(path)
+    with pytest.raises(EntryInvalid, match="a hash without its figures"):
+        changed(reference={"copy_last": "0" * 64})
 
 
 def test_the_paper_s_rows_are_entries() -> None:
@@ -112,7 +167,7 @@ def test_bytes_that_are_no_text_and_files_that_are_not_there(tmp_path: Path) -> 
 def test_a_name_is_no_path(changed: Changed, tmp_path: Path) -> None:
     entry = changed(run="../../<b>x</b>/..")
 
-    path = entry.write(tmp_path)
+    path = write_entry(entry, tmp_path)
 
     assert path.parent == tmp_path
     assert set(path.stem) <= set("abcdefghijklmnopqrstuvwxyz0123456789-_")

@@ -85,7 +85,7 @@ def test_nothing_is_fetched_and_every_link_leads_somewhere(entries: list[Entry])
         assert tag not in ("link", "iframe", "object", "embed", "base", "form")
         assert not any(name.startswith("on") or name == "style" for name in attributes)
         source, leads = attributes.get("src"), attributes.get("href")
-        assert source is None or source.startswith("data:image/png;base64,")
+        assert source is None or source.startswith("data:image/webp;base64,")
         assert leads is None or leads in files or leads.removeprefix("#") in names
         labelled = attributes.get("aria-labelledby")
         assert labelled is None or labelled in names

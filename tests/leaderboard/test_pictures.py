@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import io
 import struct
 import zlib
@@ -14,10 +15,11 @@ import pytest
 from PIL import Image, PngImagePlugin
 
 from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.learning.run import Run
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 from leaderboard.entry import Entry
-from leaderboard.pictures import choose_steps, from_png, shown, to_png
+from leaderboard.pictures import choose_steps, from_png, shown, take_pictures, to_png
 
 
 def test_every_model_is_shown_at_the_same_steps(scored_workspace: Workspace) -> None:
@@ -56,10 +58,19 @@ def test_what_travels_with_a_picture_is_left_behind() -> None:
     file.write(b"and what follows the end")
     given = base64.b64encode(file.getvalue()).decode()
 
-    clean = base64.b64decode(shown(given))
+    clean = base64.b64decode(shown(given).removeprefix("data:image/webp;base64,"), validate=True)
 
     assert b"script" not in clean
     assert b"follows" not in clean
+
+
+def test_a_page_shows_a_picture_as_it_is(sound: Entry) -> None:
+    given = sound.pictures[0]["predicted"]
+
+    source = shown(given)
+
+    webp = base64.b64decode(source.removeprefix("data:image/webp;base64,"), validate=True)
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(webp))), from_png(given))
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
@@ -97,11 +108,17 @@ def test_what_is_no_base64_is_refused() -> None:
 def test_a_model_of_no_pixels_has_no_pictures(
     scored_workspace: Workspace, monkeypatch: pytest.MonkeyPatch, sound: Any
 ) -> None:
-    from dmotion_bench.learning.run import Run
-    from leaderboard.pictures import take_pictures
-
     run = Run.open(scored_workspace.runs / sound.name)
     monkeypatch.setattr(type(run.model), "needs_pixels", False)
     samples = pq.read_table(run.path / "report/samples.parquet")
 
     assert take_pictures(run, Dataset.open(run.dataset_path), samples) == []
+
+
+def test_several_demonstrations_have_no_pictures_of_their_own(scored_workspace: Workspace, sound: Entry) -> None:
+    run = Run.open(scored_workspace.runs / sound.name)
+    samples, dataset = pq.read_table(run.path / "report/samples.parquet"), Dataset.open(run.dataset_path)
+
+    assert take_pictures(run, dataset, samples)
+    run.spec = dataclasses.replace(run.spec, labels="5-shot")
+    assert take_pictures(run, dataset, samples) == []

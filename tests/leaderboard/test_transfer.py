@@ -17,7 +17,8 @@ from dmotion_bench.workspace import Workspace
 from leaderboard.board import make_boards
 from leaderboard.build import build, entry_of_run
 from leaderboard.check import CheckSettings, check_entry, check_paths
-from leaderboard.entry import Entry, read_entries
+from leaderboard.entry import Entry
+from leaderboard.entry_file import read_entries
 from leaderboard.page import make_page
 
 from .conftest import SETTINGS, write_run

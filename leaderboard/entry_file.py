@@ -1,0 +1,150 @@
+"""Entries as files: read from anybody, and written so that many of them take little room.
+
+The figures of the references (copying the last frame, acting at random ...) are the same in every entry of a data set.
+So they stand once in ``references/`` beside the entries, in a file that is named by its SHA-256, and an entry holds
+that hash in their place.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.storage.atomic import write_atomically
+from leaderboard.entry import Entry
+from leaderboard.layout import REFERENCES
+
+LARGEST: Final = 8 * 2**20
+"""Bytes of a file that are read."""
+SHARED_FROM: Final = 1000
+"""Characters from which on a reference's figures have a file of their own."""
+_HASH: Final = re.compile(r"[0-9a-f]{64}")
+
+
+def write_entry(entry: Entry, folder: Path) -> Path:
+    """Write it under its own name, in one step, after the references that it shares with others."""
+    content = dict(entry.content)
+    if entry.is_measured:
+        content["reference"] = {name: _share(figures, folder) for name, figures in content["reference"].items()}
+    path = folder / f"{entry.slug}.json"
+    write_atomically(path, (to_lines(content) + "\n").encode())
+    return path
+
+
+def _share(figures: Mapping[str, Any], folder: Path) -> Mapping[str, Any] | str:
+    text = to_lines(figures) + "\n"
+    if len(text) < SHARED_FROM:
+        return figures
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    path = folder / REFERENCES / f"{digest}.json"
+    if not path.is_file() or path.read_bytes() != text.encode():
+        write_atomically(path, text.encode())
+    return digest
+
+
+def read_entry(path: Path) -> Entry:
+    """The entry of a file.
+
+    Raises:
+        EntryInvalid: There is none, or it is no entry, or references that it names are not beside it; says what.
+    """
+    try:
+        content = _parse(_read(path))
+        if isinstance(content, dict) and isinstance(content.get("reference"), dict):
+            found = functools.partial(_shared, path.parent / REFERENCES)
+            content["reference"] = {name: found(name, one) for name, one in content["reference"].items()}
+        return Entry(content)
+    except (OSError, ValueError, RecursionError, EntryInvalid) as error:
+        said = error.strerror if isinstance(error, OSError) else error
+        raise EntryInvalid(
+            f"{str(path)!r} is no entry of the leaderboard: {said}. "
+            "Entries are written by 'dmbench leaderboard build'; what they hold is in leaderboard/schema.json."
+        ) from None
+
+
+def read_entries(folder: Path) -> list[Entry]:
+    """Every entry of a folder, in the order of the files' names.
+
+    Raises:
+        EntryInvalid: One cannot be read.
+    """
+    return [read_entry(path) for path in sorted(folder.glob("*.json"))]
+
+
+def remove_unused_references(folder: Path) -> None:
+    """Take away the references that no file of a folder of entries names any more."""
+    used = {digest for path in folder.glob("*.json") for digest in _HASH.findall(path.read_text(errors="replace"))}
+    for path in (folder / REFERENCES).glob("*.json"):
+        if _HASH.fullmatch(path.stem) and path.stem not in used:
+            path.unlink()
+
+
+def _shared(folder: Path, name: str, value: object) -> object:
+    """The figures that a hash stands for; anything else as it is."""
+    if not isinstance(value, str) or not _HASH.fullmatch(value):
+        return value
+    path = folder / f"{value}.json"
+    try:
+        raw = _read(path)
+    except OSError as error:
+        raise ValueError(f"its reference {name!r} stands in {str(path)!r}: {error.strerror}") from None
+    if hashlib.sha256(raw).hexdigest() != value:
+        raise ValueError(
+            f"its reference {name!r} stands in {str(path)!r}, which holds something else than its name says"
+        )
+    return _parse(raw)
+
+
+def _read(path: Path) -> bytes:
+    with path.open("rb") as file:
+        raw = file.read(LARGEST + 1)
+    if len(raw) > LARGEST:
+        raise ValueError(f"it is larger than {LARGEST} bytes")
+    return raw
+
+
+def _parse(raw: bytes) -> Any:
+    return json.loads(raw, object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_whole, parse_float=_real)
+
+
+def to_lines(value: Any, indent: str = "") -> str:
+    """JSON with a line for whatever holds nothing nested, such as a figure: a fifth smaller than a line a number."""
+    if not isinstance(value, dict | list) or not any(isinstance(one, dict | list) for one in _values(value)):
+        return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    inner = indent + " "
+    if isinstance(value, list):
+        return "[\n" + ",\n".join(inner + to_lines(one, inner) for one in value) + f"\n{indent}]"
+    named = (f"{inner}{json.dumps(name, ensure_ascii=False)}: {to_lines(one, inner)}" for name, one in value.items())
+    return "{\n" + ",\n".join(named) + f"\n{indent}}}"
+
+
+def _values(value: dict[str, Any] | list[Any]) -> Iterable[Any]:
+    return value.values() if isinstance(value, dict) else value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        raise ValueError("it names something twice")
+    return content
+
+
+def _no_number(text: str) -> Any:
+    raise ValueError(f"it holds {text[:20]}, which is no number")
+
+
+def _whole(text: str) -> int:
+    """A whole number that floating point holds exactly."""
+    return int(text) if len(text) < 16 else _no_number(text)
+
+
+def _real(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _no_number(text)

@@ -48,13 +48,13 @@ class WorldModelConfig:
     Attributes:
         latent: Length of the code z; 32 in the original, for smaller frames of one road.
         hidden: Width of the transition's two hidden layers.
-        beta: Weight of the VAE's KL divergence against the squared error summed over the pixels of images in [0, 1],
-            as in the original; the deterministic autoencoder has none.
+        beta: Weight of the VAE's KL divergence against the squared error summed over the pixels of images in [0, 1]; 1
+            in the original, which blurs small objects (docs/baselines.md); the deterministic autoencoder has none.
     """
 
     latent: int = 256
     hidden: int = 512
-    beta: float = 1.0
+    beta: float = 0.05
 
     def __post_init__(self) -> None:
         if self.latent < 1 or self.hidden < 1 or self.beta < 0:

@@ -117,7 +117,11 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
 def _ahead(
     board: Board, styles: Styles, base: str, words: str, along: str, title: str, *, log: bool = False, every: int = 5
 ) -> Markup | None:
-    """A figure over the steps of a rollout or of a control task, one line a row."""
+    """A figure over the steps of a rollout or of a control task, one line a row.
+
+    Not a line for several demonstrations of each action where there is one for one: it would cover it. The numbers
+    have both.
+    """
     curves = {row.title + row.labels: (row, _steps(row, base)) for row in board.rows if row.model}
     curves = {name: (row, points) for name, (row, points) in curves.items() if len(points) > 1}
     if not curves:
@@ -135,6 +139,7 @@ def _ahead(
             marked=marked,
         )
         for row, points in curves.values()
+        if not _is_covered(row, board)
     ]
     still = [
         Series(
@@ -196,6 +201,14 @@ def _steps(row: Row, base: str) -> list[Point]:
     places = [(int(found[2]), name) for name in row.figures if (found := _AHEAD.fullmatch(name)) and found[1] == base]
     start = [Point(x=0.0, y=1.0)] if base == "control_distance" and places and min(places)[0] > 0 else []
     return start + [_point(float(step), row, name) for step, name in sorted(places)]
+
+
+def _is_covered(row: Row, board: Board) -> bool:
+    """Whether a row differs from another by more demonstrations than one and by nothing else."""
+    if row.labels == "one-shot" or not row.labels.endswith("-shot"):
+        return False
+    same = (row.kind, row.model, row.variant, "one-shot")
+    return any((one.kind, one.model, one.variant, one.labels) == same for one in board.rows)
 
 
 def _guides(board: Board, figure: str) -> list[Guide]:

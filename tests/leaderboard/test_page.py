@@ -191,3 +191,24 @@ def test_without_control_there_is_no_table_of_it(sound: Entry) -> None:
     page = make_page([sound])
     assert "<h3>Control</h3>" not in page
     assert page.count('<table class="standings">') == 1
+
+
+def test_several_demonstrations_are_a_point_over_labels_and_no_line_over_the_rollout(
+    sound: Entry, changed: Callable[..., Entry]
+) -> None:
+    several = {"asked": "5-shot", "given": {"demonstrations": 20}, "total": 20}
+    five = changed(labels=several, weights="1" * 64, run="five")
+
+    def charts(entries: list[Entry]) -> tuple[str, str]:
+        page = make_page(entries)
+        found = [
+            re.search(rf"<svg[^>]*aria-label=\"{kind}:.*?</svg>", page, re.DOTALL)
+            for kind in ("Label efficiency, MSE", "Error over the rollout")
+        ]
+        assert found[0] is not None and found[1] is not None
+        return found[0][0], found[1][0]
+
+    labels, rollout = charts([sound, five])
+    assert "5-shot" in labels
+    assert "one-shot" in rollout and "5-shot" not in rollout
+    assert "5-shot" in charts([five])[1]

@@ -205,10 +205,12 @@ def test_several_demonstrations_are_a_point_over_labels_and_no_line_over_the_rol
             re.search(rf"<svg[^>]*aria-label=\"{kind}:.*?</svg>", page, re.DOTALL)
             for kind in ("Label efficiency, MSE", "Error over the rollout")
         ]
-        assert found[0] is not None and found[1] is not None
+        assert found[0] is not None
+        assert found[1] is not None
         return found[0][0], found[1][0]
 
     labels, rollout = charts([sound, five])
     assert "5-shot" in labels
-    assert "one-shot" in rollout and "5-shot" not in rollout
+    assert "one-shot" in rollout
+    assert "5-shot" not in rollout
     assert "5-shot" in charts([five])[1]

@@ -30,22 +30,11 @@ def bench(
     if as_json:
         typer.echo(json.dumps({"results": [asdict(result) for result in results]}))
         return
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
+    from dmotion_bench.cli.tables import show_rows
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column, side in (
-        ("what", "left"),
-        ("speed", "right"),
-        ("unit", "left"),
-        ("of limit", "right"),
-        ("limit", "left"),
-    ):
-        table.add_column(column, justify="right" if side == "right" else "left")
+    rows = []
     for result in results:
         share = f"{100 * result.value / result.limit:.0f}%" if result.limit else ""
         bound = f"{result.limit:,.0f} ({result.limit_name})" if result.limit else ""
-        table.add_row(escape(result.name), f"{result.value:,.1f}", result.unit, share, bound)
-    Console().print(table)
+        rows.append((result.name, f"{result.value:,.1f}", result.unit, share, bound))
+    show_rows(("what", "speed", "unit", "of limit", "limit"), rows, right=frozenset({"speed", "of limit"}))

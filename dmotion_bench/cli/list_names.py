@@ -24,17 +24,9 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
     if not rows:
         typer.echo(nothing)
         return
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
+    from dmotion_bench.cli.tables import show_rows
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in rows[0]:
-        table.add_column(column)
-    for row in rows:
-        table.add_row(*(escape(str(value)) for value in row.values()))
-    Console().print(table)
+    show_rows(rows[0], ([str(value) for value in row.values()] for row in rows))
 
 
 @listing.command()

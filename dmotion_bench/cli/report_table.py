@@ -7,9 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
+from dmotion_bench.cli.tables import plain_table, stdout_console
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
@@ -46,9 +44,9 @@ OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_r
 
 def show_report(report: Report, run: Path) -> None:
     """One run in full, beside its references; ``run`` is its folder."""
-    console = _console()
+    console = stdout_console()
     beside = [name for name in BESIDE if name in report.reference]
-    table = Table(title=_headline(report), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = plain_table(_headline(report))
     table.add_column("figure", no_wrap=True)
     for heading in ("mean ± std", "95% interval", "n", *beside):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -66,7 +64,7 @@ def show_report(report: Report, run: Path) -> None:
 
 def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
     """What some references come to, a column each."""
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = plain_table(title)
     table.add_column("figure", no_wrap=True)
     for name in figures:
         table.add_column(name, justify="right", no_wrap=True)
@@ -76,21 +74,16 @@ def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) ->
         if _is_shown(figure) or figure == everything[-1]:
             cells = [(_mean_std(one[figure]), _interval(one[figure])) for one in figures.values() if figure in one]
             table.add_row(_words(figure), *(cell for pair in cells for cell in pair))
-    _console().print(table)
+    stdout_console().print(table)
 
 
 def show_overview(reports: Mapping[Path, Report]) -> None:
     """Many runs, a row each, by data set and then by MSE; what knows nothing of learning and the paper below."""
-    console = _console()
+    console = stdout_console()
     for boards in _boards(reports).values():
         paths = sorted(boards, key=lambda path: _mse(boards[path]))
         here = [boards[path] for path in paths]
-        table = Table(
-            title=f"{here[0].dataset['name']}, {here[0].settings['split']} episodes",
-            title_justify="left",
-            box=SIMPLE_HEAD,
-            pad_edge=False,
-        )
+        table = plain_table(f"{here[0].dataset['name']}, {here[0].settings['split']} episodes")
         table.add_column("run", overflow="fold")
         table.add_column("labels", justify="right")
         furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
@@ -158,13 +151,8 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
 
 def show_differences(differences: Sequence[Any], first: str, second: str, *, everything: bool = False) -> None:
     """Two runs' figures side by side, their paired difference, and who is better where its interval says so."""
-    console = _console()
-    table = Table(
-        title=f"{first} against {second}, on the same held-out frames",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
+    console = stdout_console()
+    table = plain_table(f"{first} against {second}, on the same held-out frames")
     table.add_column("figure", no_wrap=True)
     for heading in ("first", "second", "first - second", "95% interval"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -181,13 +169,6 @@ def show_differences(differences: Sequence[Any], first: str, second: str, *, eve
                 one.better or "cannot be told",
             )
     console.print(table)
-
-
-def _console() -> Console:
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:  # a file or a pipe has no edge to fold at
-        console.width = 200
-    return console
 
 
 def _headline(report: Report) -> str:

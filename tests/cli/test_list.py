@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from dmbench_command import dmbench
 
+from dmotion_bench.cli.tables import show_rows
 from recorders.planar_push.environment import FACTORS, PlanarPush
 
 
@@ -29,3 +31,27 @@ def test_the_table_names_them(capsys: pytest.CaptureFixture[str], monkeypatch: p
     assert "--vary" in table
     assert "friction, mass, colour, light, camera, distractors" in table
     assert "nothing" in next(line for line in table.splitlines() if "grid_world" in line)
+
+
+NAME = "runs/clasp-grid_world-small-epochs_0.3-kernel_27-20-shot-s0"
+
+
+def test_a_pipe_has_no_edge_to_cut_a_name_at(capsys: pytest.CaptureFixture[str]) -> None:
+    show_rows(("run", "paper"), [(NAME, "word " * 60 + "[end]")])
+
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if NAME in line]
+    assert line.rstrip().endswith("word [end]")
+
+
+def test_a_narrow_terminal_folds_a_name_and_keeps_all_of_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setenv("NO_COLOR", "1")
+
+    show_rows(("run", "labels"), [(NAME, "10%")])
+
+    printed = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert max(map(len, printed.splitlines())) <= 40
+    assert NAME in "".join(line.replace("10%", "").strip() for line in printed.splitlines()[3:])

@@ -153,8 +153,12 @@ def _board_key(entry: Entry) -> tuple[str, ...]:
 def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
     environment, dataset, fingerprint, split, protocol = _board_key(entries[0])
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
+    twins: dict[tuple[str, ...], int] = defaultdict(int)
     for entry in entries:
-        groups[_row_key(entry)].append(entry)
+        key = _row_key(entry)
+        one = (*key, str(entry.content["seed"]))
+        groups[*key, str(twins[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
+        twins[one] += 1
     measured = _told_apart([_measured_row(own) for own in groups.values()])
     rows = [*_ranked(measured), *map(_published_row, published), *_reference_rows(entries)]
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
@@ -199,9 +203,17 @@ def _told_apart(rows: list[Row]) -> list[Row]:
     counts: dict[tuple[str, ...], int] = defaultdict(int)
     for row in rows:
         counts[row.model, row.variant, row.labels] += 1
-    return [
+    apart = [
         replace(row, variant=_beyond(row)) if counts[row.model, row.variant, row.labels] > 1 else row for row in rows
     ]
+    names = [(row.model, row.variant, row.labels) for row in apart]
+    return [_by_weights(row) if names.count(name) > 1 else row for row, name in zip(apart, names, strict=True)]
+
+
+def _by_weights(row: Row) -> Row:
+    """A row that bears the beginning of its weights' hash."""
+    weights = f"weights {row.entries[0].content['weights'][:8]}"
+    return replace(row, variant=", ".join(part for part in (row.variant, weights) if part))
 
 
 def _beyond(row: Row) -> str:

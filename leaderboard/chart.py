@@ -25,6 +25,10 @@ LEFT, RIGHT, TOP, BOTTOM = 56, 14, 12, 46
 NAME_HEIGHT: Final = 13
 
 
+SMALLEST: Final = 1e-12
+"""What a logarithmic axis can show; errors below it are none."""
+
+
 @dataclass(frozen=True)
 class Style:
     """How a series looks.
@@ -130,7 +134,7 @@ def line_chart(title: str, x: Axis, y: Axis, series: Sequence[Series], guides: S
         guides: Horizontal lines to measure by.
     """
     series = [_drawable(one, x, y) for one in series]
-    guides = [guide for guide in guides if not (y.log and guide.y <= 0)]
+    guides = [guide for guide in guides if not (y.log and guide.y < SMALLEST)]
     across = _scale(x, [point.x for one in series for point in one.points], LEFT, WIDTH - RIGHT)
     heights = [value for one in series for point in one.points for value in (point.y, point.low, point.high)]
     heights += [guide.y for guide in guides]
@@ -172,13 +176,13 @@ def _drawable(one: Series, x: Axis, y: Axis) -> Series:
     points = [
         point
         for point in one.points
-        if math.isfinite(point.y) and not ((y.log and point.y <= 0) or (x.log and point.x <= 0))
+        if math.isfinite(point.y) and not ((y.log and point.y < SMALLEST) or (x.log and point.x < SMALLEST))
     ]
     return replace(one, points=points)
 
 
 def _scale(axis: Axis, values: Sequence[float], start: float, stop: float) -> _Scale:
-    usable = [value for value in [*values, *axis.ticks] if math.isfinite(value) and not (axis.log and value <= 0)]
+    usable = [value for value in [*values, *axis.ticks] if math.isfinite(value) and not (axis.log and value < SMALLEST)]
     low, high = (min(usable), max(usable)) if usable else (1.0, 10.0)
     if axis.log:
         room = max((high / low) ** 0.06, 1.15)

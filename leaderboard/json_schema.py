@@ -61,6 +61,9 @@ def _violations(value: Any, rule: Mapping[str, Any], root: Mapping[str, Any], pl
 
 
 def _of_text(value: str, rule: Mapping[str, Any], place: str) -> Iterator[str]:
+    if any("\ud800" <= letter <= "\udfff" for letter in value):
+        yield f"{place} is {ascii(value)[:60]}, which is no text"
+        return
     if not rule.get("minLength", 0) <= len(value) <= rule.get("maxLength", len(value)):
         yield f"{place} has {len(value)} characters; it can have {rule.get('minLength', 0)} to {rule['maxLength']}"
     elif "pattern" in rule and not re.fullmatch(rule["pattern"].removeprefix("^").removesuffix("$"), value):

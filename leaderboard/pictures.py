@@ -46,9 +46,11 @@ class Step:
 
 
 def choose_steps(samples: pa.Table) -> list[Step]:
-    """The steps that are shown, pushes first; none where no single step was scored."""
+    """The steps that are shown, pushes first; none where no single step was scored, or actions are not known."""
     rows = samples.filter(pc.and_(pc.equal(samples["predictor"], "model"), pc.equal(samples["metric"], "prediction")))
     episode, step, action = (column(rows, name) for name in ("episode", "step", "action"))
+    if not np.isfinite(action).all():
+        return []
     pushed = column(rows, "pushed").astype(bool)
     order = np.lexsort((step, episode))
     chosen: list[Step] = []

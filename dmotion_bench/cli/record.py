@@ -136,7 +136,10 @@ def _tell(recorded: Recorded, as_json: bool) -> None:
         typer.echo(f"  {recorded.made.frames} frames recorded at {recorded.made.frames_per_s:.0f} frames/s")
     else:
         typer.echo("  it was complete already; a larger --episodes extends it")
-    typer.echo(f"Look at it with 'dmbench view {recorded.dataset}', train on it with 'dmbench train dmotion'.")
+    typer.echo(
+        f"Look at it with 'dmbench view {recorded.dataset}', "
+        f"train on it with 'dmbench train dmotion --data {recorded.dataset}'."
+    )
 
 
 def _suffix(recipe: DatasetRecipe) -> str:

@@ -47,9 +47,9 @@ def show_report(report: Report, run: Path) -> None:
     console = stdout_console()
     beside = [name for name in BESIDE if name in report.reference]
     table = plain_table(_headline(report))
-    table.add_column("figure", no_wrap=True)
+    table.add_column("figure", overflow="fold")
     for heading in ("mean ± std", "95% interval", "n", *beside):
-        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column(heading, justify="right", overflow="fold")
     for name, figure in report.figures.items():
         if not _is_shown(name):
             continue
@@ -65,10 +65,10 @@ def show_report(report: Report, run: Path) -> None:
 def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
     """What some references come to, a column each."""
     table = plain_table(title)
-    table.add_column("figure", no_wrap=True)
+    table.add_column("figure", overflow="fold")
     for name in figures:
-        table.add_column(name, justify="right", no_wrap=True)
-        table.add_column("95% interval", justify="right", no_wrap=True)
+        table.add_column(name, justify="right", overflow="fold")
+        table.add_column("95% interval", justify="right", overflow="fold")
     everything = list(dict.fromkeys(figure for one in figures.values() for figure in one))
     for figure in everything:
         if _is_shown(figure) or figure == everything[-1]:
@@ -146,6 +146,8 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
         if difference is not None:
             between = _interval(difference.to_json())
             told[path] = f"a tie ({between})" if ties(difference) else f"+{_number(difference.mean)} ({between})"
+            if difference.low is None:  # all of one episode
+                told[path] = "cannot be told"
     return told
 
 
@@ -153,10 +155,10 @@ def show_differences(differences: Sequence[Any], first: str, second: str, *, eve
     """Two runs' figures side by side, their paired difference, and who is better where its interval says so."""
     console = stdout_console()
     table = plain_table(f"{first} against {second}, on the same held-out frames")
-    table.add_column("figure", no_wrap=True)
+    table.add_column("figure", overflow="fold")
     for heading in ("first", "second", "first - second", "95% interval"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("better", no_wrap=True)
+        table.add_column(heading, justify="right", overflow="fold")
+    table.add_column("better", overflow="fold")
     for one in differences:
         if everything or _is_shown(one.figure):
             estimate = one.difference.to_json()

@@ -194,3 +194,15 @@ def test_in_control_those_lead_that_cannot_be_told_from_the_best(result: Callabl
     leads = {row.name: row.leads for row in board.rows if row.kind == "measured"}
     assert leads["best"] == leads["close"] == {"control_distance[100]"}
     assert leads["far"] == leads["uncontrolled"] == set()  # .05 behind, of .2 between the tasks nothing is left
+
+
+def test_another_s_run_of_the_same_name_and_seed_is_a_row_of_its_own(
+    sound: Entry, changed: Callable[..., Entry]
+) -> None:
+    theirs = changed(weights="9" * 64)
+
+    (board,) = [board for board in make_boards([sound, theirs]) if board.dataset]
+
+    measured = [row for row in board.rows if row.kind == "measured"]
+    assert [row.seeds for row in measured] == [1, 1]
+    assert {row.variant for row in measured} == {f"weights {sound.content['weights'][:8]}", "weights 99999999"}

@@ -113,7 +113,14 @@ def test_labels_on_an_axis_do_not_touch() -> None:
 
 def test_what_a_logarithm_cannot_show_is_left_out_and_nothing_at_all_is_no_error() -> None:
     log = Axis(label="x", log=True)
-    points = [Point(x=0, y=1), Point(x=1, y=0), Point(x=2, y=float("nan")), Point(x=3, y=5), Point(x=4, y=6)]
+    points = [
+        Point(x=0, y=1),
+        Point(x=1, y=0),
+        Point(x=2, y=float("nan")),
+        Point(x=3, y=5),
+        Point(x=4, y=6),
+        Point(x=5, y=5e-324),
+    ]
 
     svg = _drawn(line_chart("t", log, log, [Series(name="s", points=points, style=Style(0))]))
 

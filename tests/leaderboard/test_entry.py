@@ -119,6 +119,8 @@ def test_the_paper_s_rows_are_entries() -> None:
         ({"weights": "../../etc/passwd"}, "weights"),
         ({"model": "a\x1b[31m"}, "model"),
         ({"model": ""}, "model has 0 characters"),
+        ({"model": "\ud800"}, "which is no text"),
+        ({"figures": {"mse": {"mean": 1e308, "std": 0, "low": 0, "high": 0, "n": 1}}}, "figures.mse.mean is 1e.308"),
         ({"run": "x" * 500}, "run has 500 characters"),
         ({"protocol": "dmbench-2"}, "protocol"),
         ({"extra": 1}, "'extra', which is not known"),

@@ -10,6 +10,7 @@ import zlib
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image, PngImagePlugin
@@ -122,3 +123,11 @@ def test_several_demonstrations_have_no_pictures_of_their_own(scored_workspace: 
     assert take_pictures(run, dataset, samples)
     run.spec = dataclasses.replace(run.spec, labels="5-shot")
     assert take_pictures(run, dataset, samples) == []
+
+
+def test_where_actions_are_not_known_no_step_is_shown(scored_workspace: Workspace) -> None:
+    samples = pq.read_table(scored_workspace.all_runs()[0] / "report/samples.parquet")
+    unknown = pa.nulls(len(samples), samples.schema.field("action").type)
+
+    assert choose_steps(samples)
+    assert choose_steps(samples.set_column(samples.schema.get_field_index("action"), "action", unknown)) == []

@@ -28,6 +28,7 @@ HIGHER_IS_BETTER: Final = frozenset(
 )
 NEITHER_IS_BETTER: Final = frozenset({"motion_swap_change"})
 Better = Literal["first", "second"]
+Standing = Literal["behind", "tie", "unknown"]
 CONTROL: Final = "control"
 _KEY: Final = ("episode", "step", "ahead")
 _TASK_KEY: Final = ("task", "ahead")
@@ -132,9 +133,11 @@ def behind(samples: pa.Table, best: pa.Table, figure: str = "mse") -> Estimate |
     return paired_difference(left, right, column(one, "episode"))
 
 
-def ties(difference: Estimate) -> bool:
-    """Whether its interval reaches zero, so that neither can be said to be better."""
-    return difference.low is None or difference.high is None or difference.low <= 0 <= difference.high
+def standing(difference: Estimate) -> Standing:
+    """Whether what differs so from the best is behind it or ties with it; unknown of samples of one episode alone."""
+    if difference.low is None or difference.high is None:
+        return "unknown"
+    return "tie" if difference.low <= 0 <= difference.high else "behind"
 
 
 def _single_steps(samples: pa.Table) -> pa.Table:

@@ -39,7 +39,7 @@ class Value:
         mean: Over seeds.
         low, high: The range over several seeds, or one seed's interval over episodes.
         std: Over samples, of a single seed or as published.
-        seeds: How many it is the mean of.
+        seeds: How many it is the mean of; fewer than the row has where not all were scored on it.
     """
 
     mean: float
@@ -229,11 +229,11 @@ def _beyond(row: Row) -> str:
 
 
 def _values(seeds: Sequence[Mapping[str, Any]]) -> dict[str, Value]:
-    """The figures that every seed has."""
+    """The figures, each over the seeds that have it: control is often scored for one seed alone."""
     found: dict[str, Value] = {}
-    for name in seeds[0]:
+    for name in dict.fromkeys(name for figures in seeds for name in figures):
         own = [figures[name] for figures in seeds if name in figures and figures[name]["mean"] is not None]
-        if len(own) != len(seeds):
+        if not own:
             continue
         means = [float(figure["mean"]) for figure in own]
         if len(own) == 1:
@@ -296,15 +296,18 @@ def _leading(rows: list[Row], figure: str) -> list[Row]:
     best = min((row for row in rows if figure in row.figures), key=lambda row: row.figures[figure].mean)
     marked = []
     for row in rows:
-        apart = None if row is best or figure not in row.figures else _difference(row, best, figure)
+        apart = None if row is best else _difference(row, best, figure)
         leads = row is best or (apart is not None and apart.low is not None and apart.low <= 0 <= (apart.high or 0))
         marked.append(replace(row, leads=row.leads | {figure}) if leads else row)
     return marked
 
 
 def _difference(row: Row, best: Row, figure: str) -> Estimate | None:
+    """Of the seeds that have the figure."""
+    if figure not in row.figures:
+        return None
     sums = [[entry.by_episode[figure] for entry in one.entries if figure in entry.by_episode] for one in (row, best)]
-    if any(len(own) != len(one.entries) for own, one in zip(sums, (row, best), strict=True)):
+    if any(len(own) != one.figures[figure].seeds for own, one in zip(sums, (row, best), strict=True)):
         return None
     return difference_by_episode(*sums)
 

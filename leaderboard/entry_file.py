@@ -7,7 +7,6 @@ that hash in their place.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 import math
@@ -58,8 +57,8 @@ def read_entry(path: Path) -> Entry:
     try:
         content = _parse(_read(path))
         if isinstance(content, dict) and isinstance(content.get("reference"), dict):
-            found = functools.partial(_shared, path.parent / REFERENCES)
-            content["reference"] = {name: found(name, one) for name, one in content["reference"].items()}
+            shared = path.parent / REFERENCES
+            content["reference"] = {name: _shared(shared, name, one) for name, one in content["reference"].items()}
         return Entry(content)
     except (OSError, ValueError, RecursionError, EntryInvalid) as error:
         said = error.strerror if isinstance(error, OSError) else error

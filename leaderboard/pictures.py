@@ -99,8 +99,12 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
 
 def to_png(frame: UInt8[np.ndarray, "h w 3"]) -> str:
     """A frame as PNG in base64, nothing lost."""
+    return _encoded(frame, "PNG", optimize=True)
+
+
+def _encoded(frame: UInt8[np.ndarray, "h w 3"], form: str, **options: object) -> str:
     file = io.BytesIO()
-    Image.fromarray(frame).save(file, "PNG", optimize=True)
+    Image.fromarray(frame).save(file, form, **options)
     return base64.b64encode(file.getvalue()).decode()
 
 
@@ -134,9 +138,7 @@ def shown(text: str) -> str:
 
     Lossless WebP, a fifth smaller than PNG (DECISIONS.md).
     """
-    file = io.BytesIO()
-    Image.fromarray(from_png(text)).save(file, "WEBP", lossless=True, quality=100, method=6)
-    return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
+    return f"data:image/webp;base64,{_encoded(from_png(text), 'WEBP', lossless=True, quality=100, method=6)}"
 
 
 def identity(picture: Mapping[str, Any]) -> tuple[int, int]:

@@ -132,6 +132,8 @@ def _value(row: Row, value: Value | None, *, strong: bool) -> Markup:
         between = interval(value.low, value.high)
     else:
         between = "" if value.std is None else f"\u00b1 {number(value.std)}"
+    if row.kind == "measured" and value.seeds < row.seeds:
+        between = ", ".join(part for part in (between, f"{value.seeds} of {row.seeds} seeds") if part)
     mean = element("b", number(value.mean)) if strong else number(value.mean)
     return element("td", mean, element("small", between) if between else None, data_value=repr(value.mean))
 

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dmotion_bench.cli.tables import plain_table, stdout_console
+from dmotion_bench.cli.tables import show_figures, stdout_console
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
+    from dmotion_bench.scoring.statistics import Estimate
 
 SHOWN_AHEAD = (1, 2, 5, 10, 15)
 """Steps of a rollout that stand in the table of one run; the report has all of them."""
@@ -44,18 +45,15 @@ OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_r
 
 def show_report(report: Report, run: Path) -> None:
     """One run in full, beside its references; ``run`` is its folder."""
-    console = stdout_console()
     beside = [name for name in BESIDE if name in report.reference]
-    table = plain_table(_headline(report))
-    table.add_column("figure", overflow="fold")
-    for heading in ("mean ± std", "95% interval", "n", *beside):
-        table.add_column(heading, justify="right", overflow="fold")
+    rows: list[tuple[str, ...]] = []
     for name, figure in report.figures.items():
         if not _is_shown(name):
             continue
         others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
-        table.add_row(_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others)
-    console.print(table)
+        rows.append((_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others))
+    show_figures(_headline(report), ("figure", "mean ± std", "95% interval", "n", *beside), rows)
+    console = stdout_console()
     for name in (*beside, "trained_on", "actions", "positions", "rollout", "split"):
         if name in report.remarks:
             console.print(f"  {name.replace('_', ' ')}: {report.remarks[name]}")
@@ -64,53 +62,48 @@ def show_report(report: Report, run: Path) -> None:
 
 def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
     """What some references come to, a column each."""
-    table = plain_table(title)
-    table.add_column("figure", overflow="fold")
-    for name in figures:
-        table.add_column(name, justify="right", overflow="fold")
-        table.add_column("95% interval", justify="right", overflow="fold")
+    headings = [heading for name in figures for heading in (name, "95% interval")]
     everything = list(dict.fromkeys(figure for one in figures.values() for figure in one))
+    rows: list[tuple[str, ...]] = []
     for figure in everything:
         if _is_shown(figure) or figure == everything[-1]:
-            cells = [(_mean_std(one[figure]), _interval(one[figure])) for one in figures.values() if figure in one]
-            table.add_row(_words(figure), *(cell for pair in cells for cell in pair))
-    stdout_console().print(table)
+            pairs = [
+                (_mean_std(one[figure]), _interval(one[figure])) if figure in one else ("", "")
+                for one in figures.values()
+            ]
+            rows.append((_words(figure), *(cell for pair in pairs for cell in pair)))
+    show_figures(title, ("figure", *headings), rows)
 
 
 def show_overview(reports: Mapping[Path, Report]) -> None:
     """Many runs, a row each, by data set and then by MSE; what knows nothing of learning and the paper below."""
-    console = stdout_console()
-    for boards in _boards(reports).values():
-        paths = sorted(boards, key=lambda path: _mse(boards[path]))
-        here = [boards[path] for path in paths]
-        table = plain_table(f"{here[0].dataset['name']}, {here[0].settings['split']} episodes")
-        table.add_column("run", overflow="fold")
-        table.add_column("labels", justify="right")
-        furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
-        shown = [
-            name
-            for name in (*OVERVIEW, furthest, "control_distance[100]")
-            if any(name in report.figures for report in here)
-        ]
-        shown = shown or ["mse_true_motion"]  # all there is where actions are not known
-        behind = _behind(paths, here)
-        for name in shown:
-            table.add_column(_words(name), justify="right")
-            if name == "mse" and behind:
-                table.add_column("MSE above the best, 95%", justify="right")
-        compared = bool(behind) and "mse" in shown
-        for path, report in zip(paths, here, strict=True):
-            labels = f"{report.labels['asked']} ({report.labels['total']})"
-            run = report.run if report.trained_on is None else f"{report.run} (trained on {report.trained_on})"
-            table.add_row(run, labels, *_row(report.figures, shown, behind.get(path, "") if compared else None))
-            if "paper" in report.reference:
-                paper = _row(report.reference["paper"], shown, "" if compared else None)
-                table.add_row(f"  {report.model} in the paper", "", *paper)
-        table.add_section()
-        for name in ("agent_moves", "copy_last"):
-            if name in here[0].reference:
-                table.add_row(name, "", *_row(here[0].reference[name], shown, "" if compared else None))
-        console.print(table)
+    for board in _boards(reports).values():
+        _show_board(board)
+
+
+def _show_board(reports: Mapping[Path, Report]) -> None:
+    paths = sorted(reports, key=lambda path: _mse(reports[path]))
+    here = [reports[path] for path in paths]
+    furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
+    columns = (*OVERVIEW, furthest, "control_distance[100]")
+    shown = [name for name in columns if any(name in report.figures for report in here)]
+    shown = shown or ["mse_true_motion"]  # all there is where actions are not known
+    behind = _behind(paths, here) if "mse" in shown else {}
+    headings = ["run", "labels"]
+    for name in shown:
+        headings += [_words(name)] + ["MSE above the best, 95%"] * (name == "mse" and bool(behind))
+    rows: list[tuple[str, ...]] = []
+    for path, report in zip(paths, here, strict=True):
+        labels = f"{report.labels['asked']} ({report.labels['total']})"
+        run = report.run if report.trained_on is None else f"{report.run} (trained on {report.trained_on})"
+        rows.append((run, labels, *_row(report.figures, shown, behind.get(path, "") if behind else None)))
+        if "paper" in report.reference:
+            paper = _row(report.reference["paper"], shown, "" if behind else None)
+            rows.append((f"  {report.model} in the paper", "", *paper))
+    known = [name for name in ("agent_moves", "copy_last") if name in here[0].reference]
+    rows += [(name, "", *_row(here[0].reference[name], shown, "" if behind else None)) for name in known]
+    title = f"{here[0].dataset['name']}, {here[0].settings['split']} episodes"
+    show_figures(title, headings, rows, below=len(known))
 
 
 def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, Report]]:
@@ -130,7 +123,7 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
 
 def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
     """How much higher each run's MSE is than the first's, on the same triplets; nothing where one has no samples."""
-    from dmotion_bench.pairing import behind, ties
+    from dmotion_bench.pairing import behind
     from dmotion_bench.scoring.report import read_report_samples
 
     samples = {
@@ -144,33 +137,33 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
     for path in paths[1:]:
         difference = behind(samples[path], samples[paths[0]]) if path in samples else None
         if difference is not None:
-            between = _interval(difference.to_json())
-            told[path] = f"a tie ({between})" if ties(difference) else f"+{_number(difference.mean)} ({between})"
-            if difference.low is None:  # all of one episode
-                told[path] = "cannot be told"
+            told[path] = _behind_words(difference)
     return told
+
+
+def _behind_words(difference: Estimate) -> str:
+    from dmotion_bench.pairing import standing
+
+    between = _interval(difference.to_json())
+    match standing(difference):
+        case "behind":
+            return f"+{_number(difference.mean)} ({between})"
+        case "tie":
+            return f"a tie ({between})"
+        case "unknown":
+            return "cannot be told"
 
 
 def show_differences(differences: Sequence[Any], first: str, second: str, *, everything: bool = False) -> None:
     """Two runs' figures side by side, their paired difference, and who is better where its interval says so."""
-    console = stdout_console()
-    table = plain_table(f"{first} against {second}, on the same held-out frames")
-    table.add_column("figure", overflow="fold")
-    for heading in ("first", "second", "first - second", "95% interval"):
-        table.add_column(heading, justify="right", overflow="fold")
-    table.add_column("better", overflow="fold")
+    rows: list[tuple[str, ...]] = []
     for one in differences:
         if everything or _is_shown(one.figure):
             estimate = one.difference.to_json()
-            table.add_row(
-                _words(one.figure),
-                _number(one.first),
-                _number(one.second),
-                _number(estimate["mean"]),
-                _interval(estimate),
-                one.better or "cannot be told",
-            )
-    console.print(table)
+            values = (_number(one.first), _number(one.second), _number(estimate["mean"]), _interval(estimate))
+            rows.append((_words(one.figure), *values, one.better or "cannot be told"))
+    headings = ("figure", "first", "second", "first - second", "95% interval", "better")
+    show_figures(f"{first} against {second}, on the same held-out frames", headings, rows)
 
 
 def _headline(report: Report) -> str:

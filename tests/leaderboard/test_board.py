@@ -11,6 +11,7 @@ import pytest
 
 from leaderboard.board import Board, Row, make_boards
 from leaderboard.entry import Entry
+from leaderboard.standings import control_standings
 
 Changed = Callable[..., Entry]
 EPISODES = list(range(40))
@@ -64,6 +65,36 @@ def test_seeds_are_one_row_with_their_range(result: Callable[..., Entry]) -> Non
 
     assert (row.seeds, [entry.content["seed"] for entry in row.entries]) == (3, [0, 1, 2])
     assert (value.mean, value.low, value.high) == pytest.approx((3.0, 2.0, 4.0))
+
+
+def test_what_one_seed_alone_was_scored_on_stays_in_the_row(result: Callable[..., Entry]) -> None:
+    def controlled(entry: Entry, distance: float) -> Entry:
+        figures = entry.content["figures"] | {
+            "control_distance[100]": {
+                "mean": distance,
+                "std": 0.1,
+                "low": distance - 0.1,
+                "high": distance + 0.1,
+                "n": 20,
+            }
+        }
+        tasks = {"episode": EPISODES, "n": [1] * len(EPISODES), "sum": [distance] * len(EPISODES)}
+        by_episode = entry.content["by_episode"] | {"control_distance[100]": tasks}
+        return Entry(dict(entry.content) | {"figures": figures, "by_episode": by_episode})
+
+    errors = np.linspace(1, 3, 40)
+    two = [controlled(result("two", errors), 0.5), result("two", 2 * errors, seed=1)]
+    other = controlled(result("other", errors * 3), 0.4)
+
+    (board,) = make_boards([*two, other])
+    row = _row(board, "two")
+    value = row.figures["control_distance[100]"]
+
+    assert (row.seeds, row.figures["mse"].seeds, value.seeds) == (2, 2, 1)
+    assert (value.mean, value.low, value.high) == pytest.approx((0.5, 0.4, 0.6))
+    assert "control_distance[100]" in _row(board, "other").leads
+    assert "control_distance[100]" not in row.leads
+    assert "1 of 2 seeds" in (control_standings(board, "b") or "")
 
 
 def test_a_row_is_bold_only_where_it_cannot_be_told_from_the_best(result: Callable[..., Entry]) -> None:
@@ -156,15 +187,6 @@ def test_what_a_run_s_name_says_beyond_model_data_and_budget(
     (board,) = make_boards(entries)
 
     assert {row.variant for row in board.rows if row.kind == "measured"} == {variant, "another"}
-
-
-def test_a_figure_that_one_seed_lacks_is_nobody_s_mean(result: Callable[..., Entry]) -> None:
-    full = result("a", np.ones(40))
-    entries = [full, result("a", np.ones(40), seed=1, figures={"mse": full.figures["mse"]})]
-
-    (board,) = make_boards(entries)
-
-    assert set(_row(board, "a").figures) == {"mse"}
 
 
 def test_in_control_those_lead_that_cannot_be_told_from_the_best(result: Callable[..., Entry]) -> None:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
 from dmotion_bench.cli.report_table import show_overview
 from dmotion_bench.errors import RunMismatch, RunMissing
-from dmotion_bench.pairing import _differences, behind, better, compare_runs, scored, ties
-from dmotion_bench.scoring.report import read_report
+from dmotion_bench.pairing import _differences, behind, better, compare_runs, scored, standing
+from dmotion_bench.scoring.report import Report, read_report, read_report_samples
 from dmotion_bench.scoring.statistics import paired_difference
 from dmotion_bench.workspace import Workspace
 from leaderboard.comparison import difference_by_episode, sums_by_episode
@@ -139,10 +143,11 @@ def test_behind_the_best_is_the_paired_difference_of_the_error(scored_workspace:
     )
 
     assert behind(other, best) == expected.difference
-    assert not ties(expected.difference)
+    assert standing(expected.difference) == "behind"
     itself = behind(best, best)
     assert itself is not None
-    assert ties(itself)
+    assert standing(itself) == "tie"
+    assert standing(replace(itself, low=None, high=None)) == "unknown"
     assert behind(other.slice(0, 0), best) is None
 
 
@@ -158,6 +163,40 @@ def test_the_table_of_many_runs_says_how_far_each_is_behind(
 
     assert " best " in lines[S1]
     assert f" +{differences['mse'].mean:.0f} ({differences['mse'].low:.0f} to " in lines[CSWM]
+
+
+def test_what_was_scored_on_one_episode_alone_is_not_called_a_tie(
+    scored_workspace: Workspace, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def first_episode(folder: Path, report: Report) -> pa.Table:
+        samples = read_report_samples(folder, report)
+        assert samples is not None
+        return samples.filter(pc.equal(samples["episode"], pc.min(samples["episode"])))
+
+    monkeypatch.setattr("dmotion_bench.scoring.report.read_report_samples", first_episode)
+    paths = [scored_workspace.runs / name for name in (CSWM, S1)]
+    show_overview({path: report for path in paths if (report := read_report(path / "report"))})
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
+
+    assert " cannot be told " in lines[CSWM]
+
+
+def test_on_a_narrow_terminal_the_names_of_the_runs_stay_whole(
+    scored_workspace: Workspace, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("NO_COLOR", "1")
+    report = read_report(scored_workspace.runs / S1 / "report")
+    assert report is not None
+
+    show_overview({scored_workspace.runs / S1: report})
+
+    printed = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert max(map(len, printed.splitlines())) <= 80
+    figures = {line.split()[0] for line in printed.splitlines() if re.search(r"\d ± \d", line)}
+    assert figures == {S1, "agent_moves", "copy_last", "dmotion"}
+    assert printed.count("miss rate") == 1  # in a part further down
 
 
 def test_a_run_whose_samples_are_gone_is_not_compared(workspace: Workspace, capsys: pytest.CaptureFixture[str]) -> None:

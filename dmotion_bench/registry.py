@@ -27,11 +27,17 @@ def _load(group: str, kind: str, name: str) -> Any:
     found: list[EntryPoint] = [point for point in entry_points(group=group) if point.name == name]
     if not found:
         raise UnknownName(kind, name, names(group), f"dmbench list {kind}s")
+    if len({point.value for point in found}) > 1:
+        owners = sorted(f"{point.dist.name if point.dist else 'a package'} ({point.value})" for point in found)
+        raise DmbenchError(f"the {kind} {name!r} is registered by {' and by '.join(owners)}; rename or uninstall one.")
     try:
         return found[0].load()
-    except (ImportError, AttributeError) as error:
+    except DmbenchError:
+        raise
+    except Exception as error:  # somebody else's module may raise anything
         raise DmbenchError(
-            f"the {kind} {name!r} is registered as {found[0].value!r}, which cannot be imported: {error}."
+            f"the {kind} {name!r} is registered as {found[0].value!r}, which cannot be imported "
+            f"({type(error).__name__}): {error}."
         ) from error
 
 

@@ -17,6 +17,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 Scalar = str | int | float | bool
 SplitName = Literal["train", "validation", "test"]
 
+IMPORTED = "imported"
+"""What stands in the place of an environment's name where recordings come from somewhere else."""
+
 MASK_BACKGROUND = 0
 MASK_AGENT = 1
 MASK_FIRST_OBJECT = 2  # object k of EnvSpec.objects has the mask value 2 + k
@@ -140,7 +143,7 @@ class DatasetRecipe:
     """All that decides the bytes of a data set; the same recipe makes the same bytes.
 
     Attributes:
-        environment: Registry name; ``"imported"`` for foreign recordings.
+        environment: Registry name; ``IMPORTED`` for foreign recordings.
         parameters: Keyword arguments of the environment's constructor.
         policy: Name of the recording policy.
         seed: Episode i is seeded by ``episode_seed(seed, i)``.

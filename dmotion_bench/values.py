@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import types
 import typing
 from typing import Any, Union
@@ -33,8 +34,11 @@ def parse_value(key: str, text: str, wanted: Any) -> Any:
         return text.lower() == "true"
     if wanted in (int, float):
         try:
-            return wanted(text)
+            value = wanted(text)
         except ValueError:
             kind = "a whole number" if wanted is int else "a number"
             raise InvalidSetting(f"{key} is {text!r}; it must be {kind}.") from None
+        if not math.isfinite(value):
+            raise InvalidSetting(f"{key} is {text!r}; it must be finite.")
+        return value
     return text

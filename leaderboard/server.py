@@ -81,7 +81,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
             return None
         file, kind = found
-        if not file.is_file():
+        if not file.is_file() or not file.resolve().is_relative_to(self.server.folder.resolve()):
             self.send_error(HTTPStatus.NOT_FOUND)
             return None
         self.send_response(HTTPStatus.OK)

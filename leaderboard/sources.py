@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from dmotion_bench.storage.shard import LABELS, VIDEO, file_facts, shard_path
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.workspace import Workspace
 from leaderboard.verdict import Findings
+
+ELSEWHERE: Final = "if it is in another workspace, go there or name it with DMBENCH_WORKSPACE"
 
 
 def find_run(check: Findings, workspace: Workspace) -> Run | None:
@@ -32,7 +35,7 @@ def find_run(check: Findings, workspace: Workspace) -> Run | None:
         elif run.name == check.entry.name and run.result is not None:
             check.remarks.append(f"the run {str(path)!r} has other weights: {run.result['weights'][:12]}")
     if not found:
-        check.wrong.append(f"weights: no run in {str(workspace.runs)!r} has the hash {wanted[:12]}")
+        check.wrong.append(f"weights: no run in {str(workspace.runs)!r} has the hash {wanted[:12]}; {ELSEWHERE}")
         return None
     return next((run for run in found if run.name == check.entry.name), found[0])
 
@@ -48,7 +51,9 @@ def find_dataset(check: Findings, workspace: Workspace) -> Dataset | None:
         if dataset.fingerprint == said["fingerprint"]:
             found.append(dataset)
     if not found:
-        check.wrong.append(f"data set: none in {str(workspace.data)!r} has the fingerprint {said['fingerprint'][:12]}")
+        check.wrong.append(
+            f"data set: none in {str(workspace.data)!r} has the fingerprint {said['fingerprint'][:12]}; {ELSEWHERE}"
+        )
         return None
     chosen = next((dataset for dataset in found if dataset.name == said["name"]), found[0])
     check.wrong += [f"data set: {chosen.name}/{damage}" for damage in _damages(chosen)]

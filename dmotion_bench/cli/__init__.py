@@ -4,6 +4,15 @@ Every command lives in a file of its own; what it needs beyond the core's light 
 runs, so that ``dmbench --help`` loads no torch.
 """
 
-from dmotion_bench.cli.app import app, main
+import sys
 
-__all__ = ["app", "main"]
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Entry point of the ``dmbench`` script; also what interrupts its loading ends it without a traceback."""
+    try:
+        from dmotion_bench.cli.app import main as run
+    except KeyboardInterrupt:
+        sys.exit(130)
+    run()

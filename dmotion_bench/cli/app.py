@@ -43,6 +43,9 @@ COMMANDS = (
 """Modules of this package, in the order of ``dmbench --help``; each has ``register(app)``."""
 
 
+IN_THE_WAY = (errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL)
+"""Error numbers of a path that cannot be what it should be."""
+
 INTERRUPTED = "interrupted; run the same command again to go on where it stopped."
 
 
@@ -69,15 +72,20 @@ def register_commands() -> None:
         importlib.import_module(f"dmotion_bench.cli.{name}").register(app)
 
 
+def _short(path: object) -> str:
+    text = str(path)
+    return text if len(text) <= 100 else f"{text[:60]}...{text[-20:]}"
+
+
 def _fail(sentence: str, code: int) -> NoReturn:
     print(f"dmbench: {sentence}", file=sys.stderr)  # noqa: T201 (the command line's own voice)
     raise SystemExit(code)
 
 
 def main() -> None:
-    """Entry point of the ``dmbench`` script."""
-    register_commands()
+    """Run the command that was typed; say in a sentence what is wrong."""
     try:
+        register_commands()
         app(prog_name="dmbench", standalone_mode=True)
     except UsageError as error:
         _fail(str(error), 2)
@@ -101,6 +109,8 @@ def main() -> None:
             )
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
             _fail(f"may not write or read {error.filename!r}: {error.strerror}.", 1)
+        if error.errno in IN_THE_WAY and error.filename is not None:
+            _fail(f"cannot write or read {_short(error.filename)!r}: {error.strerror}; name another path.", 1)
         raise
     except KeyboardInterrupt:
         _fail(INTERRUPTED, 130)

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 
 
+MODELS_TAKE = 16
+
+
 def register(data: typer.Typer) -> None:
     """Add the command to the group ``data``."""
     data.command("import")(data_import)
@@ -117,6 +120,10 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
         f"{options.hz:g} Hz, from {report.source_frames} pictures of {report.source_width}x{report.source_height} at "
         f"{report.source_hz:.1f} Hz",
     ]
+    if options.size % MODELS_TAKE:
+        lines.append(
+            f"  the models here take frames whose side is a multiple of {MODELS_TAKE}; import with another '--size'"
+        )
     if report.repeated:
         lines.append(
             f"  {report.repeated} frames repeat the one before, as no newer picture had come; "

@@ -53,24 +53,29 @@ def environments(as_json: AsJson = False) -> None:
 @listing.command()
 def models(as_json: AsJson = False) -> None:
     """The models that can be trained."""
-    from dmotion_bench.learning.model import ModelInputs
-    from dmotion_bench.registry import model_class, model_names
+    from dmotion_bench.registry import model_names
 
     rows: list[dict[str, object]] = []
     for name in model_names():
-        kind = model_class(name)
-        built = kind(kind.configure(kind.architectures[0]), ModelInputs(height=128, width=128, actions=4))
-        millions = sum(parameter.numel() for parameter in built.parameters()) / 1e6
+        try:
+            values = _model(name)
+        except Exception as error:  # somebody else's model; the others are to be listed
+            values = ("?", "?", "?", f"cannot be used: {error}")
         rows.append(
-            {
-                "model": name,
-                "learns from": "video" if kind.supervision.value == "none" else "video and actions",
-                "parameters": f"{millions:.2f} M",
-                "architectures": ", ".join(kind.architectures),
-                "paper": kind.paper,
-            }
+            dict(zip(("model", "learns from", "parameters", "architectures", "paper"), (name, *values), strict=True))
         )
     _show("models", rows, as_json, "none is installed.")
+
+
+def _model(name: str) -> tuple[str, ...]:
+    from dmotion_bench.learning.model import ModelInputs
+    from dmotion_bench.registry import model_class
+
+    kind = model_class(name)
+    built = kind(kind.configure(kind.architectures[0]), ModelInputs(height=128, width=128, actions=4))
+    learns_from = "video" if kind.supervision.value == "none" else "video and actions"
+    millions = sum(parameter.numel() for parameter in built.parameters()) / 1e6
+    return learns_from, f"{millions:.2f} M", ", ".join(kind.architectures), kind.paper
 
 
 @listing.command()

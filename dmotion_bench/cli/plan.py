@@ -61,6 +61,7 @@ def plan(
         require_display()  # said before the work, not after it
 
     from dmotion_bench.planning.problems import load_problems
+    from dmotion_bench.specs import IMPORTED
     from dmotion_bench.storage.dataset import Dataset
 
     workspace = Workspace.current()
@@ -71,8 +72,11 @@ def plan(
         from dmotion_bench.learning.run import Run
 
         opened = Run.open(workspace.run(run))
+        opened.require_aligned()
         dataset, who = Dataset.open(opened.dataset_path if data is None else workspace.dataset(data)), opened.name
         model = opened.model
+    if dataset.recipe.environment == IMPORTED:
+        raise UsageError(f"{dataset.name!r} was imported, so there is no environment to plan and act in.")
     problem = load_problems(dataset, [task])[0]
     result = _solve(who, model, dataset, problem, chosen, cost, steps, seed, save, window=window, web=web)
     summary = _summary(who, dataset, result, name)

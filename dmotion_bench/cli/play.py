@@ -47,6 +47,7 @@ def play(
     from dmotion_bench.storage.dataset import Dataset
 
     opened = Run.open(path)
+    opened.require_aligned()
     dataset = Dataset.open(opened.dataset_path)
     if not dataset.spec.actions:
         raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
@@ -112,8 +113,9 @@ def _simulator(dataset: Dataset, episode: int) -> Callable[[int | None], np.ndar
     """What an action truly does, None starts over; None where the environment is not installed."""
     from dmotion_bench.errors import DmbenchError
     from dmotion_bench.planning.problems import task_environment
+    from dmotion_bench.specs import IMPORTED
 
-    if dataset.recipe.environment == "imported":
+    if dataset.recipe.environment == IMPORTED:
         return None
     try:
         env = task_environment(dataset.recipe)

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from dmotion_bench.viewing.follow import Follower
 
 
+LARGEST_SEED = 2**53 - 1
+"""Whatever reads JSON reads it exactly."""
+
+
 def preset_named(name: str) -> Preset:
     """The preset of a name, or an error that names the one that was probably meant."""
     if name not in set(Preset):
@@ -40,9 +44,9 @@ def record(
     episodes: Annotated[
         int | None, typer.Option(min=1, help="Episodes in all; more than there are extends the data set.")
     ] = None,
-    frames: Annotated[int | None, typer.Option(min=2, help="At most so many frames an episode.")] = None,
+    frames: Annotated[int | None, typer.Option(min=3, help="At most so many frames an episode.")] = None,
     tasks: Annotated[int | None, typer.Option(min=0, help="Control tasks to store.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Decides every episode.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Decides every episode.")] = 0,
     vary: Annotated[
         str,
         typer.Option(

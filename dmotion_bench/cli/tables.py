@@ -13,7 +13,7 @@ from rich.table import Table
 ENDLESS = 10_000
 """Columns of what has no edge."""
 HEADING = 16
-"""Columns from which on a figure's heading takes several lines."""
+"""Columns from which on a figure's heading takes several lines on a terminal."""
 
 
 def stdout_console() -> Console:
@@ -58,8 +58,9 @@ def _figures(
     """A table of some of the columns, after the first, which folds where it would take more than half the room."""
     table = _table()
     table.add_column(headings[0], overflow="fold", max_width=console.width // 2)
+    widest = min(HEADING if console.is_terminal else ENDLESS, console.width)
     for column in columns:
-        table.add_column("\n".join(textwrap.wrap(headings[column], HEADING)), justify="right", no_wrap=True)
+        table.add_column("\n".join(textwrap.wrap(headings[column], widest)), justify="right", no_wrap=True)
     for place, row in enumerate(rows):
         if below and place == len(rows) - below:
             table.add_section()

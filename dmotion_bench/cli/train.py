@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from dmotion_bench.cli.live import Live, LiveTo, following
-from dmotion_bench.cli.record import preset_named
+from dmotion_bench.cli.record import LARGEST_SEED, preset_named
 from dmotion_bench.specs import Preset
 
 if TYPE_CHECKING:
@@ -40,7 +40,9 @@ def train(
         ),
     ] = None,
     arch: Annotated[str | None, typer.Option(help="The model's architecture: compact or paper.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the weights, the batches and the demonstrations.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Of the weights, the batches and the demonstrations.")
+    ] = 0,
     split: Annotated[
         str, typer.Option(help="episode, or paper: the paper's shuffled triplets, which leak into the test.")
     ] = "episode",
@@ -122,7 +124,10 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
     known = f" of {_transitions(dataset)} transitions in the data set" if dataset.spec.actions else ", there are none"
     typer.echo(f"  labels used: {result['labels_total']}{known}")
-    typer.echo(f"Score it with 'dmbench score {run.path}'.")
+    if run.spec.labels == "none" and dataset.spec.actions:
+        typer.echo("Its actions have no names yet; '--labels one-shot' takes this training over and names them.")
+    else:
+        typer.echo(f"Score it with 'dmbench score {run.path}'.")
 
 
 def _train_all(
@@ -162,15 +167,22 @@ def _train_all(
 def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], None] = lambda: None) -> dict[str, Any]:
     """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step."""
     from dmotion_bench.cli.progress import note, progress_bar
+    from dmotion_bench.errors import RunError
     from dmotion_bench.learning.devices import launch
     from dmotion_bench.learning.start import training_data
     from dmotion_bench.learning.training import Report, train
     from dmotion_bench.learning.twins import take_over
 
     if run.result is not None:
-        note(f"{run.path} is already trained; here is its result.")
-        finished: dict[str, Any] = run.result
-        return finished
+        try:
+            _ = run.model  # its weights can be read, and are those of the result
+        except RunError as error:
+            note(f"{error}\ntraining {run.path} anew.")
+            run.begin_anew()
+        else:
+            note(f"{run.path} is already trained; here is its result.")
+            finished: dict[str, Any] = run.result
+            return finished
     if (twin := take_over(run)) is not None:
         note(f"taking over the training of {twin.path}, which differs in its labels alone.")
     elif run.last.exists():

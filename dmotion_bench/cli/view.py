@@ -64,6 +64,8 @@ def view(
     if len(targets) > 1 and (odd := next((one for one in targets if one.kind not in ("run", "report")), None)):
         raise UsageError(f"only runs can be seen side by side, and {str(odd.path)!r} is a {odd.kind}; name it alone.")
     target = targets[0]
+    if target.kind == "recording" and save is not None:
+        raise UsageError(f"{str(target.path)!r} is for Rerun already; copy it, or leave --save away to look at it.")
     if data is not None and (live or len(targets) > 1 or target.kind not in ("run", "report")):
         raise UsageError("--data shows one run on another data set; name that run alone.")
     other = None if data is None else workspace.dataset(data)

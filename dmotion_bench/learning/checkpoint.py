@@ -44,7 +44,8 @@ def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise RunMissing(f"no checkpoint {str(path)!r}; the run has not been trained yet.") from None
     except (safetensors.SafetensorError, json.JSONDecodeError, OSError) as error:
         raise RunCorrupt(
-            f"the checkpoint {str(path)!r} cannot be read ({error}); delete it and train again from the last whole one."
+            f"the checkpoint {str(path)!r} cannot be read ({error}); delete it, and the 'dmbench train' command that "
+            "wrote it begins anew."
         ) from error
 
 

@@ -9,6 +9,7 @@ Images are ``Float[b c h w]`` in [-1, 1]. Axis letters: ``b`` batch, ``t`` time,
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -143,9 +144,13 @@ class TrainingConfig:
             ("epochs", self.epochs),
             ("batch_size", self.batch_size),
             ("learning_rate", self.learning_rate),
+            ("validations", self.validations),
         ):
-            if not number > 0:
+            if not 0 < number < math.inf:
                 raise InvalidSetting(f"{name} is {number}; it must be above zero.")
+        for name, number in (("weight_decay", self.weight_decay), ("clip_norm", self.clip_norm)):
+            if not 0 <= number < math.inf:
+                raise InvalidSetting(f"{name} is {number}; it cannot be below zero.")
         for name, share in (("hard_share", self.hard_share), ("ema", self.ema)):
             if not 0 <= share < 1:
                 raise InvalidSetting(f"{name} is {share}; it must be in [0, 1).")

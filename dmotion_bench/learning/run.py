@@ -23,7 +23,7 @@ from typing import Any
 
 import torch
 
-from dmotion_bench.errors import RunCorrupt, RunMismatch, RunMissing
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig
 from dmotion_bench.learning.settings import from_json
@@ -112,7 +112,15 @@ class Run:
         found = manifest.get("format") if isinstance(manifest, dict) else None
         if found != RUN_FORMAT:
             raise RunCorrupt(f"{str(path)!r} is of the format {found!r}; this dmbench reads {RUN_FORMAT!r}.")
-        return cls(path, manifest)
+        try:
+            run = cls(path, manifest)
+        except (InvalidSetting, KeyError, TypeError) as error:
+            raise RunCorrupt(f"{str(path / RUN_MANIFEST)!r} cannot be read: {error}.") from None
+        if not isinstance(run.result, dict | None) or not isinstance(manifest.get("dataset_path"), str):
+            raise RunCorrupt(
+                f"{str(path / RUN_MANIFEST)!r} cannot be read: its result or its data set is no such thing."
+            )
+        return run
 
     @classmethod
     def create_or_open(cls, path: Path, spec: RunSpec, *, dataset_path: Path, versions: Mapping[str, str]) -> Run:
@@ -182,6 +190,25 @@ class Run:
     def metrics(self) -> Path:
         """The training's curves, a JSON object a line."""
         return self.path / "metrics.jsonl"
+
+    def require_aligned(self) -> None:
+        """Refuse a model that was never told which of its latent actions is which action.
+
+        Raises:
+            LabelsNotAvailable: It was trained without labels, on a data set whose actions have names.
+        """
+        if self.spec.labels == "none" and self.spec.actions:
+            raise LabelsNotAvailable(
+                f"{self.name!r} was trained with '--labels none', so nothing says what any action does in it; the same "
+                "'dmbench train' command with '--labels one-shot' takes the training over and names the actions."
+            )
+
+    def begin_anew(self) -> None:
+        """Forget the result and all that the training wrote, so that it starts from the beginning."""
+        for file in (self.last, self.best, self.watched, self.metrics):
+            file.unlink(missing_ok=True)
+        self.manifest["result"] = None
+        self.write()
 
     def write(self) -> None:
         """Replace ``run.json`` in one step."""

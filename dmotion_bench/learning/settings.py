@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
+import types
 import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
@@ -51,7 +52,7 @@ def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
     """The config that ``to_json`` wrote.
 
     Raises:
-        InvalidSetting: A field is unknown, or missing without a default.
+        InvalidSetting: A field is unknown, of another type, or missing without a default.
     """
     hints = typing.get_type_hints(kind)
     names = {field.name for field in dataclasses.fields(typing.cast(Any, kind))}
@@ -61,7 +62,27 @@ def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
         name: tuple(value) if typing.get_origin(hints[name]) is tuple and isinstance(value, list) else value
         for name, value in stored.items()
     }
+    for name, value in values.items():
+        if not _is_of(hints[name], value):
+            raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {name} is {value!r}.")
     try:
         return kind(**values)
     except TypeError as error:
         raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {error}.") from None
+
+
+def _is_of(hint: Any, value: Any) -> bool:
+    """Whether JSON's value can be one of a field's type."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return any(_is_of(one, value) for one in arguments)
+    if origin is typing.Literal:
+        return value in arguments
+    if origin is tuple:
+        return isinstance(value, tuple) and all(_is_of(arguments[0], one) for one in value)
+    if hint is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    kind = origin or hint
+    return isinstance(value, kind) if isinstance(kind, type) else True

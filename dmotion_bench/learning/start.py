@@ -59,6 +59,10 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         if request.labels is None:
             labels = LabelRequest("none")
     preset = request.preset or _preset_of(dataset.name)
+    if given := next((setting for setting in request.settings if setting.startswith("arch=")), None):
+        raise UsageError(
+            f"'--set {given}': an architecture has defaults of its own; give '--{given.replace('=', ' ')}'."
+        )
     config, training = with_settings(request.settings, kind.configure(arch), kind.training_defaults(preset, arch))
     return RunSpec(
         model=request.model,

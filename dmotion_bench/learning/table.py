@@ -6,6 +6,7 @@ is noted with its sentence, and the next is trained.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -57,13 +58,14 @@ def budgets(kind: type[ForwardModel[Any]]) -> tuple[str, ...]:
     return kind.budgets or BUDGETS[kind.supervision]
 
 
-def rows() -> Iterator[Row]:
-    """Every registered model under each of its budgets."""
+def rows(dataset: Dataset) -> Iterator[Row]:
+    """Every registered model under each of its budgets; where actions are not known, what needs none, without."""
     for name in model_names():
-        try:
-            named = budgets(model_class(name))
-        except DmbenchError:
-            named = ("",)  # said when the row is trained
+        named: tuple[str, ...] = ("",)  # of what cannot be loaded; said when the row is trained
+        with contextlib.suppress(DmbenchError):
+            kind = model_class(name)
+            unlabelled = ("none",) if kind.supervision is Supervision.NONE else ()
+            named = budgets(kind) if dataset.spec.actions else unlabelled
         for labels in named:
             yield Row(model=name, labels=labels)
 
@@ -79,7 +81,7 @@ def train_table(
         workspace: Where the runs are.
         train: Trains one run to its end.
     """
-    for row in rows():
+    for row in rows(dataset):
         run = None
         try:
             wanted = dataclasses.replace(request, model=row.model, labels=row.labels or None)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import DatasetCorrupt, DatasetIncomplete, DatasetMissing, DatasetVersionUnknown
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectSpec
+from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, ObjectSpec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.shard import FileFacts
 from dmotion_bench.workspace import DATASET_MANIFEST
@@ -138,7 +138,7 @@ class Manifest:
 
 def record_command(recipe: DatasetRecipe, dataset: Path) -> str:
     """The command that completes a data set."""
-    if recipe.environment == "imported":
+    if recipe.environment == IMPORTED:
         return "dmbench data import"
     words = ["dmbench", "record", recipe.environment]
     for name in ("episodes", "frames", "tasks", "seed"):

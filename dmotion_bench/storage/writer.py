@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 
 from dmotion_bench.errors import DatasetError, RecipeMismatch, UsageError
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode
+from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.lock import ANOTHER_FOLDER, lock_folder
 from dmotion_bench.storage.manifest import Manifest, ShardEntry, record_command
@@ -205,6 +205,6 @@ def _standing_shards(path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> Iterat
             receipt = scan_shard(path, spec, index)
         except DamagedFile:
             continue  # written anew
-        labelled = receipt.labels is not None or recipe.environment == "imported"
+        labelled = receipt.labels is not None or recipe.environment == IMPORTED
         if labelled and [row.episode for row in receipt.rows] == list(shard_range(recipe, index)):
             yield receipt

@@ -9,8 +9,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, sync_folder
-from dmotion_bench.viewing.scene import application_id
+from dmotion_bench.viewing.scene import application_id, recording_file
 
 FLUSH_SECONDS = 60.0
 
@@ -30,31 +29,20 @@ def recording_to(
         file: An .rrd.
 
     Raises:
-        OSError: The file cannot be written.
+        ViewerError: The file cannot be written.
+        StorageFull: There is no space left for it.
     """
-    temporary = None
     sinks: list[rr.GrpcSink | rr.FileSink] = [] if address is None else [rr.GrpcSink(address)]
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        temporary = file.with_name(f"{file.name}{TEMPORARY_SUFFIX}")
-        temporary.touch()  # says at once, and as an OSError, when the folder cannot be written
-        sinks.append(rr.FileSink(temporary))
-    recording = rr.RecordingStream(application_id(name))
-    recording.set_log_time_enabled(False)
-    recording.set_log_tick_enabled(False)
-    try:
+    with contextlib.ExitStack() as stack:
+        if file is not None:
+            sinks.append(rr.FileSink(stack.enter_context(recording_file(file))))
+        recording = rr.RecordingStream(application_id(name))
+        stack.callback(recording.disconnect)
+        recording.set_log_time_enabled(False)
+        recording.set_log_tick_enabled(False)
         if sinks:
             recording.set_sinks(*sinks, default_blueprint=blueprint)
         recording.send_recording_name(name)
         yield recording
         with contextlib.suppress(RuntimeError) if address is not None else contextlib.nullcontext():
             recording.flush(timeout_sec=FLUSH_SECONDS)  # a viewer that was closed meanwhile is no failure
-        recording.disconnect()
-        if file is not None and temporary is not None:
-            temporary.replace(file)
-            sync_folder(file.parent)
-    except BaseException:
-        recording.disconnect()
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        raise

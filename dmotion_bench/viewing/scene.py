@@ -10,9 +10,10 @@ hides the others in a catalogue.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +28,10 @@ FRAME = "frame"
 
 ALMOST_FULL = 2**20
 """Bytes: a disk with less is why a file could not be written."""
+
+WHOLE = b"RRF2FOOT"
+BEHIND = 16
+"""What Rerun 0.41 ends a recording with, and the bytes at most behind it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +94,18 @@ def write_scene(scene: Scene, path: Path) -> None:
         ViewerError: The file cannot be written.
         StorageFull: There is no space left for it.
     """
+    with recording_file(path) as temporary:
+        _write(scene, temporary)
+
+
+@contextlib.contextmanager
+def recording_file(path: Path) -> Iterator[Path]:
+    """A file for Rerun to write, under another name until the block has ended well and the file is whole.
+
+    Raises:
+        ViewerError: It cannot be written.
+        StorageFull: There is no space left for it.
+    """
     temporary = path.with_name(f"{path.name}{TEMPORARY_SUFFIX}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,17 +113,28 @@ def write_scene(scene: Scene, path: Path) -> None:
     except OSError as error:
         raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None
     try:
-        _write(scene, temporary)
+        _require_space(path)  # Rerun waits for ever for a disk that is full from the beginning
+        yield temporary
+        _require_whole(temporary)
         temporary.replace(path)
-    except RuntimeError as error:  # Rerun writes in a thread of its own and says at the end that it could not
-        if shutil.disk_usage(path.parent).free < ALMOST_FULL:
-            raise StorageFull(
-                f"no space left on the device for {str(path)!r}; free some, or --save elsewhere."
-            ) from error
+    except RuntimeError as error:  # Rerun writes in a thread of its own and says late, or never, that it could not
+        _require_space(path)
         raise ViewerError(f"{str(path)!r} could not be written: {error}.") from error
     finally:
         temporary.unlink(missing_ok=True)
     sync_folder(path.parent)
+
+
+def _require_space(path: Path) -> None:
+    if shutil.disk_usage(path.parent).free < ALMOST_FULL:
+        raise StorageFull(f"no space left on the device for {str(path)!r}; free some, or write it elsewhere.")
+
+
+def _require_whole(file: Path) -> None:
+    with file.open("rb") as opened:
+        opened.seek(max(0, file.stat().st_size - len(WHOLE) - BEHIND))
+        if WHOLE not in opened.read():
+            raise RuntimeError("its end is missing")
 
 
 def _write(scene: Scene, path: Path) -> None:

@@ -16,8 +16,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from dmotion_bench.cli import app
-from dmotion_bench.cli.app import register_commands
+from dmotion_bench.cli.app import app, register_commands
 
 GOLDEN = Path(__file__).parent / "help.txt"
 

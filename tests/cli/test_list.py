@@ -1,9 +1,10 @@
-"""``dmbench list environments`` tells what can vary in each, so that nobody has to guess what ``--vary`` takes."""
+"""``dmbench list``: what can vary in each environment, which models there are, and tables on any terminal."""
 
 from __future__ import annotations
 
 import json
 import re
+from importlib.metadata import EntryPoint, entry_points
 
 import pytest
 from dmbench_command import dmbench
@@ -55,3 +56,37 @@ def test_a_narrow_terminal_folds_a_name_and_keeps_all_of_it(
     printed = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert max(map(len, printed.splitlines())) <= 40
     assert NAME in "".join(line.replace("10%", "").strip() for line in printed.splitlines()[3:])
+
+
+@pytest.fixture
+def strangers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Packages of others: one that breaks on import, one that takes the name of a model of ours."""
+
+    def found(group: str) -> list[EntryPoint]:
+        more = {"broken": "no_such_module:Model", "lapo": "antigravity_models:Lapo"}
+        return [*entry_points(group=group), *(EntryPoint(name, value, group) for name, value in more.items())]
+
+    monkeypatch.setattr("dmotion_bench.registry.entry_points", found)
+
+
+@pytest.mark.usefixtures("strangers")
+def test_what_strangers_register_spoils_no_list(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = json.loads(dmbench(["list", "models", "--json"], capsys, monkeypatch).out)["models"]
+    papers = {row["model"]: row["paper"] for row in listed}
+
+    assert "cannot be imported (ModuleNotFoundError): No module named 'no_such_module'." in papers["broken"]
+    assert "rename or uninstall one" in papers["lapo"]
+    assert "Yuan" in papers["dmotion"]
+
+
+@pytest.mark.usefixtures("strangers")
+def test_a_name_that_two_packages_register_is_nobodys(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = dmbench(["train", "lapo"], capsys, monkeypatch)
+
+    assert outcome.code == 1
+    assert "antigravity_models:Lapo" in outcome.sentence()
+    assert "baselines.lapo:" in outcome.sentence()

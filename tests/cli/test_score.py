@@ -13,10 +13,25 @@ from typer.testing import CliRunner
 
 from dmotion_bench.cli import score as command
 from dmotion_bench.errors import RunError, RunMismatch, RunMissing, UnknownName, UsageError
+from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.score import ScoreSettings
 
 FIGURE = {"mean": 15.04, "std": 90.0, "low": 12.5, "high": 18.0, "n": 700}
+SPEC = RunSpec(
+    model="dmotion",
+    arch="compact",
+    config={},
+    training={},
+    preset="small",
+    labels="one-shot",
+    seed=0,
+    dataset="grid_world-small",
+    fingerprint="f",
+    height=128,
+    width=128,
+    actions=4,
+)
 PUBLISHED = {"mean": 14.3, "std": 99.8, "low": None, "high": None, "n": None}
 
 
@@ -25,8 +40,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result
     """Calls the command in a workspace with the runs a, b and broken; scoring itself is tested elsewhere."""
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
     for name in ("a", "b", "broken"):
-        (tmp_path / "runs" / name).mkdir(parents=True)
-        (tmp_path / "runs" / name / "run.json").write_text("{}")
+        Run.create_or_open(tmp_path / "runs" / name, SPEC, dataset_path=tmp_path, versions={}).write()
     app = typer.Typer()
     app.callback()(lambda: None)
     command.register(app)

@@ -61,12 +61,65 @@ def test_the_folders_name_says_what_sets_the_run_apart(run: Command, data: Path,
         (("dmotion", "--split", "paperr"), "did you mean 'paper'?", 2),
         (("dmotion", "--data", "walk-smal"), "no data set named 'walk-smal'; did you mean 'walk-small'?", 2),
         (("dmotion", "--resume"), "nothing to resume", 1),
+        (("dmotion", "--set", "arch=paper"), "give '--arch paper'", 2),
+        (("dmotion", "--set", "epochs=inf"), "epochs is 'inf'; it must be finite.", 2),
+        (("dmotion", "--set", "blur=nan"), "blur is 'nan'; it must be finite.", 2),
+        (("dmotion", "--set", "validations=0"), "validations is 0; it must be above zero.", 2),
+        (("dmotion", "--out", "o" * 300), "File name too long; name another path", 1),
     ],
 )
 def test_a_wrong_word_costs_a_sentence(run: Command, data: Path, words: tuple[str, ...], says: str, code: int) -> None:
     outcome = run("train", *words)
     assert outcome.code == code
     assert says in outcome.sentence()
+
+
+def test_a_file_in_the_way_is_said(run: Command, data: Path) -> None:
+    outcome = run("train", "dmotion", *QUICK, "--out", str(data / "dataset.json"))
+    assert outcome.code == 1
+    assert "dataset.json" in outcome.sentence()
+
+
+def test_a_finished_run_whose_weights_are_damaged_is_trained_anew(run: Command, data: Path, tmp_path: Path) -> None:
+    words = ("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
+    run(*words)
+    weights = (tmp_path / "run" / "best.safetensors").read_bytes()
+    (tmp_path / "run" / "best.safetensors").write_bytes(weights[: len(weights) // 2])
+
+    outcome = run(*words)
+
+    assert outcome.code == 0
+    assert (tmp_path / "run" / "best.safetensors").read_bytes() == weights
+
+
+def test_without_labels_nothing_says_what_an_action_does(run: Command, data: Path, tmp_path: Path) -> None:
+    trained = run("train", "dmotion", *QUICK, "--labels", "none", "--out", str(tmp_path / "run"))
+    assert "'--labels one-shot' takes this training over" in trained.out
+    for command in (("score",), ("plan", "--json")):
+        outcome = run(command[0], str(tmp_path / "run"), *command[1:])
+        assert outcome.code == 1
+        assert "trained with '--labels none'" in outcome.sentence()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("seed", "zero"), ("height", None), ("model", 3), ("training", []), ("config", {"blur": "wide"})],
+)
+def test_a_run_that_holds_other_types_is_said_to_be_corrupt(
+    run: Command, data: Path, tmp_path: Path, name: str, value: object
+) -> None:
+    out = tmp_path / "runs" / "a"
+    manifest = out / "run.json"
+    run("train", "dmotion", *QUICK, "--out", str(out))
+    content = json.loads(manifest.read_text())
+    content["spec"][name] = value
+    manifest.write_text(json.dumps(content))
+
+    outcome = run("score", "a")
+
+    assert outcome.code in (1, 2)
+    assert "cannot be read" in outcome.sentence()
+    assert run("list", "runs").code == 0
 
 
 def test_no_data_set_and_several_are_said(run: Command, tmp_path: Path) -> None:

@@ -33,6 +33,15 @@ def _here(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.platform", "linux")
 
 
+def test_what_is_a_file_already_is_not_saved_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.rrd").touch()
+    said = dmbench(["view", str(tmp_path / "a.rrd"), "--save", str(tmp_path / "b.rrd")], capsys, monkeypatch)
+    assert said.code == 2
+    assert "is for Rerun already" in said.sentence()
+
+
 def test_save_writes_a_file_and_says_how_to_open_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

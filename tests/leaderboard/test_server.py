@@ -68,6 +68,13 @@ def test_nothing_else_is(server: LeaderboardServer, path: str) -> None:
     assert "secret" not in body.lower().replace("secret.json", "")
 
 
+def test_a_link_out_of_the_folder_is_not_followed(server: LeaderboardServer, tmp_path: Path) -> None:
+    (tmp_path / "secret.json").write_text('{"a": 1}')
+    (server.folder / "entries" / "link.json").symlink_to(tmp_path / "secret.json")
+
+    assert _get(server, "/entries/link.json")[0] == 404
+
+
 def test_a_page_of_another_name_is_told_nothing(server: LeaderboardServer) -> None:
     assert _get(server, "/", host="evil.example")[0] == 404
 

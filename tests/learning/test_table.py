@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 from noise_world import noise_episode, noise_spec
 
@@ -29,11 +32,17 @@ def dataset(tmp_path) -> Dataset:
     return Dataset.open(path)
 
 
-def test_every_model_has_a_row_for_each_of_its_budgets() -> None:
-    found = list(rows())
+def test_every_model_has_a_row_for_each_of_its_budgets(dataset) -> None:
+    found = list(rows(dataset))
     assert {row.model for row in found} == {*model_names()}
     assert Row(model="dmotion", labels="one-shot") in found
     assert [row.labels for row in found if row.model == "ed-cnn"] == ["100%", "10%"]
+
+
+def test_where_actions_are_not_known_what_needs_none_has_one_row(dataset, monkeypatch) -> None:
+    monkeypatch.setattr(table, "model_names", lambda: ["cswm", "dmotoin", "lapo"])
+    unlabelled = SimpleNamespace(spec=replace(dataset.spec, actions=()))
+    assert list(rows(unlabelled)) == [Row(model="dmotoin", labels=""), Row(model="lapo", labels="none")]
 
 
 def test_a_model_may_name_its_own_budgets() -> None:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pushed_squares import SPEC
 from rrd_contents import lane, layout_of, read, rgba, static, tabs_of, values
 
+from dmotion_bench.errors import StorageFull, ViewerError
 from dmotion_bench.specs import MASK_AGENT
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.dataset import dataset_scene
 from dmotion_bench.viewing.labels import _below, brightened
-from dmotion_bench.viewing.scene import write_scene
+from dmotion_bench.viewing.scene import recording_file, write_scene
 
 EPISODE = 3
 THINGS = [*SPEC.objects, SPEC.agent]
@@ -136,6 +138,27 @@ def test_without_labels_the_video_is_shown_alone(dataset: Dataset, tmp_path: Pat
     write_scene(dataset_scene(Dataset.open(copy), [0]), rrd)
     assert {path for path in read(rrd) if path.startswith("/episode")} == {"/episode_0/camera", "/episode_0/about"}
     assert "no labels" in static(rrd, "/episode_0/about", "TextDocument:text")[0]
+
+
+def test_a_file_whose_end_could_not_be_written_is_not_kept(
+    dataset: Dataset, rrd: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rerun writes in a thread of its own, and does not say it when the disk is full at the very end."""
+    write_scene(dataset_scene(dataset, [0]), rrd)
+    whole = rrd.read_bytes()
+    cut = rrd.with_name("cut.rrd")
+
+    with pytest.raises(ViewerError, match="its end is missing"), recording_file(cut) as file:
+        file.write_bytes(whole[:-100])
+    with recording_file(cut) as file:
+        file.write_bytes(whole)
+    assert cut.read_bytes() == whole
+
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=100))
+    with pytest.raises(StorageFull, match="no space left"), recording_file(cut):
+        raise AssertionError("Rerun would wait for ever")
+    assert cut.read_bytes() == whole
+    assert sorted(path.name for path in rrd.parent.iterdir()) == sorted(("cut.rrd", rrd.name))
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(dataset: Dataset, rrd: Path) -> None:

@@ -28,6 +28,7 @@ import pyarrow.parquet as parquet
 from jaxtyping import UInt8
 
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
+from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.statistics import PixelCounts, Summary, of_numbers
 from dmotion_bench.storage.staging import staged
@@ -136,7 +137,7 @@ class _Export:
     def __init__(self, dataset: Dataset, out: Path, codec: Codec, labels: bool, progress: Progress) -> None:
         self._dataset, self._out, self._codec, self._progress = dataset, out, codec, progress
         self._labels = labels
-        self._state = labels and dataset.recipe.environment != "imported"
+        self._state = labels and dataset.recipe.environment != IMPORTED
         self._fps = Fraction(1_000_000_000, dataset.spec.step_ns).limit_denominator(1001)
         self._pixels = PixelCounts()
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError, UsageError
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, Scalar
+from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, Scalar
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.commands import Commands, in_force, sorted_names
 from dmotion_bench.storage.imports.fitting import fitted
@@ -33,7 +33,6 @@ from dmotion_bench.storage.staging import staged, sweep
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
 
-IMPORTED: Final = "imported"
 UNFINISHED: Final = ".importing"
 AGENT: Final = ObjectSpec(name="agent", shape="unknown", color=(0, 0, 0))
 Progress = Callable[[str, int, int], None]
@@ -63,7 +62,7 @@ def recordings_in(paths: Sequence[Path]) -> list[Path]:
         if path.is_file() or is_lerobot(path):
             found.append(path)
             continue
-        inside = sorted(path.glob("*.mcap"), key=_natural)
+        inside = sorted((file for file in path.glob("*.mcap") if file.is_file()), key=_natural)
         if not inside:
             sqlite = any(path.glob("*.db3"))
             bag = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 from noise_world import noise_episode, noise_spec
@@ -41,7 +40,8 @@ def test_every_model_has_a_row_for_each_of_its_budgets(dataset) -> None:
 
 def test_where_actions_are_not_known_what_needs_none_has_one_row(dataset, monkeypatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["cswm", "dmotoin", "lapo"])
-    unlabelled = SimpleNamespace(spec=replace(dataset.spec, actions=()))
+    manifest = replace(dataset.manifest, spec=replace(dataset.spec, actions=()))
+    unlabelled = Dataset(dataset.path, manifest, dataset.rows)
     assert list(rows(unlabelled)) == [Row(model="dmotoin", labels=""), Row(model="lapo", labels="none")]
 
 

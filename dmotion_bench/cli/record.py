@@ -106,7 +106,7 @@ def record(
         scratch=folder.with_name(f".{folder.name}-jobs"),
     )
     with following(lambda: _follower(folder, recipe), live, live_to) as poll:
-        _tell(record_with_progress(folder, recipe, hands, poll), as_json)
+        _tell(record_with_progress(folder, recipe, hands, poll), recipe.tasks, as_json)
 
 
 def _follower(folder: Path, recipe: DatasetRecipe) -> Follower:
@@ -116,8 +116,11 @@ def _follower(folder: Path, recipe: DatasetRecipe) -> Follower:
     return RecordingFollower(folder, environment_facts(recipe))
 
 
-def _tell(recorded: Recorded, as_json: bool) -> None:
+def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
     """Say what a recording came to."""
+    from dmotion_bench.storage.dataset import Dataset
+
+    tasks = len(Dataset.open(recorded.dataset).tasks())
     if as_json:
         typer.echo(
             json.dumps(
@@ -127,6 +130,7 @@ def _tell(recorded: Recorded, as_json: bool) -> None:
                     "frames": recorded.frames,
                     "frames_per_s": round(recorded.made.frames_per_s, 1),
                     "bytes_per_frame": round(recorded.bytes_per_frame, 1),
+                    "tasks": tasks,
                 }
             )
         )
@@ -136,6 +140,9 @@ def _tell(recorded: Recorded, as_json: bool) -> None:
         f"  {recorded.episodes} episodes, {recorded.frames} frames, {recorded.bytes_per_frame:.0f} bytes a frame "
         f"with labels, {recorded.bytes / 2**20:.1f} MiB"
     )
+    if tasks_asked:
+        fewer = f" of {tasks_asked} asked for: these episodes have no more, longer or more of them do"
+        typer.echo(f"  {tasks} control tasks{fewer if tasks < tasks_asked else ''}")
     if recorded.made.frames:
         typer.echo(f"  {recorded.made.frames} frames recorded at {recorded.made.frames_per_s:.0f} frames/s")
     else:

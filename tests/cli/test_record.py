@@ -31,7 +31,7 @@ def test_json_has_the_names_that_scripts_rely_on(run: Run, tmp_path: Path) -> No
     outcome = run("record", "grid_world", "--preset", "tiny", "--json")
     assert (outcome.code, outcome.err) == (0, "")
     result = json.loads(outcome.out)
-    assert set(result) == {"dataset", "episodes", "frames", "frames_per_s", "bytes_per_frame"}
+    assert set(result) == {"dataset", "episodes", "frames", "frames_per_s", "bytes_per_frame", "tasks"}
     assert result["dataset"] == str(tmp_path / "data" / "grid_world-tiny")
     assert (result["episodes"], result["frames"]) == (20, 240)
     assert result["frames_per_s"] > 0
@@ -75,6 +75,13 @@ def test_an_impossible_value_is_wrong_usage(run: Run, words: tuple[str, ...]) ->
     outcome = run("record", "grid_world", *words)
     assert outcome.code == 2
     assert words[0] in outcome.err
+
+
+def test_fewer_tasks_than_asked_for_are_said(run: Run, tmp_path: Path) -> None:
+    outcome = run("record", "grid_world", "--preset", "tiny", "--tasks", "100000")
+    stored = len(Dataset.open(tmp_path / "data" / "grid_world-tiny").tasks())
+    assert 0 < stored < 100000
+    assert f"{stored} control tasks of 100000 asked for" in outcome.out
 
 
 def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) -> None:

@@ -51,7 +51,11 @@ def data_import(
     frames_per_episode: Annotated[int, typer.Option(min=3, help="Longer episodes are cut into equal parts.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the split into training, validation and test.")] = 0,
     salvage: Annotated[
-        bool, typer.Option("--salvage", help="Take what stands before the damage in a damaged file.")
+        bool,
+        typer.Option(
+            "--salvage",
+            help="Of a damaged file take what stands before the damage, for a damaged picture the last one.",
+        ),
     ] = False,
     max_chunk: Annotated[int, typer.Option(min=1, help="MiB that one chunk of a file may inflate to.")] = 1024,
     out: Annotated[Path | None, typer.Option(help="The data set's folder; data/imported-NAME if left out.")] = None,
@@ -129,6 +133,8 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
             f"  {report.repeated} frames repeat the one before, as no newer picture had come; "
             "a lower '--hz' has fewer of them"
         )
+    if report.unreadable:
+        lines.append(f"  {report.unreadable} damaged pictures: the ones before them are in their place")
     if report.left_out:
         lines.append(f"  {report.left_out} frames are left out: their episodes were too short, or had no action yet")
     if report.actions:

@@ -290,7 +290,23 @@ def test_a_damaged_picture_leaves_nothing_behind(tmp_path: Path) -> None:
     pictures = [compressed(frame, "jpeg") for frame in video(8)]
     pictures[6] = pictures[6][:-200]
     file = foxglove_compressed_file(tmp_path / "a.mcap", pictures, steady(8), "jpeg")
-    refused(file, tmp_path, "message 6 on '/camera' is a damaged JPEG file")
+    refused(file, tmp_path, "message 6 on '/camera' is a damaged JPEG file.*; import the others with '--salvage'")
+
+    report = import_recordings([file], tmp_path / "salvaged", ImportOptions(size=32, salvage=True))
+    frames = Dataset.open(report.path).video(0)
+    assert (report.unreadable, len(frames)) == (1, 8)
+    np.testing.assert_array_equal(frames[6], frames[5])
+    assert (frames[5] != frames[4]).any()
+    assert (frames[7] != frames[6]).any()
+
+
+def test_where_the_first_picture_is_damaged_there_is_none_to_repeat(tmp_path: Path) -> None:
+    pictures = [compressed(frame, "jpeg") for frame in video(8)]
+    pictures[0] = pictures[0][: len(pictures[0]) // 2]
+    file = foxglove_compressed_file(tmp_path / "a.mcap", pictures, steady(8), "jpeg")
+    with pytest.raises(RecordingImportError, match="no whole picture comes before it"):
+        import_recordings([file], tmp_path / "out", ImportOptions(size=32, salvage=True))
+    assert not (tmp_path / "out").exists()
 
 
 def test_messages_that_are_not_what_they_say(tmp_path: Path) -> None:

@@ -135,6 +135,7 @@ def import_recordings(
         source_width=surveys[0].width,
         source_hz=_source_hz(surveys),
         repeated=sum(int((np.diff(plan.piece.frames) == 0).sum()) for plan in planned),
+        unreadable=sum(recording.unreadable for recording in recordings),
         left_out=left_out,
         actions=names,
     )

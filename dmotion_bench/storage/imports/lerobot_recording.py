@@ -69,7 +69,7 @@ class LeRobotRecording:
     """
 
     def __init__(self, path: Path, *, camera: str | None, actions: str | None, limits: ImportLimits) -> None:
-        self.path, self._actions, self._limits = path, actions, limits
+        self.path, self._actions, self._limits, self.unreadable = path, actions, limits, 0
         self._info = self._read_info()
         features = self._features = self._mapping(self._info, "features")
         cameras = sorted(key for key, feature in features.items() if _kind(feature) == "video")

@@ -33,7 +33,7 @@ class McapRecording:
         actions: Its topic of actions; None for none.
         clock: Which time counts.
         limits: What the file may make us do.
-        salvage: Take what stands before the damage in a damaged file.
+        salvage: Take what stands before the damage in a damaged file, and for a damaged picture the one before it.
 
     Raises:
         RecordingImportError: No MCAP file, or it lacks the topics.
@@ -49,7 +49,8 @@ class McapRecording:
         limits: ImportLimits,
         salvage: bool = False,
     ) -> None:
-        self.path, self._clock, self._limits = path, clock, limits
+        self.path, self._clock, self._limits, self._salvage = path, clock, limits, salvage
+        self.unreadable = 0
         self._file = McapFile(path, limits=limits, salvage=salvage)
         topics = self._file.topics()
         self._camera = _camera_topic(path, topics, camera)
@@ -98,8 +99,9 @@ class McapRecording:
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        """Unpack the wanted frames and no others."""
+        """Unpack the wanted frames and no others; where damage is to be lived with, a damaged one repeats the last."""
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
+        shown: UInt8[np.ndarray, "h w 3"] | None = None
         numbers = iter(wanted.tolist())
         number = next(numbers, None)
         if number is None:
@@ -109,9 +111,15 @@ class McapRecording:
                 continue
             picture = self._decode(message, count, decoders, picture_decoder)
             try:
-                yield to_rgb(picture, self._limits)
+                shown = to_rgb(picture, self._limits)
             except BadPicture as error:
-                raise self._bad(count, self._camera, error) from error
+                if not self._salvage:
+                    way_out = "; import the others with '--salvage'" if shown is not None else ""
+                    raise self._bad(count, self._camera, f"{error}{way_out}") from error
+                if shown is None:
+                    raise self._bad(count, self._camera, f"{error}, and no whole picture comes before it") from error
+                self.unreadable += 1
+            yield shown
             number = next(numbers, None)
             if number is None:
                 return
@@ -158,7 +166,7 @@ class McapRecording:
             )
         return picture.stamp_ns
 
-    def _bad(self, count: int, topic: str, error: Exception) -> RecordingImportError:
+    def _bad(self, count: int, topic: str, error: object) -> RecordingImportError:
         return RecordingImportError(f"{str(self.path)!r}: message {count} on {topic!r} {error}.")
 
 

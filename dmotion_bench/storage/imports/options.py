@@ -26,7 +26,7 @@ class ImportOptions:
         min_frames: A shorter episode is left out.
         frames_per_episode: A longer one is cut into equal parts.
         seed: Of the split into training, validation and test.
-        salvage: Take what stands before the damage in a damaged file.
+        salvage: Take what stands before the damage in a damaged file, and for a damaged picture the one before it.
         limits: What a file may make us do.
     """
 
@@ -73,6 +73,8 @@ class ImportReport:
         source_height, source_width: Of the pictures [px].
         source_hz: Pictures a second in the longest recording.
         repeated: Frames that show the same picture as the one before, as the camera was slower than asked for.
+        unreadable: Damaged pictures, in whose place the ones before them were taken; of this import, none if the data
+            set was there already.
         left_out: Frames of episodes that were too short.
         actions: Names of the actions, none without labels.
     """
@@ -85,5 +87,6 @@ class ImportReport:
     source_width: int
     source_hz: float
     repeated: int
+    unreadable: int
     left_out: int
     actions: tuple[str, ...]

@@ -51,9 +51,15 @@ class Survey:
 
 
 class Recording(Protocol):
-    """A file or folder of another system, opened for import."""
+    """A file or folder of another system, opened for import.
+
+    Attributes:
+        path: Of it.
+        unreadable: Pictures so far that could not be unpacked, in whose place the ones before them were taken.
+    """
 
     path: Path
+    unreadable: int
 
     def survey(self) -> Survey:
         """Read through it once and check all that can be checked without unpacking."""

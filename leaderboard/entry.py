@@ -29,6 +29,7 @@ from leaderboard.json_schema import violations
 FORMAT: Final = "dmbench-entry/1"
 REPORT_FIELDS: Final = tuple(field.name for field in dataclasses.fields(Report))
 SHOWN_VIOLATIONS: Final = 3
+HASH: Final = re.compile(r"[0-9a-f]{64}")
 
 
 @functools.cache
@@ -62,6 +63,13 @@ class Entry:
             found = [one for name, sums in self.by_episode.items() for one in _sums_violations(name, sums)]
             shared = (name for name, figures in self.content["reference"].items() if isinstance(figures, str))
             found += [f"reference.{name} is a hash without its figures" for name in shared]
+            lone = (
+                f"pictures[{place}].{name} is a hash without its picture"
+                for place, picture in enumerate(self.content["pictures"])
+                for name in ("current", "truth", "predicted")
+                if HASH.fullmatch(picture[name])
+            )
+            found += lone
         if found:
             more = f" (and {len(found) - SHOWN_VIOLATIONS} more)" if len(found) > SHOWN_VIOLATIONS else ""
             raise EntryInvalid(f"it breaks the schema: {'; '.join(found[:SHOWN_VIOLATIONS])}{more}")

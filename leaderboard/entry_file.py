@@ -1,8 +1,8 @@
 """Entries as files: read from anybody, and written so that many of them take little room.
 
-The figures of the references (copying the last frame, acting at random ...) are the same in every entry of a data set.
-So they stand once in ``references/`` beside the entries, in a file that is named by its SHA-256, and an entry holds
-that hash in their place.
+The figures of the references (copying the last frame, acting at random ...) and the true frames of the pictures are
+the same in every entry of a data set. So they stand once in ``references/`` beside the entries, in a file that is named
+by its SHA-256, and an entry holds that hash in their place.
 """
 
 from __future__ import annotations
@@ -10,21 +10,21 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.storage.atomic import write_atomically
-from leaderboard.entry import Entry
+from leaderboard.entry import HASH, Entry
 from leaderboard.layout import REFERENCES
 
 LARGEST: Final = 8 * 2**20
 """Bytes of a file that are read."""
-SHARED_FROM: Final = 1000
-"""Characters from which on a reference's figures have a file of their own."""
-_HASH: Final = re.compile(r"[0-9a-f]{64}")
+SHARED_FROM: Final = 200
+"""Characters from which on what entries share has a file of its own."""
+TRUE_FRAMES: Final = ("current", "truth")
+"""What of a picture is the same whoever predicts."""
 
 
 def write_entry(entry: Entry, folder: Path) -> Path:
@@ -32,15 +32,18 @@ def write_entry(entry: Entry, folder: Path) -> Path:
     content = dict(entry.content)
     if entry.is_measured:
         content["reference"] = {name: _share(figures, folder) for name, figures in content["reference"].items()}
+        content["pictures"] = [
+            picture | {name: _share(picture[name], folder) for name in TRUE_FRAMES} for picture in content["pictures"]
+        ]
     path = folder / f"{entry.slug}.json"
     write_atomically(path, (to_lines(content) + "\n").encode())
     return path
 
 
-def _share(figures: Mapping[str, Any], folder: Path) -> Mapping[str, Any] | str:
-    text = to_lines(figures) + "\n"
+def _share(value: Any, folder: Path) -> Any:
+    text = to_lines(value) + "\n"
     if len(text) < SHARED_FROM:
-        return figures
+        return value
     digest = hashlib.sha256(text.encode()).hexdigest()
     path = folder / REFERENCES / f"{digest}.json"
     if not path.is_file() or path.read_bytes() != text.encode():
@@ -59,6 +62,8 @@ def read_entry(path: Path) -> Entry:
         if isinstance(content, dict) and isinstance(content.get("reference"), dict):
             shared = path.parent / REFERENCES
             content["reference"] = {name: _shared(shared, name, one) for name, one in content["reference"].items()}
+            for picture in _pictures(content):
+                picture |= {name: _shared(shared, name, picture[name]) for name in TRUE_FRAMES if name in picture}
         return Entry(content)
     except (OSError, ValueError, RecursionError, EntryInvalid) as error:
         said = error.strerror if isinstance(error, OSError) else error
@@ -79,15 +84,15 @@ def read_entries(folder: Path) -> list[Entry]:
 
 def remove_unused_references(folder: Path) -> None:
     """Take away the references that no file of a folder of entries names any more."""
-    used = {digest for path in folder.glob("*.json") for digest in _HASH.findall(path.read_text(errors="replace"))}
+    used = {digest for path in folder.glob("*.json") for digest in HASH.findall(path.read_text(errors="replace"))}
     for path in (folder / REFERENCES).glob("*.json"):
-        if _HASH.fullmatch(path.stem) and path.stem not in used:
+        if HASH.fullmatch(path.stem) and path.stem not in used:
             path.unlink()
 
 
 def _shared(folder: Path, name: str, value: object) -> object:
-    """The figures that a hash stands for; anything else as it is."""
-    if not isinstance(value, str) or not _HASH.fullmatch(value):
+    """What a hash stands for; anything else as it is."""
+    if not isinstance(value, str) or not HASH.fullmatch(value):
         return value
     path = folder / f"{value}.json"
     try:
@@ -99,6 +104,12 @@ def _shared(folder: Path, name: str, value: object) -> object:
             f"its reference {name!r} stands in {str(path)!r}, which holds something else than its name says"
         )
     return _parse(raw)
+
+
+def _pictures(content: dict[str, Any]) -> list[dict[str, Any]]:
+    """Those of a file that has not been checked yet."""
+    pictures = content.get("pictures")
+    return [one for one in pictures if isinstance(one, dict)] if isinstance(pictures, list) else []
 
 
 def _read(path: Path) -> bytes:

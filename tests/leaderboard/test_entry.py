@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,9 @@ def test_what_entries_share_stands_once_beside_them(sound: Entry, changed: Chang
 
     paths = {entry.name: write_entry(entry, tmp_path) for entry in (sound, other, elsewhere)}
 
+    true = [picture["truth"] for path in paths.values() for picture in json.loads(path.read_text())["pictures"]]
+    assert len(set(true)) == len(sound.content["pictures"]) == len(true) / len(paths)
+    assert all(re.fullmatch("[0-9a-f]{64}", one) for one in true)
     stored = {name: json.loads(path.read_text())["reference"]["copy_last"] for name, path in paths.items()}
     assert stored[sound.name] == stored["other"] != stored["elsewhere"]
     jsonschema.validate(json.loads(paths["other"].read_text()), schema())
@@ -99,6 +103,8 @@ def test_a_hash_is_no_path_and_no_figures(sound: Entry, changed: Changed, tmp_pa
         read_entry(path)
     with pytest.raises(EntryInvalid, match="a hash without its figures"):
         changed(reference={"copy_last": "0" * 64})
+    with pytest.raises(EntryInvalid, match=r"pictures\[0\]\.truth is a hash without its picture"):
+        changed(pictures=[sound.content["pictures"][0] | {"truth": "0" * 64}])
 
 
 def test_the_paper_s_rows_are_entries() -> None:

@@ -32,7 +32,7 @@ from leaderboard.entry_file import read_entries, read_entry, remove_unused_refer
 from leaderboard.layout import ENTRIES, PAGE, SCHEMA
 from leaderboard.page import make_page
 from leaderboard.paper import label_count
-from leaderboard.pictures import take_pictures
+from leaderboard.pictures import shows_pictures, take_pictures
 
 Progress = Callable[[str, int, int], None]
 
@@ -153,6 +153,8 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
     content |= {name: stored[name] for name in REPORT_FIELDS}
     content |= {"by_episode": sums_by_episode(samples), "control": actions_of(samples), "pictures": []}
     entry = Entry(content)
+    if not shows_pictures(run.spec.labels):
+        return entry
     old = _standing(earlier, entry)
     if old is not None:
         return old

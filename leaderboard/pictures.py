@@ -66,15 +66,22 @@ def choose_steps(samples: pa.Table) -> list[Step]:
     return chosen
 
 
+def shows_pictures(labels: str) -> bool:
+    """Whether runs of a label budget have pictures: a model has them once.
+
+    Not again with several demonstrations, where only the table of actions differs from that of one, nor with a part of
+    the labels.
+    """
+    budget = LabelRequest.parse(labels)
+    return budget.amount <= 1 if budget.kind == "shots" else budget.kind == "none" or budget.amount == 1
+
+
 def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[str, Any]]:
     """What the run's model makes of the chosen steps, as an entry holds it.
 
-    None of a model that draws no frames, nor of a budget of several demonstrations: only the table of actions differs
-    from the same model's with one.
+    None of a model that draws no frames, nor of a budget whose pictures are not shown.
     """
-    budget = LabelRequest.parse(run.spec.labels)
-    several = budget.kind == "shots" and budget.amount > 1
-    steps = [] if several or not run.model.needs_pixels else choose_steps(samples)
+    steps = choose_steps(samples) if shows_pictures(run.spec.labels) and run.model.needs_pixels else []
     if not steps:
         return []
     frames = np.stack([dataset.video(one.episode)[one.step - 1 : one.step + 2] for one in steps])

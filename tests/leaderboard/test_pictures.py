@@ -116,13 +116,13 @@ def test_a_model_of_no_pixels_has_no_pictures(
     assert take_pictures(run, Dataset.open(run.dataset_path), samples) == []
 
 
-def test_several_demonstrations_have_no_pictures_of_their_own(scored_workspace: Workspace, sound: Entry) -> None:
+def test_a_model_has_its_pictures_once_whatever_its_budgets(scored_workspace: Workspace, sound: Entry) -> None:
     run = Run.open(scored_workspace.runs / sound.name)
     samples, dataset = pq.read_table(run.path / "report/samples.parquet"), Dataset.open(run.dataset_path)
 
-    assert take_pictures(run, dataset, samples)
-    run.spec = dataclasses.replace(run.spec, labels="5-shot")
-    assert take_pictures(run, dataset, samples) == []
+    for labels, any_shown in (("one-shot", True), ("5-shot", False), ("100%", True), ("10%", False)):
+        run.spec = dataclasses.replace(run.spec, labels=labels)
+        assert bool(take_pictures(run, dataset, samples)) is any_shown
 
 
 def test_where_actions_are_not_known_no_step_is_shown(scored_workspace: Workspace) -> None:

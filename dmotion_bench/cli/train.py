@@ -175,7 +175,7 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
 
     if run.result is not None:
         try:
-            _ = run.model  # its weights can be read, and are those of the result
+            run.weights()  # they can be read, and are those of the result
         except RunError as error:
             note(f"{error}\ntraining {run.path} anew.")
             run.begin_anew()

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
@@ -112,15 +113,15 @@ class Run:
         found = manifest.get("format") if isinstance(manifest, dict) else None
         if found != RUN_FORMAT:
             raise RunCorrupt(f"{str(path)!r} is of the format {found!r}; this dmbench reads {RUN_FORMAT!r}.")
+        for name, kind in (("spec", dict), ("result", dict | None), ("dataset_path", str)):
+            if not isinstance(manifest.get(name, ...), kind):
+                raise RunCorrupt(
+                    f"{str(path / RUN_MANIFEST)!r} cannot be read: it has no {name}, or another thing in its place."
+                )
         try:
-            run = cls(path, manifest)
-        except (InvalidSetting, KeyError, TypeError) as error:
-            raise RunCorrupt(f"{str(path / RUN_MANIFEST)!r} cannot be read: {error}.") from None
-        if not isinstance(run.result, dict | None) or not isinstance(manifest.get("dataset_path"), str):
-            raise RunCorrupt(
-                f"{str(path / RUN_MANIFEST)!r} cannot be read: its result or its data set is no such thing."
-            )
-        return run
+            return cls(path, manifest)
+        except InvalidSetting as error:
+            raise RunCorrupt(f"{str(path / RUN_MANIFEST)!r} cannot be read: {error}") from None
 
     @classmethod
     def create_or_open(cls, path: Path, spec: RunSpec, *, dataset_path: Path, versions: Mapping[str, str]) -> Run:
@@ -220,13 +221,12 @@ class Run:
         self.manifest["result"] = dict(result)
         self.write()
 
-    @cached_property
-    def model(self) -> ForwardModel[Any]:
-        """The trained model, in evaluation mode, its actions aligned.
+    def weights(self) -> dict[str, Tensor]:
+        """The trained model's weights, as the training wrote them.
 
         Raises:
-            RunMissing: Training is not done.
-            RunCorrupt: The weights do not fit the model, or are not those that the training wrote.
+            RunMissing: Training is not done, or they are gone.
+            RunCorrupt: They cannot be read, or are others.
         """
         if self.result is None:
             raise RunMissing(
@@ -236,7 +236,17 @@ class Run:
         weights = checkpoint.without_prefix("model", tensors)
         if checkpoint.weights_hash(weights) != self.result["weights"]:
             raise RunCorrupt(f"the weights in {str(self.best)!r} are not those that the training wrote.")
-        model = self.spec.build()
+        return weights
+
+    @cached_property
+    def model(self) -> ForwardModel[Any]:
+        """The trained model, in evaluation mode, its actions aligned.
+
+        Raises:
+            RunMissing: Training is not done.
+            RunCorrupt: The weights do not fit the model, or are not those that the training wrote.
+        """
+        weights, model = self.weights(), self.spec.build()
         try:
             model.load_state_dict(weights)
         except RuntimeError as error:

@@ -122,6 +122,36 @@ def test_a_run_that_holds_other_types_is_said_to_be_corrupt(
     assert run("list", "runs").code == 0
 
 
+@pytest.mark.parametrize(("name", "value"), [("result", []), ("dataset_path", 3), ("spec", None), ("result", ...)])
+def test_a_run_that_lacks_something_is_said_to_be_corrupt(
+    run: Command, data: Path, tmp_path: Path, name: str, value: object
+) -> None:
+    out = tmp_path / "runs" / "a"
+    run("train", "dmotion", *QUICK, "--out", str(out))
+    content = json.loads((out / "run.json").read_text()) | {name: value}
+    (out / "run.json").write_text(json.dumps({key: one for key, one in content.items() if one is not ...}))
+
+    outcome = run("score", "a")
+
+    assert outcome.code == 1
+    assert f"it has no {name}" in outcome.sentence()
+    assert run("list", "runs").code == 0
+
+
+def test_weights_that_another_code_cannot_read_are_not_trained_over(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What changed is the model's class, not the file: the training is not to be lost."""
+    words = ("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
+    run(*words)
+    weights = tmp_path / "run" / "best.safetensors"
+    written = weights.stat().st_mtime_ns
+    monkeypatch.setattr("baselines.dmotion.DMotion.load_state_dict", lambda *_: 1 / 0)
+
+    assert run(*words).code == 0
+    assert weights.stat().st_mtime_ns == written
+
+
 def test_no_data_set_and_several_are_said(run: Command, tmp_path: Path) -> None:
     outcome = run("train", "dmotion")
     assert outcome.code == 1

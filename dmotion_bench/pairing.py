@@ -140,6 +140,12 @@ def standing(difference: Estimate) -> Standing:
     return "tie" if difference.low <= 0 <= difference.high else "behind"
 
 
+def standing_words(difference: Estimate, above: str, between: str) -> str:
+    """How it stands to the best: ``above`` is how much it is behind, ``between`` the interval, as they are written."""
+    words = {"behind": f"{above} ({between})", "tie": f"a tie ({between})", "unknown": "cannot be told"}
+    return words[standing(difference)]
+
+
 def _single_steps(samples: pa.Table) -> pa.Table:
     return samples.filter(pc.equal(samples["metric"], "prediction"))
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 
 MODELS_TAKE = 16
+"""The side of a frame is a multiple of it, for the models of this package."""
 
 
 def register(data: typer.Typer) -> None:

@@ -11,7 +11,6 @@ from dmotion_bench.cli.tables import show_figures, stdout_console
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
-    from dmotion_bench.scoring.statistics import Estimate
 
 SHOWN_AHEAD = (1, 2, 5, 10, 15)
 """Steps of a rollout that stand in the table of one run; the report has all of them."""
@@ -123,7 +122,7 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
 
 def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
     """How much higher each run's MSE is than the first's, on the same triplets; nothing where one has no samples."""
-    from dmotion_bench.pairing import behind
+    from dmotion_bench.pairing import behind, standing_words
     from dmotion_bench.scoring.report import read_report_samples
 
     samples = {
@@ -137,21 +136,9 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
     for path in paths[1:]:
         difference = behind(samples[path], samples[paths[0]]) if path in samples else None
         if difference is not None:
-            told[path] = _behind_words(difference)
+            above, between = f"+{_number(difference.mean)}", _interval(difference.to_json())
+            told[path] = standing_words(difference, above, between)
     return told
-
-
-def _behind_words(difference: Estimate) -> str:
-    from dmotion_bench.pairing import standing
-
-    between = _interval(difference.to_json())
-    match standing(difference):
-        case "behind":
-            return f"+{_number(difference.mean)} ({between})"
-        case "tie":
-            return f"a tie ({between})"
-        case "unknown":
-            return "cannot be told"
 
 
 def show_differences(differences: Sequence[Any], first: str, second: str, *, everything: bool = False) -> None:

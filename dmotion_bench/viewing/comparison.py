@@ -12,9 +12,8 @@ import rerun.blueprint as rrb
 
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.run import Run
-from dmotion_bench.pairing import behind, standing
+from dmotion_bench.pairing import behind, standing_words
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, read_report_samples
-from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart
 from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
@@ -299,21 +298,10 @@ def _table(reports: Mapping[str, tuple[Path, Report]]) -> str:
         own, report = samples[name], reports[name][1]
         apart = "" if name != order[0] else "best"
         if name != order[0] and own is not None and best is not None and (found := behind(own, best)) is not None:
-            apart = _apart(found)
+            apart = standing_words(found, f"**+{found.mean:.3g}**", interval_text(found.to_json()))
         lines.append(f"| {name} | {' | '.join(figure_text(report.figures.get(key)) for key in shown)} | {apart} |")
     lines += ["", "Mean over the test episodes; differences are paired, with their 95% interval over episodes."]
     return "\n".join(lines)
-
-
-def _apart(difference: Estimate) -> str:
-    between = interval_text(difference.to_json())
-    match standing(difference):
-        case "behind":
-            return f"**+{difference.mean:.3g}** ({between})"
-        case "tie":
-            return f"a tie ({between})"
-        case "unknown":
-            return "cannot be told"
 
 
 def _mse(report: Report) -> float:

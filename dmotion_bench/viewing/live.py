@@ -9,7 +9,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dmotion_bench.viewing.scene import application_id, recording_file
+from dmotion_bench.viewing.scene import application_id, not_written, recording_file
 
 FLUSH_SECONDS = 60.0
 
@@ -44,5 +44,8 @@ def recording_to(
             recording.set_sinks(*sinks, default_blueprint=blueprint)
         recording.send_recording_name(name)
         yield recording
-        with contextlib.suppress(RuntimeError) if address is not None else contextlib.nullcontext():
-            recording.flush(timeout_sec=FLUSH_SECONDS)  # a viewer that was closed meanwhile is no failure
+        try:
+            recording.flush(timeout_sec=FLUSH_SECONDS)
+        except RuntimeError as error:
+            if file is not None and address is None:  # a viewer that was closed meanwhile is no failure
+                raise not_written(file, error) from error

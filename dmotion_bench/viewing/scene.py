@@ -95,7 +95,10 @@ def write_scene(scene: Scene, path: Path) -> None:
         StorageFull: There is no space left for it.
     """
     with recording_file(path) as temporary:
-        _write(scene, temporary)
+        try:
+            _write(scene, temporary)
+        except RuntimeError as error:  # Rerun writes in a thread of its own and says late that it could not
+            raise not_written(path, error) from error
 
 
 @contextlib.contextmanager
@@ -113,28 +116,32 @@ def recording_file(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None
     try:
-        _require_space(path)  # Rerun waits for ever for a disk that is full from the beginning
+        if _is_full(path):  # Rerun would wait for ever
+            raise not_written(path, "the disk is full")
         yield temporary
-        _require_whole(temporary)
+        if not _is_whole(temporary):  # which Rerun does not say
+            raise not_written(path, "its end is missing")
         temporary.replace(path)
-    except RuntimeError as error:  # Rerun writes in a thread of its own and says late, or never, that it could not
-        _require_space(path)
-        raise ViewerError(f"{str(path)!r} could not be written: {error}.") from error
     finally:
         temporary.unlink(missing_ok=True)
     sync_folder(path.parent)
 
 
-def _require_space(path: Path) -> None:
-    if shutil.disk_usage(path.parent).free < ALMOST_FULL:
-        raise StorageFull(f"no space left on the device for {str(path)!r}; free some, or write it elsewhere.")
+def not_written(path: Path, why: object) -> ViewerError | StorageFull:
+    """The error of a recording that could not be written."""
+    if _is_full(path):
+        return StorageFull(f"no space left on the device for {str(path)!r}; free some, or write it elsewhere.")
+    return ViewerError(f"{str(path)!r} could not be written: {why}.")
 
 
-def _require_whole(file: Path) -> None:
+def _is_full(path: Path) -> bool:
+    return shutil.disk_usage(path.parent).free < ALMOST_FULL
+
+
+def _is_whole(file: Path) -> bool:
     with file.open("rb") as opened:
         opened.seek(max(0, file.stat().st_size - len(WHOLE) - BEHIND))
-        if WHOLE not in opened.read():
-            raise RuntimeError("its end is missing")
+        return WHOLE in opened.read()
 
 
 def _write(scene: Scene, path: Path) -> None:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 from pushed_squares import SPEC
 from rrd_contents import lane, layout_of, read, rgba, static, tabs_of, values
 
@@ -16,6 +17,7 @@ from dmotion_bench.specs import MASK_AGENT
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.dataset import dataset_scene
 from dmotion_bench.viewing.labels import _below, brightened
+from dmotion_bench.viewing.live import recording_to
 from dmotion_bench.viewing.scene import recording_file, write_scene
 
 EPISODE = 3
@@ -159,6 +161,12 @@ def test_a_file_whose_end_could_not_be_written_is_not_kept(
         raise AssertionError("Rerun would wait for ever")
     assert cut.read_bytes() == whole
     assert sorted(path.name for path in rrd.parent.iterdir()) == sorted(("cut.rrd", rrd.name))
+
+
+def test_what_fails_while_a_recording_is_made_is_not_laid_to_the_file(rrd: Path) -> None:
+    with pytest.raises(RuntimeError, match="shapes do not fit"), recording_to("work", rrb.Blueprint(), file=rrd):
+        raise RuntimeError("shapes do not fit")
+    assert not list(rrd.parent.iterdir())
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(dataset: Dataset, rrd: Path) -> None:

@@ -3,21 +3,28 @@
 Runs that differ in nothing but their seed are one row. Its value is the mean over the seeds; what stands beside it
 is the range over the seeds, or, of a single seed, the 95% interval over the test episodes. Who is better is not read
 from these: each row is compared with the best by the paired difference over the episodes (``comparison.py``).
+
+Control is as good as the planner, so only what one version of it planned is averaged and compared: that of this
+dmbench, or, where nothing of it is there, the one that planned most. Rows that have none of it keep another's, marked.
 """
 
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
+from dmotion_bench.scoring.control import planning_version
+from dmotion_bench.scoring.report import FigureJson
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.comparison import difference_by_episode
 from leaderboard.entry import Entry
 
 RANKED_BY: Final = "mse"
+CONTROLLED: Final = "control_"
+"""How the names of control's figures begin."""
 _CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
 RowKind = Literal["measured", "published", "reference"]
 
@@ -65,6 +72,8 @@ class Row:
         is_best: Whether it is the one the others are compared with.
         elsewhere: Whether it was trained on another data set than the board's.
         leads: Other figures in which it is the best, or cannot be told from the best.
+        planned_by: The version of the code behind its figures of control; None where it has none.
+        planned_otherwise: Whether that is another one than the board's.
     """
 
     kind: RowKind
@@ -79,6 +88,8 @@ class Row:
     is_best: bool = False
     elsewhere: bool = False
     leads: frozenset[str] = frozenset()
+    planned_by: str | None = None
+    planned_otherwise: bool = False
 
     @property
     def title(self) -> str:
@@ -152,6 +163,7 @@ def _board_key(entry: Entry) -> tuple[str, ...]:
 
 def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
     environment, dataset, fingerprint, split, protocol = _board_key(entries[0])
+    planner = _planner_of(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     twins: dict[tuple[str, ...], int] = defaultdict(int)
     for entry in entries:
@@ -159,8 +171,8 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
         one = (*key, str(entry.content["seed"]))
         groups[*key, str(twins[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
         twins[one] += 1
-    measured = _told_apart([_measured_row(own) for own in groups.values()])
-    rows = [*_ranked(measured), *map(_published_row, published), *_reference_rows(entries)]
+    measured = _told_apart([_measured_row(own, planner) for own in groups.values()])
+    rows = [*_ranked(measured), *map(_published_row, published), *_reference_rows(entries, planner)]
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
     return Board(
         environment=environment,
@@ -173,6 +185,14 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
     )
 
 
+def _planner_of(entries: Iterable[Entry]) -> str | None:
+    """Whose plans are compared, of those behind some entries; None where nobody planned."""
+    versions = Counter(entry.planned_by for entry in entries if entry.planned_by is not None)
+    if (own := planning_version()) in versions:
+        return own
+    return max(sorted(versions), key=versions.__getitem__, default=None)
+
+
 def _row_key(entry: Entry) -> tuple[str, ...]:
     content = entry.content
     return entry.model, content["arch"], content["preset"], entry.labels, entry.trained_on or "", _without_seed(entry)
@@ -182,8 +202,9 @@ def _without_seed(entry: Entry) -> str:
     return re.sub(r"-s\d+$", "", entry.name)
 
 
-def _measured_row(entries: Sequence[Entry]) -> Row:
+def _measured_row(entries: Sequence[Entry], planner: str | None) -> Row:
     first = entries[0]
+    mine = planner if any(entry.planned_by == planner for entry in entries) else _planner_of(entries)
     arch, own = first.content["arch"], first.trained_on
     return Row(
         kind="measured",
@@ -194,8 +215,19 @@ def _measured_row(entries: Sequence[Entry]) -> Row:
         labels=first.labels,
         label_count=first.label_count,
         entries=tuple(sorted(entries, key=lambda entry: (entry.content["seed"], entry.slug))),
-        figures=_values([entry.figures for entry in entries]),
+        figures=_values([_compared(entry, mine) for entry in entries]),
+        planned_by=mine,
+        planned_otherwise=mine not in (planner, None),
     )
+
+
+def _compared(entry: Entry, planner: str | None) -> dict[str, FigureJson]:
+    """Its figures without those of control that another version planned."""
+    return {
+        name: figure
+        for name, figure in entry.figures.items()
+        if entry.planned_by == planner or not name.startswith(CONTROLLED)
+    }
 
 
 def _told_apart(rows: list[Row]) -> list[Row]:
@@ -257,10 +289,10 @@ def _published_row(entry: Entry) -> Row:
     )
 
 
-def _reference_rows(entries: Sequence[Entry]) -> list[Row]:
-    """What the entries say of predictors that know nothing; all of a board say the same."""
+def _reference_rows(entries: Sequence[Entry], planner: str | None) -> list[Row]:
+    """What the entries say of predictors that know nothing; all of a board and a planner say the same."""
     found: dict[str, dict[str, Any]] = defaultdict(dict)
-    for entry in entries:
+    for entry in sorted(entries, key=lambda entry: entry.planned_by != planner):
         for name, figures in entry.content["reference"].items():
             if name != "paper":
                 for figure, value in figures.items():
@@ -293,7 +325,10 @@ def _all_figures(rows: Iterable[Row]) -> set[str]:
 
 def _leading(rows: list[Row], figure: str) -> list[Row]:
     """The rows, of which those know it that have the lowest value of a figure or cannot be told from it."""
-    best = min((row for row in rows if figure in row.figures), key=lambda row: row.figures[figure].mean)
+    able = [row for row in rows if figure in row.figures and not row.planned_otherwise]
+    best = min(able, key=lambda row: row.figures[figure].mean, default=None)
+    if best is None:
+        return rows
     marked = []
     for row in rows:
         apart = None if row is best else _difference(row, best, figure)
@@ -303,10 +338,18 @@ def _leading(rows: list[Row], figure: str) -> list[Row]:
 
 
 def _difference(row: Row, best: Row, figure: str) -> Estimate | None:
-    """Of the seeds that have the figure."""
-    if figure not in row.figures:
+    """Of the seeds that have the figure; of control only what the same version planned is compared."""
+    controlled = figure.startswith(CONTROLLED)
+    if figure not in row.figures or (controlled and row.planned_by != best.planned_by):
         return None
-    sums = [[entry.by_episode[figure] for entry in one.entries if figure in entry.by_episode] for one in (row, best)]
+    sums = [
+        [
+            entry.by_episode[figure]
+            for entry in one.entries
+            if figure in entry.by_episode and (not controlled or entry.planned_by == one.planned_by)
+        ]
+        for one in (row, best)
+    ]
     if any(len(own) != one.figures[figure].seeds for own, one in zip(sums, (row, best), strict=True)):
         return None
     return difference_by_episode(*sums)

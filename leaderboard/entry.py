@@ -114,6 +114,12 @@ class Entry:
         return count
 
     @property
+    def planned_by(self) -> str | None:
+        """The version of the code that planned; None where control was not scored."""
+        code = self.content["settings"].get("control_code") if self.is_measured else None
+        return None if code is None else str(code)
+
+    @property
     def figures(self) -> Mapping[str, FigureJson]:
         """By their fixed names."""
         figures: Mapping[str, FigureJson] = self.content["figures"]

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from leaderboard.board import RANKED_BY, Board, Row, Value
+from leaderboard.board import CONTROLLED, RANKED_BY, Board, Row, Value
 from leaderboard.columns import Column, columns_for, control_columns, count, interval, number, signed
 from leaderboard.markup import Markup, element, joined
 
 SHOWN_SEPARATELY = "as published"
+OTHER_PLANNER = "another planner"
+OTHER_PLANNER_NOTE = (
+    f" Where it says '{OTHER_PLANNER}', another version of the planner chose the actions: what they led to holds, but "
+    "it is not compared with the others."
+)
 
 
 def standings(board: Board, anchor: str) -> Markup:
@@ -35,7 +40,8 @@ def control_standings(board: Board, anchor: str) -> Markup | None:
             "p",
             f"{' or '.join(map(count, tasks)) + ' tasks' if tasks else 'Tasks'}: "
             "bring the objects to where the goal's image has them. "
-            "Distances are those of the simulator, over that at the start; doing nothing is 1.",
+            "Distances are those of the simulator, over that at the start; doing nothing is 1."
+            + (OTHER_PLANNER_NOTE if any(row.planned_otherwise for row in rows) else ""),
             class_="note",
         ),
         _table(board, rows, columns, f"{anchor}-control-caption", ranks=last, words=", control"),
@@ -43,7 +49,7 @@ def control_standings(board: Board, anchor: str) -> Markup | None:
 
 
 def _of_control(figures: Iterable[str]) -> set[str]:
-    return {name for name in figures if name.startswith("control_")}
+    return {name for name in figures if name.startswith(CONTROLLED)}
 
 
 def _table(
@@ -65,7 +71,8 @@ def _table(
             )
     if compute:
         head.append(_heading("Compute", "Of the training, of all seeds together."))
-    body = [_row(row, columns, compared=compared, compute=compute) for row in rows]
+    controlled = ranks != RANKED_BY
+    body = [_row(row, columns, compared=compared, compute=compute, controlled=controlled) for row in rows]
     caption = f"{board.title}{f', {board.dataset}' if board.dataset else ''}{words}"
     table = element(
         "table",
@@ -88,8 +95,8 @@ def _heading(text: str, meaning: str = "", *, unit: str = "", sorted_up: bool = 
     )
 
 
-def _row(row: Row, columns: Sequence[Column], *, compared: bool, compute: bool) -> Markup:
-    cells = [_name(row), _labels(row)]
+def _row(row: Row, columns: Sequence[Column], *, compared: bool, compute: bool, controlled: bool) -> Markup:
+    cells = [_name(row, OTHER_PLANNER if controlled and row.planned_otherwise else ""), _labels(row)]
     for column in columns:
         cells.append(_value(row, row.figures.get(column.figure), strong=_is_strong(row, column.figure)))
         if column.figure == "mse" and compared:
@@ -100,11 +107,11 @@ def _row(row: Row, columns: Sequence[Column], *, compared: bool, compute: bool) 
     return element("tr", *cells, class_=row.kind)
 
 
-def _name(row: Row) -> Markup:
+def _name(row: Row, remark: str) -> Markup:
     if row.kind == "measured":
         name: Markup = element("a", row.name, href=f"#{row.entries[0].slug}")
         seeds = f"{row.seeds} seeds" if row.seeds > 1 else f"seed {row.entries[0].content['seed']}"
-        small = ", ".join(part for part in (row.variant, seeds) if part)
+        small = ", ".join(part for part in (row.variant, seeds, remark) if part)
     elif row.kind == "published":
         name = element("a", row.name, href=f"#{row.entries[0].slug}")
         small = SHOWN_SEPARATELY

@@ -218,6 +218,57 @@ def test_in_control_those_lead_that_cannot_be_told_from_the_best(result: Callabl
     assert leads["far"] == leads["uncontrolled"] == set()  # .05 behind, of .2 between the tasks nothing is left
 
 
+@pytest.fixture
+def planned(result: Callable[..., Entry]) -> Callable[..., Entry]:
+    """Makes an entry whose distance a version of the planner brought about."""
+
+    def make(model: str, distance: float, code: str, *, seed: int = 0) -> Entry:
+        entry = result(model, np.ones(len(EPISODES)), seed=seed)
+        figure = {"mean": distance, "std": 0.2, "low": None, "high": None, "n": len(EPISODES)}
+        sums = {"episode": EPISODES, "n": [1] * len(EPISODES), "sum": [distance] * len(EPISODES)}
+        content = dict(entry.content) | {"figures": {**entry.figures, "control_distance[100]": figure}}
+        content |= {"by_episode": {**entry.by_episode, "control_distance[100]": sums}}
+        content |= {"settings": content["settings"] | {"control_code": code}}
+        return Entry(content | {"reference": content["reference"] | {"oracle": {"control_distance[100]": figure}}})
+
+    return make
+
+
+def test_what_different_planners_did_is_neither_averaged_nor_compared(
+    planned: Callable[..., Entry], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("leaderboard.board.planning_version", lambda: "this")
+    entries = [
+        planned("both", 0.9, "that"),
+        planned("both", 0.5, "this", seed=1),
+        planned("old", 0.3, "that"),
+        planned("old", 0.2, "that", seed=1),
+    ]
+
+    (board,) = make_boards(entries)
+
+    both, old = _row(board, "both"), _row(board, "old")
+    assert (both.figures["control_distance[100]"].mean, both.figures["mse"].seeds) == (0.5, 2)
+    assert (both.leads, both.planned_otherwise) == ({"control_distance[100]"}, False)
+    assert old.figures["control_distance[100]"].mean == pytest.approx(0.25)
+    assert (old.leads, old.planned_otherwise) == (set(), True)
+    (oracle,) = (row for row in board.rows if row.kind == "reference" and "simulator" in row.name)
+    assert oracle.figures["control_distance[100]"].mean == 0.5
+    table = str(control_standings(board, "b"))
+    assert table.count("another planner") == 2  # of the row, and in the note
+
+
+def test_where_nothing_is_of_this_planner_the_most_used_one_s_is_compared(planned: Callable[..., Entry]) -> None:
+    (board,) = make_boards([planned("a", 0.5, "one"), planned("b", 0.6, "one"), planned("c", 0.4, "other")])
+
+    assert {row.name: row.planned_otherwise for row in board.rows if row.kind == "measured"} == {
+        "a": False,
+        "b": False,
+        "c": True,
+    }
+    assert [row.name for row in board.rows if row.leads] == ["a"]
+
+
 def test_another_s_run_of_the_same_name_and_seed_is_a_row_of_its_own(
     sound: Entry, changed: Callable[..., Entry]
 ) -> None:

@@ -1,5 +1,7 @@
 """Do the figures of an entry hold? Everything it says is held against the run, the data set, and a new scoring.
 
+Where the run, the data set or the code that scored it is not here, an entry is neither sound nor wrong: not checked.
+
 In this order:
 
 1. the run of this workspace whose weights have the entry's hash, and what it says of itself (``sources.py``);
@@ -101,7 +103,7 @@ def check_entry(
         _against_tables(check)
         return check.verdict()
     if entry.content["code"] != scoring_version():
-        check.wrong.append(
+        check.missing.append(
             f"code: the entry was scored by {short(entry.content['code'])}, this is {scoring_version()!r}; "
             "score the run again, or check with the dmbench that scored it"
         )

@@ -98,7 +98,7 @@ def check_control(
         repeater = _Repeater(actions)
         result = _control(repeater, problems, dataset, scoring, how, f"control by {name}, again")
         found[name] = control_samples(name, result)
-        if name == MODEL and anew:
+        if name == MODEL and anew and check.entry.planned_by == planning_version():
             _plan_anew(check, run, dataset, problems, scoring, actions, differing, how)
     if anew:
         found |= {name: _reference(name, dataset, scoring, how) for name in _quick(dataset)}
@@ -125,10 +125,10 @@ def _scoring(check: Findings) -> ControlScoring | None:
     if wrong:
         check.wrong += [f"settings.{name} is {short(given.get(name))}, which cannot be" for name in wrong]
         return None
-    if given.get(f"{FIGURES}code") != planning_version():
-        check.wrong.append(
-            f"control: it was planned by {short(given.get(f'{FIGURES}code'))}, this is {planning_version()!r}; "
-            "score the run again, or check with the dmbench that scored it"
+    if check.entry.planned_by != planning_version():
+        check.missing.append(
+            f"code: control was planned by {short(check.entry.planned_by)}, this is {planning_version()!r}; what its "
+            "actions lead to was checked, to have them planned anew use the dmbench that scored it"
         )
     return ControlScoring.from_json(given)
 

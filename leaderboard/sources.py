@@ -35,7 +35,7 @@ def find_run(check: Findings, workspace: Workspace) -> Run | None:
         elif run.name == check.entry.name and run.result is not None:
             check.remarks.append(f"the run {str(path)!r} has other weights: {run.result['weights'][:12]}")
     if not found:
-        check.wrong.append(f"weights: no run in {str(workspace.runs)!r} has the hash {wanted[:12]}; {ELSEWHERE}")
+        check.missing.append(f"weights: no run in {str(workspace.runs)!r} has the hash {wanted[:12]}; {ELSEWHERE}")
         return None
     return next((run for run in found if run.name == check.entry.name), found[0])
 
@@ -51,7 +51,7 @@ def find_dataset(check: Findings, workspace: Workspace) -> Dataset | None:
         if dataset.fingerprint == said["fingerprint"]:
             found.append(dataset)
     if not found:
-        check.wrong.append(
+        check.missing.append(
             f"data set: none in {str(workspace.data)!r} has the fingerprint {said['fingerprint'][:12]}; {ELSEWHERE}"
         )
         return None

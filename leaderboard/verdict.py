@@ -23,20 +23,22 @@ class Verdict:
     Attributes:
         entry: Its name.
         findings: What does not hold; empty for a sound entry.
-        remarks: What could not be checked, or is to be borne in mind.
+        missing: What would be needed to check it and is not here: its weights, its data, the code that scored it.
+        remarks: What is to be borne in mind.
         figures, samples: How many were held against a new scoring.
     """
 
     entry: str
     findings: tuple[str, ...]
+    missing: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     figures: int = 0
     samples: int = 0
 
     @property
     def holds(self) -> bool:
-        """Whether nothing was found."""
-        return not self.findings
+        """Whether everything was checked and nothing was found."""
+        return not self.findings and not self.missing
 
     def to_json(self) -> dict[str, Any]:
         """What ``dmbench leaderboard check --json`` prints."""
@@ -49,6 +51,7 @@ class Findings:
 
     entry: Entry
     wrong: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     figures: int = 0
     samples: int = 0
@@ -85,6 +88,7 @@ class Findings:
         return Verdict(
             entry=self.entry.name + on,
             findings=tuple(self.wrong),
+            missing=tuple(self.missing),
             remarks=tuple(self.remarks),
             figures=self.figures,
             samples=self.samples,

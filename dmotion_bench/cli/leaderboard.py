@@ -98,9 +98,12 @@ def check(
     else:
         for verdict in verdicts:
             _show_verdict(verdict)
-    failed = sum(not verdict.holds for verdict in verdicts)
-    if failed:
-        raise RunError(f"{failed} of {len(verdicts)} entries do not hold.")
+    failed = sum(bool(verdict.findings) for verdict in verdicts)
+    unknown = sum(not verdict.holds for verdict in verdicts) - failed
+    told = [f"{failed} of {len(verdicts)} entries do not hold"] if failed else []
+    told += [f"{unknown} of {len(verdicts)} could not be checked here"] if unknown else []
+    if told:
+        raise RunError("; ".join(told) + ".")
 
 
 @group.command()
@@ -162,8 +165,9 @@ def _part(name: str) -> Any:
 
 def _show_verdict(verdict: Any) -> None:
     held = f"{verdict.figures} figures, {verdict.samples} samples" if verdict.samples else f"{verdict.figures} figures"
-    typer.echo(f"{'holds        ' if verdict.holds else 'DOES NOT HOLD'}  {verdict.entry} ({held})")
-    for finding in verdict.findings:
+    word = "DOES NOT HOLD" if verdict.findings else "not checked" if verdict.missing else "holds"
+    typer.echo(f"{word:13}  {verdict.entry} ({held})")
+    for finding in (*verdict.findings, *verdict.missing):
         typer.echo(f"    {finding}")
     for remark in verdict.remarks:
         typer.echo(f"    ({remark})")

@@ -42,7 +42,8 @@ class Parts:
         return [
             Verdict(entry="good", findings=(), remarks=("old",), figures=5, samples=70),
             Verdict(entry="bad", findings=("mse.mean is said to be 1 and is 2",)),
-        ][: 1 if quick else 2]
+            Verdict(entry="away", findings=(), missing=("weights: no run",)),
+        ][: 1 if quick else 3]
 
     def compare(self, first: Path, second: Path, dataset: str | None) -> list[Difference]:
         self.asked.append((first, second))
@@ -103,8 +104,9 @@ def test_check_tells_what_does_not_hold_and_fails(run: Callable[..., Result], pa
     assert "holds          good (5 figures, 70 samples)" in result.stdout
     assert "DOES NOT HOLD  bad" in result.stdout
     assert "    mse.mean is said to be 1 and is 2" in result.stdout
+    assert "not checked    away" in result.stdout
     assert isinstance(result.exception, RunError)
-    assert "1 of 2 entries do not hold" in str(result.exception)
+    assert str(result.exception) == "1 of 3 entries do not hold; 1 of 3 could not be checked here."
 
 
 def test_check_is_silent_about_sound_entries(run: Callable[..., Result], parts: Parts) -> None:
@@ -113,7 +115,8 @@ def test_check_is_silent_about_sound_entries(run: Callable[..., Result], parts: 
     assert parts.asked == [([Path("e.json")], True, 0.01)]
     assert result.exit_code == 0
     (verdict,) = json.loads(result.stdout)["verdicts"]
-    assert verdict == {"holds": True, "entry": "good", "findings": [], "remarks": ["old"], "figures": 5, "samples": 70}
+    sound = {"holds": True, "entry": "good", "findings": [], "missing": [], "remarks": ["old"]}
+    assert verdict == sound | {"figures": 5, "samples": 70}
 
 
 def test_compare_says_better_only_where_the_interval_does(run: Callable[..., Result], parts: Parts) -> None:

@@ -75,8 +75,6 @@ def test_no_figure_is_left_out(workspace: Workspace, sound: Entry, changed: Chan
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ({"weights": "0" * 64}, "weights: no run"),
-        ({"code": "0.1.0+000000000000"}, "code: "),
         ({"model": "clasp"}, "model: "),
         ({"arch": "paper"}, "arch: "),
         ({"seed": 7}, "seed: "),
@@ -100,9 +98,25 @@ def test_what_the_entry_says_of_itself_counts(
 
 
 @pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ({"weights": "0" * 64}, "weights: no run"),
+        ({"code": "0.1.0+000000000000"}, "code: the entry was scored by"),
+        ({"dataset": {"name": "away", "environment": "grid_world", "fingerprint": "0" * 64}}, "data set: none"),
+    ],
+)
+def test_what_is_not_here_makes_an_entry_neither_sound_nor_wrong(
+    workspace: Workspace, changed: Changed, content: dict[str, Any], said: str
+) -> None:
+    verdict = check_entry(changed(**content), workspace, QUICK)
+
+    assert (verdict.findings, verdict.holds) == ((), False)
+    assert [one.startswith(said) for one in verdict.missing] == [True]
+
+
+@pytest.mark.parametrize(
     ("where", "part", "said"),
     [
-        ("dataset", {"fingerprint": "0" * 64}, "data set: none"),
         ("dataset", {"name": "grid_world-paper"}, "dataset.name: "),
         ("dataset", {"environment": "robot_push"}, "dataset.environment: "),
         ("samples", {"sha256": "0" * 64}, "samples.sha256: "),

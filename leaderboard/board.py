@@ -25,6 +25,8 @@ from leaderboard.entry import Entry
 RANKED_BY: Final = "mse"
 CONTROLLED: Final = "control_"
 """How the names of control's figures begin."""
+OTHER_PLANNER: Final = "another planner"
+"""Marks a row of control that is not compared."""
 _CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
 RowKind = Literal["measured", "published", "reference"]
 

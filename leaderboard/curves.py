@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from leaderboard.board import Board, Row
+from leaderboard.board import OTHER_PLANNER, Board, Row
 from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
 from leaderboard.columns import count, number
 from leaderboard.markup import Markup, element, joined
@@ -131,7 +131,7 @@ def _ahead(
     marked = frozenset(step for step in lengths if step % every == 0 or step == min(lengths))
     series = [
         Series(
-            name=f"{row.title}, labels {row.labels}",
+            name=f"{_title(row, base)}, labels {row.labels}",
             points=points,
             style=styles[row.model],
             dash=_dash(row),
@@ -163,7 +163,7 @@ def _ahead(
         [
             (name, labels, *(number(values.get(step)) for step in shown))
             for name, labels, points in (
-                *((row.title, row.labels, points) for row, points in curves.values()),
+                *((_title(row, base), row.labels, points) for row, points in curves.values()),
                 *((one.name, "", one.points) for one in still),
             )
             if (values := {point.x: point.y for point in points})
@@ -201,6 +201,11 @@ def _steps(row: Row, base: str) -> list[Point]:
     places = [(int(found[2]), name) for name in row.figures if (found := _AHEAD.fullmatch(name)) and found[1] == base]
     start = [Point(x=0.0, y=1.0)] if base == "control_distance" and places and min(places)[0] > 0 else []
     return start + [_point(float(step), row, name) for step, name in sorted(places)]
+
+
+def _title(row: Row, base: str) -> str:
+    """A row's name, and of control whose plans it does not share with the others."""
+    return f"{row.title}, {OTHER_PLANNER}" if row.planned_otherwise and base == "control_distance" else row.title
 
 
 def _is_covered(row: Row, board: Board) -> bool:

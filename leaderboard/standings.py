@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from leaderboard.board import CONTROLLED, RANKED_BY, Board, Row, Value
+from leaderboard.board import CONTROLLED, OTHER_PLANNER, RANKED_BY, Board, Row, Value
 from leaderboard.columns import Column, columns_for, control_columns, count, interval, number, signed
 from leaderboard.markup import Markup, element, joined
 
 SHOWN_SEPARATELY = "as published"
-OTHER_PLANNER = "another planner"
 OTHER_PLANNER_NOTE = (
     f" Where it says '{OTHER_PLANNER}', another version of the planner chose the actions: what they led to holds, but "
     "it is not compared with the others."

@@ -36,5 +36,6 @@ def bench(
     for result in results:
         share = f"{100 * result.value / result.limit:.0f}%" if result.limit else ""
         bound = f"{result.limit:,.0f} ({result.limit_name})" if result.limit else ""
-        rows.append((result.name, f"{result.value:,.1f}", result.unit, share, bound))
+        speed = f"{result.value:,.1f}" if result.value >= 10 else f"{result.value:.3g}"
+        rows.append((result.name, speed, result.unit, share, bound))
     show_rows(("what", "speed", "unit", "of limit", "limit"), rows, right=frozenset({"speed", "of limit"}))

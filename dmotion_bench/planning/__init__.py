@@ -4,6 +4,7 @@
 
     costs.py          how far a predicted frame is from the goal
     tracking.py       where objects are, also those that something hides
+    edges.py          which objects may fall from the table by the next step
     following.py      the cost of imagined objects that are followed from step to step
     journal.py        how far control is, on disk
     driving.py        a model's imagination, driven by hand

@@ -22,7 +22,7 @@ from dmotion_bench.planning.costs import PositionCost, TrackedCost, make_cost
 from dmotion_bench.planning.exploring import Sights
 from dmotion_bench.planning.futures import ModelFutures
 from dmotion_bench.planning.planner import DEFAULT_PLANNER, Moment, Plan, Planner, make_planner
-from dmotion_bench.planning.problems import World
+from dmotion_bench.planning.problems import Problem, World
 from dmotion_bench.planning.simulation import Simulation, SimulatorFutures
 from dmotion_bench.planning.tracking import Outlines, Tracker
 from dmotion_bench.specs import EnvSpec
@@ -154,13 +154,13 @@ class RandomController:
 
 
 class OracleController:
-    """The same planner and the same cost with the true simulator as the model.
+    """The same planner with the true simulator as the model: an upper bound, so it knows where everything is.
 
     Args:
         spec: What the objects look like.
         planner: Searches the simulator's futures.
         make_env: Makes simulators to try things out in.
-        cost: "position" or "tracked"; None for the latter.
+        cost: None for the simulator's own positions; "tracked" and "position" find them in its pictures.
     """
 
     def __init__(
@@ -188,18 +188,25 @@ class OracleController:
         if known is None or known.problem is not world.problem:
             env = known.env if known else self._make_env()
             known = self._simulations[place] = Simulation(env, world.problem, self._look)
-        assert seen.tracked is not None, "there are objects"
+        known.price = self._price(place, world.problem, seen)
+        known.follow(world)
+        return known
+
+    def _price(self, place: int, problem: Problem, seen: Seen) -> Callable[[Any], float]:
+        if self._cost is None:
+            return problem.squared_distance
         cost: PositionCost | TrackedCost
         if self._cost == "position":
             cost = PositionCost(self._spec, torch.from_numpy(seen.goals[place])[None])
         else:
+            assert seen.tracked is not None, "there are objects"
             here = torch.tensor([place])
             cost = TrackedCost(self._spec, seen.tracked[0].of(here), seen.tracked[1].of(here))
-        known.price = lambda look: float(cost.of_looks(look, torch.zeros(1, dtype=torch.long)))
-        known.follow(world)
-        return known
+        return lambda look: float(cost.of_looks(look, torch.zeros(1, dtype=torch.long)))
 
-    def _look(self, frame: UInt8[np.ndarray, "h w 3"]) -> Outlines:
+    def _look(self, frame: UInt8[np.ndarray, "h w 3"], env: Environment) -> Any:
+        if self._cost is None:
+            return env.objects().position.copy()
         return self._tracker.look(torch.from_numpy(frame)[None])
 
 

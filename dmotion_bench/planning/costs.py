@@ -20,6 +20,7 @@ from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, State
 from dmotion_bench.planning.covering import Ground
+from dmotion_bench.planning.edges import Edges
 from dmotion_bench.planning.exploring import Exploration, Sights
 from dmotion_bench.planning.following import FollowedCost, Following
 from dmotion_bench.planning.tracking import Outlines, Tracker, believed
@@ -177,7 +178,9 @@ def make_cost(
         exploration = None
         if sights is not None:
             exploration = Exploration(sights.to(current.device), known, wanted, spec.width, len(spec.actions))
-        return FollowedCost(spec, known, wanted, ground=Ground(Tracker(spec), current, known), exploration=exploration)
+        ground = Ground(tracker := Tracker(spec), current, known)
+        edges = Edges(tracker, ground, current, goals, known)
+        return FollowedCost(spec, known, wanted, ground=ground, exploration=exploration, edges=edges)
     if name == "tracked" and tracked is not None:
         return TrackedCost(spec, *tracked)
     if name == "pixel":

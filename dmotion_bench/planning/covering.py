@@ -52,7 +52,7 @@ class Ground:
             for place in range(2):
                 if len(around) > place * enough:
                     self._colors[task, one, place] = around[around.sum(dim=1).argsort(stable=True)[len(around) // 2]]
-                    around = around[~_alike(around, self._colors[task, one])]
+                    around = around[~alike(around, self._colors[task, one])]
 
     def covered(
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
@@ -62,9 +62,16 @@ class Ground:
         for place, one in (asked & ~covered).nonzero().tolist():
             own = int(task[place])
             patch = frames[place][self._box(own, one, 0.0, frames[place])].float()
-            bare = _alike(patch, self._colors[own, one])
+            bare = alike(patch, self._colors[own, one])
             covered[place, one] = bare.numel() > 0 and float(bare.float().mean()) < BARE
         return covered
+
+    @property
+    def color(self) -> Float[Tensor, "b 3"]:
+        """Of the ground that most objects of a task stand on; NaN where nobody knows."""
+        colors = self._colors[:, :, 0]
+        votes = ((colors[:, :, None] - colors[:, None]).abs().amax(dim=-1) < ALIKE).sum(dim=2)
+        return colors[torch.arange(len(colors)), votes.argmax(dim=1)]
 
     def _box(self, task: int, one: int, beyond: float, picture: Tensor) -> tuple[slice, slice]:
         """The part of a picture within an object's outline, and so far beyond it."""
@@ -75,7 +82,7 @@ class Ground:
         return slice(min(max(top, 0), height), max(bottom, 0)), slice(min(max(left, 0), width), max(right, 0))
 
 
-def _alike(pixels: Float[Tensor, "*p 3"], colors: Float[Tensor, "c 3"]) -> Bool[Tensor, "*p"]:
-    """Which pixels have one of some colours; NaN is none."""
-    alike: Bool[Tensor, "*p"] = ((pixels[..., None, :] - colors).abs().amax(dim=-1) < ALIKE).any(dim=-1)
-    return alike
+def alike(pixels: Float[Tensor, "*p 3"], colors: Float[Tensor, "*c 3"]) -> Bool[Tensor, "*p"]:
+    """Which pixels have one of some colours, the same for all or each its own; NaN is none."""
+    found: Bool[Tensor, "*p"] = ((pixels[..., None, :] - colors).abs().amax(dim=-1) < ALIKE).any(dim=-1)
+    return found

@@ -8,7 +8,8 @@ counts as lost, no push ever looks good. What is known about objects helps (meas
 - from one step to the next an object does not go farther than the agent does, so only its own surroundings are
   looked at, and they move along with it;
 - objects do not fade away: one that does is believed to be where it was imagined last. But one of which the first
-  imagined step, which is predicted from real pictures, leaves nothing but bare ground is lost (``covering.py``).
+  imagined step, which is predicted from real pictures, leaves nothing but bare ground is lost (``covering.py``), and
+  at the table's edge one that loses too much of it may be (``edges.py``).
 
 What is partly hidden is treated as in ``tracking.py``; of futures that cost the same, ``exploring.py`` says which is
 to be preferred. Nothing but pictures is looked at.
@@ -27,6 +28,7 @@ from torch import Tensor
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.model import ForwardModel, State
 from dmotion_bench.planning.covering import Ground
+from dmotion_bench.planning.edges import Edges
 from dmotion_bench.planning.exploring import Exploration
 from dmotion_bench.planning.tracking import CLEAR, PLAY, Outlines, Tracker, believed
 from dmotion_bench.specs import EnvSpec
@@ -79,8 +81,9 @@ class Following(Protocol):
 class FollowedCost:
     """Summed squared distances of the objects' centres, each followed step by step [px^2].
 
-    What is known of an object at a step is its centre's x and y [px], whether it is still there: 1, 0 for one that the
-    first step lost, NaN before that; and how reluctantly the first action is taken, the same for all objects.
+    What is known of an object at a step is its centre's x and y [px]; whether it is still there: 1, 0 for one that the
+    first step lost or put in danger of falling, NaN before that; and how reluctantly the first action is taken, the
+    same for all objects.
 
     Args:
         spec: Says what the objects look like.
@@ -88,6 +91,7 @@ class FollowedCost:
         wanted: Where they should be; what the goal image does not show at all does not count.
         ground: What they stand on; without it what the first step covers counts as lost, too.
         exploration: Which of the futures that cost the same is to be preferred; without it none is.
+        edges: Which objects may fall; without it only what the first step leaves nothing of counts as lost.
     """
 
     def __init__(
@@ -101,12 +105,13 @@ class FollowedCost:
         doubt: float = DOUBT,
         ground: Ground | None = None,
         exploration: Exploration | None = None,
+        edges: Edges | None = None,
     ) -> None:
         self._tracker, self._known, self._wanted = Tracker(spec), known, wanted
         self._reach, self._still, self._doubt = reach * spec.width, still, (doubt * spec.width) ** 2
         self._touch = TOUCH * spec.width
         self._nowhere, self._loss = (spec.width / 2) ** 2, (LOSS * spec.width) ** 2
-        self._ground, self._exploration = ground, exploration
+        self._ground, self._exploration, self._edges = ground, exploration, edges
         self._now = self._apart(known.centre, wanted, torch.zeros_like(known.seen))
 
     def begin(self) -> Float[Tensor, "b k 4"]:
@@ -140,6 +145,8 @@ class FollowedCost:
         left = ~start.seen | (now.seen & (now.pixels >= GONE * start.pixels))
         if bool((gone := there.isnan() & ~left).any()) and self._ground is not None:
             left = left | self._ground.covered(frames, task, gone)
+        if self._edges is not None:
+            left = left & ~self._edges.in_danger(frames, now, task, there.isnan())
         if self._exploration is not None:
             first = self._exploration.reluctance(frames, task, action)[:, None]
             reluctance = torch.where(there.isnan(), first, reluctance)

@@ -89,6 +89,11 @@ class Problem:
         off, present = self._off(positions), ~np.isnan(positions[:, 0])
         return float(off[self._counted & present].sum() / self.initial) + self.lost(positions)
 
+    def squared_distance(self, positions: Float[np.ndarray, "k 3"]) -> float:
+        """Summed squared distances [m^2], what is lost as far away as everything together at the start."""
+        off = np.where(np.isnan(positions[:, 0]), self.initial, self._off(positions))
+        return float(np.square(off[self._counted]).sum())
+
     def lost(self, positions: Float[np.ndarray, "k 3"]) -> int:
         """How many objects that should be there are gone."""
         return int((self._counted & np.isnan(positions[:, 0])).sum())

@@ -23,8 +23,8 @@ from dmotion_bench.environment import Environment, Restorable
 from dmotion_bench.planning.futures import States
 from dmotion_bench.planning.problems import Problem, World, start
 
-Look = Callable[[UInt8[np.ndarray, "h w 3"]], Any]
-"""What of a picture its cost is made of; it is kept for as long as the task lasts."""
+Look = Callable[[UInt8[np.ndarray, "h w 3"], Environment], Any]
+"""What of a picture, or of the simulator that shows it, its cost is made of; it is kept as long as the task lasts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Place:
         actions: What leads there from the problem's start.
         snapshot: Of the environment, where it can be restored.
         name: Where everything is, bit by bit: places of the same name are the same.
-        look: Of what is seen there.
+        look: Of what is there.
     """
 
     actions: tuple[int, ...]
@@ -50,7 +50,7 @@ class Simulation:
     Args:
         env: Used by nobody else meanwhile.
         problem: Whose start it is brought to.
-        look: Looks at a picture.
+        look: Looks at a picture and at what is behind it.
 
     Attributes:
         here: Where the problem's world is.
@@ -65,7 +65,7 @@ class Simulation:
         self._look = look
         self._after: dict[tuple[bytes, int], Place] = {}
         frame = start(env, problem)
-        self.here = self._now = _place(env, (), look(frame))
+        self.here = self._now = _place(env, (), look(frame, env))
 
     def follow(self, world: World) -> None:
         """Be where the world is."""
@@ -85,7 +85,7 @@ class Simulation:
             self._go(place)
             frame = self.env.step(action)[0]
             self.tried += 1
-            known = self._now = _place(self.env, (*place.actions, action), self._look(frame))
+            known = self._now = _place(self.env, (*place.actions, action), self._look(frame, self.env))
             self._after[place.name, action] = known
         if known.actions[:-1] != place.actions:  # the same place, reached on another way
             known = Place(actions=(*place.actions, action), snapshot=known.snapshot, name=known.name, look=known.look)

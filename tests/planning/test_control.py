@@ -101,7 +101,7 @@ def test_a_perfect_model_solves_what_random_actions_do_not(problems: list[Proble
 def test_a_perfect_model_and_the_oracle_do_the_same(problems: list[Problem]) -> None:
     """The oracle looks into the simulator what the model draws: the same frames, so the same plans."""
     imagined = solve(ModelController(PerfectGridModel(), FACTS, SMALL, bf16=False), problems[:3], steps=8)
-    true = solve(OracleController(FACTS, SMALL, GridWorld), problems[:3], steps=8)
+    true = solve(OracleController(FACTS, SMALL, GridWorld, cost="tracked"), problems[:3], steps=8)
     np.testing.assert_array_equal(imagined.actions, true.actions)
     np.testing.assert_array_equal(imagined.distance, true.distance)
     assert imagined.frames == true.frames

@@ -130,7 +130,7 @@ def test_what_cannot_be_restored_is_replayed_and_nothing_is_tried_twice(problems
         goal_positions=env.objects().position + 1,
     )
     world = World(GridWorld(), problem)
-    simulation = Simulation(env, problem, lambda image: float(image.sum()))
+    simulation = Simulation(env, problem, lambda image, _: float(image.sum()))
     generator = np.random.default_rng(0)
     place, taken = simulation.here, list[int]()
     for action in generator.integers(0, 4, 12).tolist():

@@ -1,0 +1,121 @@
+"""Which objects stand at the table's edge, where a push that a model imagines as nothing much may be the last one.
+
+An object that falls is lost for good, and models rarely see it coming: of a push over the edge they imagine a pixel,
+or a smear that looks as if something covered the object. But already the first imagined step, which is predicted from
+real pictures, leaves little of the object then (measured in DECISIONS.md). So where an object stands near the edge, a
+first step that leaves too little of it to be sure of it is as bad as one that loses it; unless something passes before
+the object. That shows below it: the camera looks down on the table, so what is nearer to it stands lower in the
+picture, while whatever pushes the object away is no lower than the object itself. Nothing but pictures is looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.planning.covering import Ground, alike
+from dmotion_bench.planning.tracking import Outlines, Tracker
+
+MARGIN: Final = 10 / 128
+"""An object whose centre is nearer to the edge than this share of the frame's width is watched."""
+
+SURE: Final = 0.7
+"""Of the pixels that are seen of it, a first step must leave this share."""
+
+BELOW: Final = (3 / 128, 16 / 128)
+"""What passes before an object shows so far below its outline, from and to, as shares of the frame's width."""
+
+BESIDE: Final = 3 / 128
+"""And at most so far to the left and the right of it."""
+
+THIN: Final = 2
+"""In some row there it has at least so many pixels."""
+
+SIDES: Final = 64
+"""The ground is taken for a polygon of so many sides around all that is seen of it, each of its own direction."""
+
+PATCH: Final = 5
+"""Ground is where most pixels of a square of so many a side have its colour; some of the agent's edges have it, too."""
+
+
+class Edges:
+    """The objects of some tasks that are near the edge of what they stand on.
+
+    Args:
+        tracker: Knows what is an object and no ground.
+        ground: Knows the ground's colours.
+        frames: The present pictures.
+        goals: What they should look like; they show some of the ground that the agent hides now.
+        known: Where the objects are in the present pictures.
+    """
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        ground: Ground,
+        frames: UInt8[Tensor, "b h w 3"],
+        goals: UInt8[Tensor, "b h w 3"],
+        known: Outlines,
+    ) -> None:
+        self._tracker, self._known, self._width = tracker, known, frames.shape[2]
+        self._color: Float[Tensor, "b 1 1 1 3"] = ground.color[:, None, None, None]
+        now, then = (alike(pictures.float(), self._color) for pictures in (frames, goals))
+        bare = F.avg_pool2d((now | then).float()[:, None], PATCH, stride=1, padding=PATCH // 2)[:, 0] > 0.5
+        self._strange = ~now & ~tracker.show_objects(frames)
+        self._watched: Bool[Tensor, "b k"] = _inwards(bare, known.centre) < MARGIN * self._width
+        self._pixels: Int[Tensor, "b k"] = tracker.look(frames).pixels
+
+    def in_danger(
+        self, frames: UInt8[Tensor, "n h w 3"], now: Outlines, task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
+    ) -> Bool[Tensor, "n k"]:
+        """Which of the objects that are asked about may fall by the step that leads to the pictures.
+
+        Args:
+            frames: The pictures.
+            now: What is seen of the objects in them.
+            task: Whose they are.
+            asked: The objects.
+        """
+        danger = asked & self._watched[task] & (now.pixels < SURE * self._pixels[task])
+        for place, one in danger.nonzero().tolist():
+            danger[place, one] = not self._is_passed(frames[place], int(task[place]), one)
+        return danger
+
+    def _is_passed(self, picture: UInt8[Tensor, "h w 3"], task: int, one: int) -> bool:
+        """Whether something new is to be seen below an object: neither ground nor object, and not there before."""
+        centre, low, high = (part[task, one] for part in (self._known.centre, self._known.low, self._known.high))
+        bottom, (near, far), beside = float(centre[1] + high[1]), BELOW, BESIDE * self._width
+        rows = slice(math.ceil(bottom + near * self._width), math.ceil(bottom + far * self._width))
+        left, right = math.floor(centre[0] - low[0] - beside), math.ceil(centre[0] + high[0] + beside)
+        below = (rows, slice(max(left, 0), max(right, 0)))
+        strip = picture[below][None]
+        new = ~alike(strip.float(), self._color[task]) & ~self._tracker.show_objects(strip)
+        return bool(((new[0] & ~self._strange[task][below]).sum(dim=1) >= THIN).any())
+
+
+def _inwards(bare: Bool[Tensor, "b h w"], centre: Float[Tensor, "b k 2"]) -> Float[Tensor, "b k"]:
+    """How far objects are from the edge of the ground [px], negative outside; infinite where there is none to see.
+
+    It is the least distance to the sides of the polygon around all that is seen of the ground.
+    """
+    down, across = (torch.arange(size, device=bare.device).to(centre) for size in bare.shape[1:])
+    angle = torch.arange(SIDES, device=bare.device).to(centre) * (2 * math.pi / SIDES)
+    outwards: Float[Tensor, "s 2"] = torch.stack([angle.cos(), angle.sin()], dim=1)
+    some = bare.any(dim=2)
+    sides: Float[Tensor, "b s"] = torch.full((len(bare), SIDES), -torch.inf).to(centre)
+    for end in _ends(bare):  # of each row: what lies between its ends is not at the edge
+        reach = across[end][..., None] * outwards[:, 0] + down[:, None] * outwards[:, 1]
+        sides = torch.maximum(sides, reach.where(some[..., None], reach.new_tensor(-torch.inf)).amax(dim=1))
+    distance = (sides[:, None] - centre @ outwards.T).amin(dim=2)
+    return distance.where(some.any(dim=1)[:, None], distance.new_tensor(torch.inf)).nan_to_num(torch.inf)
+
+
+def _ends(bare: Bool[Tensor, "b h w"]) -> tuple[Int[Tensor, "b h"], Int[Tensor, "b h"]]:
+    """The first and the last column of each row; any for rows that have none."""
+    whole = bare.to(torch.uint8)
+    return whole.argmax(dim=2), bare.shape[2] - 1 - whole.flip(2).argmax(dim=2)

@@ -20,11 +20,10 @@ from dmotion_bench.scoring.control import planning_version
 from dmotion_bench.scoring.report import FigureJson
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.comparison import difference_by_episode
+from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.entry import Entry
 
 RANKED_BY: Final = "mse"
-CONTROLLED: Final = "control_"
-"""How the names of control's figures begin."""
 OTHER_PLANNER: Final = "another planner"
 """Marks a row of control that is not compared."""
 _CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")

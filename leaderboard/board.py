@@ -27,6 +27,7 @@ RANKED_BY: Final = "mse"
 OTHER_PLANNER: Final = "another planner"
 """Marks a row of control that is not compared."""
 _CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
+ORACLE: Final = "oracle"
 RowKind = Literal["measured", "published", "reference"]
 
 REFERENCE_WORDS: Final = {
@@ -34,7 +35,7 @@ REFERENCE_WORDS: Final = {
     "agent_moves": "only the agent moves",
     "idle": "idle",
     "random": "random actions",
-    "oracle": "true simulator as the model",
+    ORACLE: "true simulator as the model",
     "scripted": "scripted pusher",
 }
 
@@ -291,15 +292,28 @@ def _published_row(entry: Entry) -> Row:
 
 
 def _reference_rows(entries: Sequence[Entry], planner: str | None) -> list[Row]:
-    """What the entries say of predictors that know nothing; all of a board and a planner say the same."""
+    """What the entries say of predictors that know nothing; all of a board and a planner say the same.
+
+    Of them the oracle alone plans; where nothing is known of it with the board's planner, another's is marked.
+    """
     found: dict[str, dict[str, Any]] = defaultdict(dict)
+    planned_by: dict[str, str | None] = {}
     for entry in sorted(entries, key=lambda entry: entry.planned_by != planner):
         for name, figures in entry.content["reference"].items():
-            if name != "paper":
-                for figure, value in figures.items():
-                    found[name].setdefault(figure, value)
+            if name == "paper" or (
+                name == ORACLE and planned_by.setdefault(name, entry.planned_by) != entry.planned_by
+            ):
+                continue
+            for figure, value in figures.items():
+                found[name].setdefault(figure, value)
     return [
-        Row(kind="reference", name=REFERENCE_WORDS.get(name, name), figures=_values([figures]))
+        Row(
+            kind="reference",
+            name=REFERENCE_WORDS.get(name, name),
+            figures=_values([figures]),
+            planned_by=planned_by.get(name),
+            planned_otherwise=planned_by.get(name, planner) != planner,
+        )
         for name, figures in found.items()
         if figures
     ]

@@ -143,7 +143,7 @@ def _ahead(
     ]
     still = [
         Series(
-            name=row.name,
+            name=_title(row, base),
             points=points,
             style=Style(-1),
             dash="dotted",

@@ -116,7 +116,7 @@ def _name(row: Row, remark: str) -> Markup:
         name = element("a", row.name, href=f"#{row.entries[0].slug}")
         small = SHOWN_SEPARATELY
     else:
-        name, small = element("span", row.name), "reference"
+        name, small = element("span", row.name), f"reference, {remark}" if remark else "reference"
     return element("th", name, element("small", small), scope="row", data_value=row.title)
 
 

@@ -258,6 +258,24 @@ def test_what_different_planners_did_is_neither_averaged_nor_compared(
     assert table.count("another planner") == 2  # of the row, and in the note
 
 
+def test_an_oracle_of_another_planner_is_marked(planned: Callable[..., Entry], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("leaderboard.board.planning_version", lambda: "this")
+    present = planned("new", 0.5, "this")
+    references = {name: one for name, one in present.content["reference"].items() if name != "oracle"}
+    blind = Entry(dict(present.content) | {"reference": references})
+
+    for entries, marked in (
+        ([present, planned("old", 0.3, "that")], False),
+        ([blind, planned("old", 0.3, "that")], True),
+    ):
+        (board,) = make_boards(entries)
+        (oracle,) = (row for row in board.rows if row.kind == "reference" and "simulator" in row.name)
+        assert oracle.planned_otherwise is marked
+        assert ("reference, another planner" in str(control_standings(board, "b"))) is marked
+        (idle,) = (row for row in board.rows if row.name == "copy the last frame")
+        assert not idle.planned_otherwise
+
+
 def test_where_nothing_is_of_this_planner_the_most_used_one_s_is_compared(planned: Callable[..., Entry]) -> None:
     (board,) = make_boards([planned("a", 0.5, "one"), planned("b", 0.6, "one"), planned("c", 0.4, "other")])
 

@@ -26,8 +26,8 @@ from leaderboard.entry import Entry
 RANKED_BY: Final = "mse"
 OTHER_PLANNER: Final = "another planner"
 """Marks a row of control that is not compared."""
-_CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
 ORACLE: Final = "oracle"
+_CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
 RowKind = Literal["measured", "published", "reference"]
 
 REFERENCE_WORDS: Final = {
@@ -297,22 +297,20 @@ def _reference_rows(entries: Sequence[Entry], planner: str | None) -> list[Row]:
     Of them the oracle alone plans; where nothing is known of it with the board's planner, another's is marked.
     """
     found: dict[str, dict[str, Any]] = defaultdict(dict)
-    planned_by: dict[str, str | None] = {}
-    for entry in sorted(entries, key=lambda entry: entry.planned_by != planner):
+    own_first = sorted(entries, key=lambda entry: entry.planned_by != planner)
+    oracle = next((entry.planned_by for entry in own_first if ORACLE in entry.content["reference"]), planner)
+    for entry in own_first:
         for name, figures in entry.content["reference"].items():
-            if name == "paper" or (
-                name == ORACLE and planned_by.setdefault(name, entry.planned_by) != entry.planned_by
-            ):
-                continue
-            for figure, value in figures.items():
-                found[name].setdefault(figure, value)
+            if name != "paper" and (name != ORACLE or entry.planned_by == oracle):
+                for figure, value in figures.items():
+                    found[name].setdefault(figure, value)
     return [
         Row(
             kind="reference",
             name=REFERENCE_WORDS.get(name, name),
             figures=_values([figures]),
-            planned_by=planned_by.get(name),
-            planned_otherwise=planned_by.get(name, planner) != planner,
+            planned_by=oracle if name == ORACLE else None,
+            planned_otherwise=name == ORACLE and oracle != planner,
         )
         for name, figures in found.items()
         if figures

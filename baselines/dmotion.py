@@ -51,6 +51,8 @@ class DMotionConfig:
         kernel: Side of cross convolution's kernels [px of the map].
         agent_entries: At how many places of the interaction learner the agent's map enters: 3 as in the paper, or 1.
         second_frame: Whether the interaction learner sees x_{t-1}.
+        warp: Whether the interaction learner can carry what moves instead of painting it anew; compact only. The
+            paper's paints.
         blur: Width of the interpolation kernel at the start of the training [px of the map]; shrinks to 1 over the
             share ``anneal`` of it. 1 is the paper's. With wide kernels the gradient of the motion reaches far.
         jitter: Standard deviation of the noise on phi^0 as the interaction learner sees it, at the start of the
@@ -66,6 +68,7 @@ class DMotionConfig:
     kernel: int = 27
     agent_entries: Literal[1, 3] = 3
     second_frame: bool = True
+    warp: bool = False
     blur: float = 8.0
     jitter: float = 1.2
     jitter_end: float = 0.2
@@ -76,6 +79,8 @@ class DMotionConfig:
             raise InvalidSetting(f"maps is {self.maps} and kernel {self.kernel}; maps must be 1 or more, kernel odd.")
         if self.blur < 1 or self.jitter < 0 or not 0 < self.anneal <= 1:
             raise InvalidSetting("blur must be 1 or more, jitter 0 or more, anneal above 0 and at most 1.")
+        if self.warp and self.arch == "paper":
+            raise InvalidSetting("warp is for arch=compact; the paper's interaction learner paints.")
 
 
 class DMotion(ForwardModel[DMotionConfig]):
@@ -106,7 +111,9 @@ class DMotion(ForwardModel[DMotionConfig]):
         )
         self.decoder = networks.Decoder(config.maps)
         self.interaction_learner = networks.InteractionLearner(
-            frames=2 if config.second_frame else 1, agent_entries=config.agent_entries
+            frames=2 if config.second_frame else 1,
+            agent_entries=config.agent_entries,
+            **({"warps": True} if config.warp else {}),
         )
         self.register_buffer("table", self.transform.identity().repeat(inputs.actions, 1))
         self.blur, self.jitter = config.blur, config.jitter

@@ -115,10 +115,11 @@ class InteractionLearner(UNet):
     Args:
         frames: 2 as in the paper; 1 leaves x_{t-1} out.
         agent_entries: 3, or 1 for the input alone.
+        warps: As for ``UNet``.
     """
 
-    def __init__(self, frames: int = 2, agent_entries: int = 3) -> None:
-        super().__init__(frames)
+    def __init__(self, frames: int = 2, agent_entries: int = 3, *, warps: bool = False) -> None:
+        super().__init__(frames, warps=warps)
         c, w, d = WIDTHS
         self.agent_entries = agent_entries
         self.agent_in = conv(4, c, 1)

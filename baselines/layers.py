@@ -24,6 +24,7 @@ CHANNELS = 3 * PATCH**2  # of a packed frame
 WIDTHS = (32, 64, 128)
 MIDDLE_BLOCKS = 3
 OUTPUT_GAIN = 0.35
+LARGEST_FLOW = 20.0  # [px]: about two steps of an agent
 
 
 def check_size(model: str, inputs: ModelInputs) -> None:
@@ -164,6 +165,21 @@ def linear(inputs: int, outputs: int, gain: float = 1.0) -> nn.Linear:
     return layer
 
 
+def warped(image: Float[Tensor, "b c h w"], flow: Float[Tensor, "b 2 y x"]) -> Float[Tensor, "b c h w"]:
+    """Each pixel read from where the flow points; beyond the picture's edge lies its last pixel.
+
+    Args:
+        image: In float32.
+        flow: From each pixel to the one it is read from, (right, down) [px]; of any size, interpolated to the image's.
+    """
+    height, width = image.shape[2:]
+    flow = F.interpolate(flow, size=(height, width), mode="bilinear", align_corners=False)
+    down = torch.arange(height, device=image.device)[:, None] + 0.5
+    right = torch.arange(width, device=image.device)[None, :] + 0.5
+    places = torch.stack([(right + flow[:, 0]) * (2 / width) - 1, (down + flow[:, 1]) * (2 / height) - 1], dim=-1)
+    return F.grid_sample(image.contiguous(), places, padding_mode="border", align_corners=False)
+
+
 class UNet(nn.Module):
     """The next packed frame out of the last ones; what else decides it is added at three depths.
 
@@ -171,9 +187,11 @@ class UNet(nn.Module):
 
     Args:
         frames: How many frames it sees, x_t the last of them.
+        warps: Whether what moves can be carried there from x_t, by a flow that a second gate lets in, instead of
+            being painted anew.
     """
 
-    def __init__(self, frames: int = 2) -> None:
+    def __init__(self, frames: int = 2, *, warps: bool = False) -> None:
         super().__init__()
         c, w, d = WIDTHS
         self.frames_in = conv(CHANNELS * frames, c, 1)
@@ -184,6 +202,9 @@ class UNet(nn.Module):
         self.up1, self.merge1 = up(d, w), block(w, w)
         self.up0, self.merge0 = up(w, c), block(c, c)
         self.painting, self.gate = output(c, CHANNELS), output(c, PATCH**2)
+        self.warps = warps
+        if warps:
+            self.flow, self.warp_gate = output(c, 2), output(c, PATCH**2)
 
     def next_frame(
         self,
@@ -201,9 +222,21 @@ class UNet(nn.Module):
         level1 = level1 + self.merge1(level1 + self.up1(level2))
         level0 = self.merge0(level0 + self.up0(level1))
         current = packed[:, -CHANNELS:]
+        if self.warps:
+            current = self._carried(current, level0)
         gate = torch.sigmoid(self.gate(level0) - 1).repeat(1, 3, 1, 1)  # one gate per pixel, for its three colours
         blended: Tensor = current + gate * (self.painting(level0) - current)
         return blended
+
+    def _carried(
+        self, current: Float[Tensor, "b p hp wp"], features: Float[Tensor, "b c hp wp"]
+    ) -> Float[Tensor, "b p hp wp"]:
+        """x_t with what moves where the flow carries it."""
+        flow = LARGEST_FLOW * torch.tanh(self.flow(features).float() * (PATCH / LARGEST_FLOW))
+        moved = patches(warped(unpack(current).float(), flow), PATCH).to(current.dtype)
+        gate = torch.sigmoid(self.warp_gate(features)).repeat(1, 3, 1, 1)
+        carried: Tensor = current + gate * (moved - current)
+        return carried
 
 
 class CodedUNet(UNet):

@@ -27,7 +27,7 @@ from torch import Tensor
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig
-from dmotion_bench.learning.settings import from_json
+from dmotion_bench.learning.settings import from_json, to_json
 from dmotion_bench.registry import model_class
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST
@@ -74,6 +74,15 @@ class RunSpec:
     def training_config(self) -> TrainingConfig:
         """How the model is optimised."""
         return from_json(TrainingConfig, self.training)
+
+    def completed(self) -> RunSpec:
+        """The same, settings that later versions added at their defaults: what specs are compared by.
+
+        Raises:
+            InvalidSetting: It has settings that this version does not know.
+        """
+        config: Any = from_json(model_class(self.model).Config, self.config)
+        return dataclasses.replace(self, config=to_json(config), training=to_json(self.training_config))
 
     def build(self) -> ForwardModel[Any]:
         """The model with weights that the seed decides, whatever random numbers were drawn before."""
@@ -132,7 +141,8 @@ class Run:
         """
         if (path / RUN_MANIFEST).exists():
             run = cls.open(path)
-            old, new = dataclasses.asdict(run.spec), dataclasses.asdict(spec)
+            there = run.spec.completed() if run.spec.model == spec.model else run.spec
+            old, new = dataclasses.asdict(there), dataclasses.asdict(spec)
             if differing := [
                 f"{name} is {_short(old[name], new[name])} there and {_short(new[name], old[name])} here"
                 for name in new

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from dmotion_bench.errors import RunError
+from dmotion_bench.errors import InvalidSetting, RunError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Supervision
@@ -41,10 +41,11 @@ def take_over(run: Run) -> Run | None:
 def _twin(run: Run, folder: Path) -> Run | None:
     try:
         other = Run.open(folder)
-    except RunError:
+        if other.spec.model != run.spec.model or other.path == run.path:
+            return None
+        return other if dataclasses.replace(other.spec, labels=run.spec.labels).completed() == run.spec else None
+    except (RunError, InvalidSetting):
         return None
-    same = dataclasses.replace(other.spec, labels=run.spec.labels) == run.spec
-    return other if same and other.path != run.path else None
 
 
 def _shared(run: Run) -> dict[str, Path]:

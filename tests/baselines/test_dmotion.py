@@ -80,9 +80,9 @@ def test_the_next_frame_reaches_the_prediction_through_the_agents_motion_alone(a
     )
 
 
-@pytest.mark.parametrize("arch", ["compact", "paper"])
-def test_every_parameter_learns(arch: str) -> None:
-    model = _model(INPUTS if arch == "paper" else SMALL, arch=arch)
+@pytest.mark.parametrize(("arch", "warp"), [("compact", False), ("compact", True), ("paper", False)])
+def test_every_parameter_learns(arch: str, warp: bool) -> None:
+    model = _model(INPUTS if arch == "paper" else SMALL, arch=arch, warp=warp)
     size = 128 if arch == "paper" else 32
     if arch == "paper":
         for head in model.motion_encoder.heads:
@@ -114,7 +114,9 @@ def test_without_the_second_frame_the_past_does_not_matter() -> None:
     )
 
 
-@pytest.mark.parametrize("settings", [{"transform": "affine"}, {"transform": "cross_convolution", "kernel": 5}])
+@pytest.mark.parametrize(
+    "settings", [{"transform": "affine"}, {"transform": "cross_convolution", "kernel": 5}, {"warp": True}]
+)
 @pytest.mark.parametrize("agent_entries", [1, 3])
 def test_the_ablations_learn_and_predict(settings: dict, agent_entries: int) -> None:
     model = _model(agent_entries=agent_entries, **settings)
@@ -152,6 +154,11 @@ def test_noise_is_for_training_alone_and_ends_where_it_is_told() -> None:
 def test_sizes_that_it_cannot_take_are_said(height: int) -> None:
     with pytest.raises(InvalidSetting, match="multiple of 16"):
         DMotion(DMotionConfig(), ModelInputs(height=height, width=height, actions=4))
+
+
+def test_the_papers_interaction_learner_paints() -> None:
+    with pytest.raises(InvalidSetting, match="warp is for arch=compact"):
+        DMotionConfig(arch="paper", warp=True)
 
 
 def test_going_back_undoes_going_there() -> None:

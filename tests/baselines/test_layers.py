@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 
-from baselines.layers import RoundConv2d, pack, unpack
+from baselines.layers import CHANNELS, PATCH, WIDTHS, RoundConv2d, UNet, pack, unpack, warped
 
 
 def test_a_round_convolution_is_circular_padding_in_value_and_gradient() -> None:
@@ -31,3 +33,37 @@ def test_packing_moves_pixels_and_loses_none() -> None:
     assert torch.equal(unpack(packed), image)
     patch = packed[0, :, 2, 5].reshape(3, 4, 4)
     assert torch.equal(patch, image[0, :, 8:12, 20:24])
+
+
+def test_warping_reads_each_pixel_where_the_flow_points() -> None:
+    image = torch.rand(2, 3, 16, 24, generator=torch.Generator().manual_seed(0))
+    flow = torch.zeros(2, 2, 4, 6)
+    flow[0, 0], flow[1, 1] = 3, -2  # the first from the right, the second from above
+    moved = warped(image, flow)
+    torch.testing.assert_close(moved[0, :, :, :-3], image[0, :, :, 3:])
+    torch.testing.assert_close(moved[0, :, :, -3:], image[0, :, :, -1:].expand(-1, -1, 3))
+    torch.testing.assert_close(moved[1, :, 2:], image[1, :, :-2])
+
+
+def test_a_u_net_that_warps_can_carry_the_frame_without_painting() -> None:
+    network = UNet(1, warps=True)
+    with torch.no_grad():
+        for layer in (network.flow, network.warp_gate, network.gate):
+            layer.weight.zero_()
+        network.flow.bias.copy_(torch.tensor([1.0, 0.0]))
+        network.warp_gate.bias.fill_(50)
+        network.gate.bias.fill_(-50)
+    image = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    carried = unpack(network.next_frame(pack(image), torch.zeros(1, WIDTHS[0], 1, 1)))
+    expected = warped(
+        image, torch.full((1, 2, 8, 8), 1.0) * torch.tensor([20 * math.tanh(PATCH / 20), 0])[:, None, None]
+    )
+    torch.testing.assert_close(carried, expected.float(), atol=1e-5, rtol=1e-5)
+    assert network.painting.out_channels == CHANNELS
+
+
+def test_a_u_net_that_paints_has_the_weights_that_it_had_without_the_choice() -> None:
+    names = set(UNet(2).state_dict())
+    assert {name for name in UNet(2, warps=True).state_dict() if name not in names} == {
+        f"{layer}.{kind}" for layer in ("flow", "warp_gate") for kind in ("weight", "bias")
+    }

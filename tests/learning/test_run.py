@@ -1,13 +1,19 @@
-"""A run finds its data set from any folder, and after its workspace has moved."""
+"""A run finds its data set from any folder, and after its workspace has moved; runs of earlier versions go on."""
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from pathlib import Path
 
 import pytest
 
+from dmotion_bench.errors import InvalidSetting, RunMismatch
+from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.settings import to_json
+from dmotion_bench.learning.twins import take_over
+from dmotion_bench.registry import model_class
 
 
 @pytest.fixture
@@ -58,3 +64,63 @@ def test_in_a_workspace_that_has_moved(workspace: Path, tmp_path: Path) -> None:
 
 def test_what_is_gone_is_named_as_it_was_given(workspace: Path) -> None:
     assert run_of(workspace, "data/other").dataset_path == Path("data/other")
+
+
+def _asked(**settings: object) -> RunSpec:
+    config = to_json(model_class("dmotion").Config())
+    return RunSpec(
+        model="dmotion",
+        arch="compact",
+        config=config | settings,
+        training=to_json(TrainingConfig(epochs=1)),
+        preset="tiny",
+        labels="none",
+        seed=0,
+        dataset="grid",
+        fingerprint="f",
+        height=8,
+        width=8,
+        actions=4,
+    )
+
+
+def _stored(path: Path, spec: RunSpec) -> Run:
+    run = Run.create_or_open(path, spec, dataset_path=Path("data/grid"), versions={})
+    path.mkdir(parents=True)
+    run.write()
+    return run
+
+
+def test_a_run_of_before_a_setting_came_is_one_with_its_default(tmp_path: Path) -> None:
+    spec = _asked()
+    without = {name: value for name, value in spec.config.items() if name != "warp"}
+    earlier = {name: value for name, value in spec.training.items() if name != "hard_share"}
+    stored = _stored(tmp_path / "one", dataclasses.replace(spec, config=without, training=earlier))
+    assert "warp" not in stored.spec.config
+    assert Run.create_or_open(stored.path, spec, dataset_path=Path("data/grid"), versions={}).spec == stored.spec
+    with pytest.raises(RunMismatch, match=r"config is \{warp: False\} there and \{warp: True\} here"):
+        Run.create_or_open(stored.path, _asked(warp=True), dataset_path=Path("data/grid"), versions={})
+
+
+def test_its_training_is_taken_over_by_another_budget(tmp_path: Path) -> None:
+    spec = _asked()
+    without = {name: value for name, value in spec.config.items() if name != "warp"}
+    stored = _stored(tmp_path / "one", dataclasses.replace(spec, config=without))
+    for file in (stored.metrics, stored.best, stored.last):
+        file.write_bytes(b"weights")
+    stored.finish({})
+
+    def of(asked: RunSpec) -> Run | None:
+        labelled = dataclasses.replace(asked, labels="one-shot")
+        return take_over(Run.create_or_open(tmp_path / "two", labelled, dataset_path=Path("data/grid"), versions={}))
+
+    assert of(_asked(warp=True)) is None
+    twin = of(spec)
+    assert twin is not None
+    assert twin.name == "one"
+
+
+def test_a_setting_that_this_version_does_not_know_is_named(tmp_path: Path) -> None:
+    stored = _stored(tmp_path / "one", _asked(whirl=2))
+    with pytest.raises(InvalidSetting, match="whirl"):
+        Run.create_or_open(stored.path, _asked(), dataset_path=Path("data/grid"), versions={})

@@ -59,11 +59,13 @@ class ClaspConfig:
         beta: Weight of the divergence [per nat] of each latent action, composed ones too, against the mean squared
             error of images in [0, 1].
         hidden: Width of the recurrent predictor and of the composition network.
+        warp: Whether the decoder can carry what moves, by a flow, instead of painting it anew.
     """
 
     length: int = 16
     beta: float = 2e-4
     hidden: int = 128
+    warp: bool = False
 
     def __post_init__(self) -> None:
         if self.length < 1 or self.hidden < 1 or self.beta < 0:
@@ -92,7 +94,7 @@ class Clasp(ForwardModel[ClaspConfig]):
         )
         self.scene = FrameEncoder(inputs, config.hidden)
         self.predictor = nn.LSTMCell(config.hidden + config.length, config.hidden)
-        self.decoder = CodedUNet(config.hidden + config.length, frames=1)
+        self.decoder = CodedUNet(config.hidden + config.length, frames=1, warps=config.warp)
         self.table = ActionTable(inputs.actions, config.length)
 
     @classmethod

@@ -23,13 +23,15 @@ from dmotion_bench.specs import Preset, Supervision
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderDecoderConfig:
-    """Nothing is left to choose.
+    """The choices of DMotion's interaction learner that do not concern the agent's map.
 
     Attributes:
         second_frame: Whether the network sees x_{t-1}, as in the paper.
+        warp: Whether it can carry what moves, by a flow, instead of painting it anew.
     """
 
     second_frame: bool = True
+    warp: bool = False
 
 
 class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
@@ -45,7 +47,7 @@ class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
     def __init__(self, config: EncoderDecoderConfig, inputs: ModelInputs) -> None:
         super().__init__(config, inputs)
         check_size("the E-D CNN", inputs)
-        self.network = CodedUNet(inputs.actions, frames=2 if config.second_frame else 1)
+        self.network = CodedUNet(inputs.actions, frames=2 if config.second_frame else 1, warps=config.warp)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

@@ -49,6 +49,7 @@ class LapoConfig:
         decay: Of the running means that the codes are; the authors' 0.999 is for 50,000 steps.
         restart: A code whose running count is below this is put on a part of the batch, drawn at random; so the first
             batch places them. Without it 7 of 128 codes were in use after training (docs/baselines.md).
+        warp: Whether the forward model can carry what moves, by a flow, instead of painting it anew.
     """
 
     codebooks: int = 2
@@ -58,6 +59,7 @@ class LapoConfig:
     commitment: float = 0.05
     decay: float = 0.99
     restart: float = 0.1
+    warp: bool = False
 
     def __post_init__(self) -> None:
         if min(self.codebooks, self.latents, self.codes, self.length) < 1:
@@ -129,7 +131,7 @@ class Lapo(ForwardModel[LapoConfig]):
         self.trunk = MotionTrunk(frames=3)
         self.latent = linear(MotionTrunk.length, config.action_length)
         self.quantizer = VectorQuantizer(config)
-        self.forward_model = CodedUNet(config.action_length)
+        self.forward_model = CodedUNet(config.action_length, warps=config.warp)
         self.table = ActionTable(inputs.actions, config.action_length)
 
     @classmethod

@@ -42,10 +42,12 @@ class LatentActionConfig:
     Attributes:
         length: Numbers in a latent action.
         beta: Weight of the divergence [per nat] against the mean squared error of images in [0, 1].
+        warp: Whether the decoder can carry what moves, by a flow, instead of painting it anew.
     """
 
     length: int = 32
     beta: float = 2e-4
+    warp: bool = False
 
     def __post_init__(self) -> None:
         if self.length < 1 or self.beta < 0:
@@ -66,7 +68,7 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         check_size("the latent-action VAE", inputs)
         self.trunk = MotionTrunk(frames=2)
         self.moments = linear(MotionTrunk.length, 2 * config.length, 0.5)
-        self.decoder = CodedUNet(config.length)
+        self.decoder = CodedUNet(config.length, warps=config.warp)
         self.table = ActionTable(inputs.actions, config.length)
 
     @classmethod

@@ -244,11 +244,11 @@ class CodedUNet(UNet):
 
     Args:
         code: Length of the vector.
-        frames: As for ``UNet``.
+        frames, warps: As for ``UNet``.
     """
 
-    def __init__(self, code: int, frames: int = 2) -> None:
-        super().__init__(frames)
+    def __init__(self, code: int, frames: int = 2, *, warps: bool = False) -> None:
+        super().__init__(frames, warps=warps)
         self.code_in, self.code_1, self.code_2 = (linear(code, width) for width in WIDTHS)
 
     def forward(self, packed: Float[Tensor, "b p hp wp"], code: Float[Tensor, "b d"]) -> Float[Tensor, "b q hp wp"]:

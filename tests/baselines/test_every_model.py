@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from importlib.metadata import entry_points
@@ -11,6 +12,7 @@ import pytest
 import torch
 from noise_world import noise_episode, noise_spec
 
+from baselines.layers import UNet
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
@@ -69,6 +71,20 @@ def test_the_benchmarks_models_are_those_of_its_design() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_contract_is_kept(name: str) -> None:
     check_model(model_class(name), size=32)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_draws_with_a_u_net_can_warp(name: str, build, step, video, batch) -> None:
+    kind = model_class(name)
+    if "warp" not in {field.name for field in dataclasses.fields(kind.Config)}:
+        assert not any(isinstance(part, UNet) for part in build(kind).modules())
+        return
+    model = build(kind, warp=True)
+    (drawing,) = (part for part in model.modules() if isinstance(part, UNet))
+    before = drawing.flow.weight.clone()
+    step(model, video if kind.supervision is Supervision.NONE else batch, 2)
+    assert not torch.equal(drawing.flow.weight, before)
+    assert not any(hasattr(part, "flow") for part in build(kind).modules())
 
 
 @pytest.mark.parametrize("name", sorted({*NAMES} - {"dmotion", "dmotion-no-stn"}))

@@ -233,7 +233,7 @@ class UNet(nn.Module):
     ) -> Float[Tensor, "b p hp wp"]:
         """x_t with what moves where the flow carries it."""
         flow = LARGEST_FLOW * torch.tanh(self.flow(features).float() * (PATCH / LARGEST_FLOW))
-        moved = patches(warped(unpack(current).float(), flow), PATCH).to(current.dtype)
+        moved = patches(warped(unpack(current).float(), flow).to(current.dtype), PATCH)
         gate = torch.sigmoid(self.warp_gate(features)).repeat(1, 3, 1, 1)
         carried: Tensor = current + gate * (moved - current)
         return carried

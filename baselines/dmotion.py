@@ -113,7 +113,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         self.interaction_learner = networks.InteractionLearner(
             frames=2 if config.second_frame else 1,
             agent_entries=config.agent_entries,
-            **({"warps": True} if config.warp else {}),
+            **({"warps": config.warp} if config.arch == "compact" else {}),  # the paper's paints
         )
         self.register_buffer("table", self.transform.identity().repeat(inputs.actions, 1))
         self.blur, self.jitter = config.blur, config.jitter

@@ -224,9 +224,7 @@ class UNet(nn.Module):
         current = packed[:, -CHANNELS:]
         if self.warps:
             current = self._carried(current, level0)
-        gate = torch.sigmoid(self.gate(level0) - 1).repeat(1, 3, 1, 1)  # one gate per pixel, for its three colours
-        blended: Tensor = current + gate * (self.painting(level0) - current)
-        return blended
+        return _blended(current, self.painting(level0), self.gate(level0) - 1)
 
     def _carried(
         self, current: Float[Tensor, "b p hp wp"], features: Float[Tensor, "b c hp wp"]
@@ -234,9 +232,14 @@ class UNet(nn.Module):
         """x_t with what moves where the flow carries it."""
         flow = LARGEST_FLOW * torch.tanh(self.flow(features).float() * (PATCH / LARGEST_FLOW))
         moved = patches(warped(unpack(current).float(), flow).to(current.dtype), PATCH)
-        gate = torch.sigmoid(self.warp_gate(features)).repeat(1, 3, 1, 1)
-        carried: Tensor = current + gate * (moved - current)
-        return carried
+        return _blended(current, moved, self.warp_gate(features))
+
+
+def _blended(
+    old: Float[Tensor, "b p hp wp"], new: Float[Tensor, "b p hp wp"], gate: Float[Tensor, "b g hp wp"]
+) -> Float[Tensor, "b p hp wp"]:
+    """The new in place of the old as far as its gate is open: one per pixel, for its three colours."""
+    return old + torch.sigmoid(gate).repeat(1, 3, 1, 1) * (new - old)
 
 
 class CodedUNet(UNet):

@@ -7,7 +7,7 @@ import math
 import torch
 import torch.nn.functional as F
 
-from baselines.layers import CHANNELS, PATCH, WIDTHS, RoundConv2d, UNet, pack, unpack, warped
+from baselines.layers import CHANNELS, LARGEST_FLOW, PATCH, WIDTHS, RoundConv2d, UNet, pack, unpack, warped
 
 
 def test_a_round_convolution_is_circular_padding_in_value_and_gradient() -> None:
@@ -55,14 +55,12 @@ def test_a_u_net_that_warps_can_carry_the_frame_without_painting() -> None:
         network.gate.bias.fill_(-50)
     image = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
     carried = unpack(network.next_frame(pack(image), torch.zeros(1, WIDTHS[0], 1, 1)))
-    expected = warped(
-        image, torch.full((1, 2, 8, 8), 1.0) * torch.tensor([20 * math.tanh(PATCH / 20), 0])[:, None, None]
-    )
-    torch.testing.assert_close(carried, expected.float(), atol=1e-5, rtol=1e-5)
+    flow = torch.tensor([LARGEST_FLOW * math.tanh(PATCH / LARGEST_FLOW), 0.0]).reshape(1, 2, 1, 1)
+    torch.testing.assert_close(carried, warped(image, flow), atol=1e-5, rtol=1e-5)
     assert network.painting.out_channels == CHANNELS
 
 
-def test_a_u_net_that_paints_has_the_weights_that_it_had_without_the_choice() -> None:
+def test_warping_adds_a_flow_and_its_gate_to_what_paints() -> None:
     names = set(UNet(2).state_dict())
     assert {name for name in UNet(2, warps=True).state_dict() if name not in names} == {
         f"{layer}.{kind}" for layer in ("flow", "warp_gate") for kind in ("weight", "bias")

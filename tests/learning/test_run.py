@@ -25,23 +25,9 @@ def workspace(tmp_path: Path) -> Path:
 
 def run_of(workspace: Path, dataset_path: str) -> Run:
     """A run whose manifest names this path."""
-    spec = RunSpec(
-        model="dmotion",
-        arch="compact",
-        config={},
-        training={},
-        preset="tiny",
-        labels="none",
-        seed=0,
-        dataset="grid",
-        fingerprint="f",
-        height=8,
-        width=8,
-        actions=4,
-    )
     (workspace / "runs").mkdir(exist_ok=True)
     shutil.rmtree(workspace / "runs" / "one", ignore_errors=True)
-    made = Run.create_or_open(workspace / "runs" / "one", spec, dataset_path=Path(dataset_path), versions={})
+    made = Run.create_or_open(workspace / "runs" / "one", _asked(), dataset_path=Path(dataset_path), versions={})
     made.write()
     return Run.open(made.path)
 

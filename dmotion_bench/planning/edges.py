@@ -1,11 +1,12 @@
 """Which objects stand at the table's edge, where a push that a model imagines as nothing much may be the last one.
 
 An object that falls is lost for good, and models rarely see it coming: of a push over the edge they imagine a pixel,
-or a smear that looks as if something covered the object. But already the first imagined step, which is predicted from
-real pictures, leaves little of the object then (measured in DECISIONS.md). So where an object stands near the edge, a
-first step that leaves too little of it to be sure of it is as bad as one that loses it; unless something passes before
-the object. That shows below it: the camera looks down on the table, so what is nearer to it stands lower in the
-picture, while whatever pushes the object away is no lower than the object itself. Nothing but pictures is looked at.
+a smear that looks as if something covered the object, or, if they carry pixels along, the object a little farther
+out. But already the first imagined step, which is predicted from real pictures, leaves little of the object then, or
+leaves less than all of it, and that farther out (measured in DECISIONS.md). How often such a step makes an object fall
+is what it costs; unless something passes before the object. That shows below it: the camera looks down on the table, so
+what is nearer to it stands lower in the picture, while whatever pushes the object away is no lower than the object
+itself. Nothing but pictures is looked at.
 """
 
 from __future__ import annotations
@@ -21,11 +22,28 @@ from torch import Tensor
 from dmotion_bench.planning.covering import Ground, alike
 from dmotion_bench.planning.tracking import Outlines, Tracker
 
-MARGIN: Final = 10 / 128
+MARGIN: Final = 11 / 128
 """An object whose centre is nearer to the edge than this share of the frame's width is watched."""
 
+OPEN: Final = 0.3
+"""Of its usual pixels so many are seen of it; of one that the agent hides already any step may hide the rest."""
+
+GONE: Final = 0.15
+"""Next to nothing is left of an object: less than this share of the pixels that are seen of it now."""
+
+OUT: Final = 0.5 / 128
+"""It is carried out if what is seen of it moves by more than this towards the edge, as a share of the frame's width."""
+
+HALF: Final = 0.5
 SURE: Final = 0.7
-"""Of the pixels that are seen of it, a first step must leave this share."""
+MOST: Final = 0.9
+"""An object that is carried out is likely to fall if less than half of its pixels are left, and may fall if less than
+most of them are; one that is not may fall if too few are left to be sure of it."""
+
+LIKELY: Final = 2 / 3
+UNLIKELY: Final = 1 / 16
+"""The shares of such steps that make an object fall [measured; of the second kind it is 1/25 before anybody chooses
+among them]."""
 
 BELOW: Final = (3 / 128, 16 / 128)
 """What passes before an object shows so far below its outline, from and to, as shares of the frame's width."""
@@ -67,13 +85,15 @@ class Edges:
         now, then = (alike(pictures.float(), self._color) for pictures in (frames, goals))
         bare = F.avg_pool2d((now | then).float()[:, None], PATCH, stride=1, padding=PATCH // 2)[:, 0] > 0.5
         self._strange = ~now & ~tracker.show_objects(frames)
-        self._watched: Bool[Tensor, "b k"] = _inwards(bare, known.centre) < MARGIN * self._width
-        self._pixels: Int[Tensor, "b k"] = tracker.look(frames).pixels
+        self._sides, seen = _sides(bare), tracker.look(frames)
+        self._pixels, self._depth = seen.pixels, _depth(self._sides, seen.centre)
+        near = _depth(self._sides, known.centre) < MARGIN * self._width
+        self._watched: Bool[Tensor, "b k"] = near & (seen.pixels >= OPEN * known.pixels)
 
-    def in_danger(
+    def risk(
         self, frames: UInt8[Tensor, "n h w 3"], now: Outlines, task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
-    ) -> Bool[Tensor, "n k"]:
-        """Which of the objects that are asked about may fall by the step that leads to the pictures.
+    ) -> Float[Tensor, "n k"]:
+        """The chance that the step that leads to the pictures makes an object fall, zero for those not asked about.
 
         Args:
             frames: The pictures.
@@ -81,10 +101,13 @@ class Edges:
             task: Whose they are.
             asked: The objects.
         """
-        danger = asked & self._watched[task] & (now.pixels < SURE * self._pixels[task])
-        for place, one in danger.nonzero().tolist():
-            danger[place, one] = not self._is_passed(frames[place], int(task[place]), one)
-        return danger
+        left = now.pixels / self._pixels[task].clamp(min=1)
+        out = self._depth[task] - _depth(self._sides[task], now.centre) > OUT * self._width
+        likely = (left < GONE) | (out & (left < HALF))
+        may = asked & self._watched[task] & (likely | (left < SURE) | (out & (left < MOST)))
+        for place, one in may.nonzero().tolist():
+            may[place, one] = not self._is_passed(frames[place], int(task[place]), one)
+        return torch.where(likely, LIKELY, UNLIKELY) * may
 
     def _is_passed(self, picture: UInt8[Tensor, "h w 3"], task: int, one: int) -> bool:
         """Whether something new is to be seen below an object: neither ground nor object, and not there before."""
@@ -98,21 +121,30 @@ class Edges:
         return bool(((new[0] & ~self._strange[task][below]).sum(dim=1) >= THIN).any())
 
 
-def _inwards(bare: Bool[Tensor, "b h w"], centre: Float[Tensor, "b k 2"]) -> Float[Tensor, "b k"]:
-    """How far objects are from the edge of the ground [px], negative outside; infinite where there is none to see.
+def _sides(bare: Bool[Tensor, "b h w"]) -> Float[Tensor, "b s"]:
+    """The polygon around all that is seen of the ground: how far its sides are from the picture's corner [px].
 
-    It is the least distance to the sides of the polygon around all that is seen of the ground.
+    Each side lies across its own direction; without any ground they are infinitely far away.
     """
-    down, across = (torch.arange(size, device=bare.device).to(centre) for size in bare.shape[1:])
-    angle = torch.arange(SIDES, device=bare.device).to(centre) * (2 * math.pi / SIDES)
-    outwards: Float[Tensor, "s 2"] = torch.stack([angle.cos(), angle.sin()], dim=1)
+    down, across = (torch.arange(size, device=bare.device, dtype=torch.float32) for size in bare.shape[1:])
+    outwards = _outwards(down)
     some = bare.any(dim=2)
-    sides: Float[Tensor, "b s"] = torch.full((len(bare), SIDES), -torch.inf).to(centre)
+    sides: Float[Tensor, "b s"] = down.new_full((len(bare), SIDES), -torch.inf)
     for end in _ends(bare):  # of each row: what lies between its ends is not at the edge
         reach = across[end][..., None] * outwards[:, 0] + down[:, None] * outwards[:, 1]
         sides = torch.maximum(sides, reach.where(some[..., None], reach.new_tensor(-torch.inf)).amax(dim=1))
-    distance = (sides[:, None] - centre @ outwards.T).amin(dim=2)
-    return distance.where(some.any(dim=1)[:, None], distance.new_tensor(torch.inf)).nan_to_num(torch.inf)
+    return sides.where(some.any(dim=1)[:, None], sides.new_tensor(torch.inf))
+
+
+def _depth(sides: Float[Tensor, "b s"], centre: Float[Tensor, "b k 2"]) -> Float[Tensor, "b k"]:
+    """How far objects are from the edge of the ground [px], negative outside; infinite where there is none to see."""
+    return (sides[:, None] - centre @ _outwards(centre).T).amin(dim=2).nan_to_num(torch.inf)
+
+
+def _outwards(like: Tensor) -> Float[Tensor, "s 2"]:
+    """The directions of the polygon's sides."""
+    angle = torch.arange(SIDES, device=like.device, dtype=like.dtype) * (2 * math.pi / SIDES)
+    return torch.stack([angle.cos(), angle.sin()], dim=1)
 
 
 def _ends(bare: Bool[Tensor, "b h w"]) -> tuple[Int[Tensor, "b h"], Int[Tensor, "b h"]]:

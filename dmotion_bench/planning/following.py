@@ -8,8 +8,8 @@ counts as lost, no push ever looks good. What is known about objects helps (meas
 - from one step to the next an object does not go farther than the agent does, so only its own surroundings are
   looked at, and they move along with it;
 - objects do not fade away: one that does is believed to be where it was imagined last. But one of which the first
-  imagined step, which is predicted from real pictures, leaves nothing but bare ground is lost (``covering.py``), and
-  at the table's edge one that loses too much of it may be (``edges.py``).
+  imagined step, which is predicted from real pictures, leaves nothing but bare ground may be lost (``covering.py``),
+  and at the table's edge one that is carried out or gone (``edges.py``).
 
 What is partly hidden is treated as in ``tracking.py``; of futures that cost the same, ``exploring.py`` says which is
 to be preferred. Nothing but pictures is looked at.
@@ -22,13 +22,13 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.model import ForwardModel, State
 from dmotion_bench.planning.covering import Ground
-from dmotion_bench.planning.edges import Edges
+from dmotion_bench.planning.edges import GONE, UNLIKELY, Edges
 from dmotion_bench.planning.exploring import Exploration
 from dmotion_bench.planning.tracking import CLEAR, PLAY, Outlines, Tracker, believed
 from dmotion_bench.specs import EnvSpec
@@ -46,12 +46,9 @@ TOUCH: Final = 4 / 128
 """Objects that are imagined to move so far in all, as a share of the frame's width, and bring nothing thereby, cost as
 much as a change that is not believed: what is imagined of a first touch is too little."""
 
-GONE: Final = 0.15
-"""An object of which the first step leaves less than this share of its pixels is lost."""
-
-LOSS: Final = 1 / 8
-"""What such an object costs on top of its distance: this share of the frame's width, as a distance. It may be there
-all the same, so what gains more may be done."""
+LOST: Final = 0.5
+"""What an object that is lost costs on top of its distance: this share of the frame's width, as a distance; what may be
+lost costs as much of that as is to be feared, so what gains more may be done."""
 
 LOOSE: Final = 1.5
 """So much longer and wider than before may an object be that is seen in one piece: it may have turned."""
@@ -81,17 +78,16 @@ class Following(Protocol):
 class FollowedCost:
     """Summed squared distances of the objects' centres, each followed step by step [px^2].
 
-    What is known of an object at a step is its centre's x and y [px]; whether it is still there: 1, 0 for one that the
-    first step lost or put in danger of falling, NaN before that; and how reluctantly the first action is taken, the
-    same for all objects.
+    What is known of an object at a step is its centre's x and y [px]; the chance that the first step lost it, NaN
+    before that; and how reluctantly the first action is taken, the same for all objects.
 
     Args:
         spec: Says what the objects look like.
         known: Where they are now, by all that has been seen.
         wanted: Where they should be; what the goal image does not show at all does not count.
-        ground: What they stand on; without it what the first step covers counts as lost, too.
+        ground: What they stand on; without it what the first step covers may be lost, too.
         exploration: Which of the futures that cost the same is to be preferred; without it none is.
-        edges: Which objects may fall; without it only what the first step leaves nothing of counts as lost.
+        edges: Which objects may fall; without it only what the first step leaves nothing of may be lost.
     """
 
     def __init__(
@@ -110,9 +106,9 @@ class FollowedCost:
         self._tracker, self._known, self._wanted = Tracker(spec), known, wanted
         self._reach, self._still, self._doubt = reach * spec.width, still, (doubt * spec.width) ** 2
         self._touch = TOUCH * spec.width
-        self._nowhere, self._loss = (spec.width / 2) ** 2, (LOSS * spec.width) ** 2
+        self._lost = (LOST * spec.width) ** 2
         self._ground, self._exploration, self._edges = ground, exploration, edges
-        self._now = self._apart(known.centre, wanted, torch.zeros_like(known.seen))
+        self._now = self._apart(known.centre, wanted, torch.zeros_like(known.centre[..., 0]))
 
     def begin(self) -> Float[Tensor, "b k 4"]:
         """Where the objects of each task are."""
@@ -138,34 +134,35 @@ class FollowedCost:
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n k 4"]]:
         """The cost of pictures, and where the objects are in them."""
         start, wanted = self._known.of(task), self._wanted.of(task)
-        before, there, reluctance = replace(start, centre=known[..., :2]), known[..., 2], known[..., 3]
+        before, risk, reluctance = replace(start, centre=known[..., :2]), known[..., 2], known[..., 3]
         now = self._look(before, frames)
         centre = believed(before, now).centre
         moved = (centre - start.centre).norm(dim=-1, keepdim=True) >= self._still
-        left = ~start.seen | (now.seen & (now.pixels >= GONE * start.pixels))
-        if bool((gone := there.isnan() & ~left).any()) and self._ground is not None:
-            left = left | self._ground.covered(frames, task, gone)
+        first = risk.isnan()
+        gone = start.seen & ~(now.seen & (now.pixels >= GONE * start.pixels))
+        if bool((asked := gone & first).any()) and self._ground is not None:
+            gone = gone & ~self._ground.covered(frames, task, asked)
+        chance = UNLIKELY * gone
         if self._edges is not None:
-            left = left & ~self._edges.in_danger(frames, now, task, there.isnan())
+            chance = torch.maximum(chance, self._edges.risk(frames, now, task, first))
         if self._exploration is not None:
-            first = self._exploration.reluctance(frames, task, action)[:, None]
-            reluctance = torch.where(there.isnan(), first, reluctance)
-        there = torch.where(there.isnan(), left.to(there), there)
-        cost = self._apart(torch.where(moved, centre, start.centre), wanted, there == 0)
+            tired = self._exploration.reluctance(frames, task, action)[:, None]
+            reluctance = torch.where(first, tired, reluctance)
+        risk = torch.where(first, chance, risk)
+        cost = self._apart(torch.where(moved, centre, start.centre), wanted, risk)
         present = self._now[task]
         distance = torch.where(moved, (centre - start.centre).norm(dim=-1, keepdim=True), 0.0).sum(dim=(1, 2))
         idle = (cost - present).abs() < self._doubt
         cost = torch.where(idle, present + self._doubt * (distance / self._touch).clamp(max=1), cost)
         if self._exploration is not None:
             cost = cost + self._doubt * (reluctance[:, 0] - self._exploration.novelty(frames, task))
-        return cost, torch.cat([centre, there[..., None], reluctance[..., None]], dim=-1)
+        return cost, torch.cat([centre, risk[..., None], reluctance[..., None]], dim=-1)
 
     def _apart(
-        self, centre: Float[Tensor, "n k 2"], wanted: Outlines, lost: Bool[Tensor, "n k"]
+        self, centre: Float[Tensor, "n k 2"], wanted: Outlines, risk: Float[Tensor, "n k"]
     ) -> Float[Tensor, " n"]:
-        squared = (centre - wanted.centre).square().sum(-1).nan_to_num(self._nowhere)
-        squared = squared + self._loss * lost
-        return torch.where(wanted.seen, squared, 0.0).sum(-1)
+        squared = (centre - wanted.centre).square().sum(-1).nan_to_num(self._lost)
+        return (torch.where(wanted.seen, squared, 0.0) + self._lost * risk).sum(-1)
 
     def _look(self, before: Outlines, frames: UInt8[Tensor, "n h w 3"]) -> Outlines:
         """What is seen of each object: near where it was, or wherever, if it is all there and in one piece."""

@@ -1,4 +1,4 @@
-"""What stands at the table's edge is watched, and a first step that leaves too little of it is as bad as a fall."""
+"""What stands at the table's edge is watched: a first step that carries it out or leaves nothing of it may lose it."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from planning.worlds import PerfectGridModel
 
 from dmotion_bench.planning.costs import make_cost
 from dmotion_bench.planning.covering import Ground
-from dmotion_bench.planning.edges import MARGIN, SURE, Edges
+from dmotion_bench.planning.edges import GONE, HALF, LIKELY, MARGIN, MOST, OPEN, SURE, UNLIKELY, Edges
 from dmotion_bench.planning.exploring import Sights
-from dmotion_bench.planning.following import LOSS, FollowedCost
+from dmotion_bench.planning.following import LOST, FollowedCost
 from dmotion_bench.planning.tracking import Tracker
 
 TABLE = torch.tensor([200, 180, 150], dtype=torch.uint8)
-LOST = (LOSS * SPEC.width) ** 2
+PRICE = (LOST * SPEC.width) ** 2
 
 
 def on_a_table(frame: torch.Tensor, left: int = 0, top: int = 0) -> torch.Tensor:
@@ -34,8 +34,10 @@ def edges(left: int = 0, top: int = 0, **start: object) -> Edges:
     return Edges(tracker, Ground(tracker, frame, known), frame, frame, known)
 
 
-def in_danger(of: Edges, frame: torch.Tensor) -> list[bool]:
-    return of.in_danger(frame, Tracker(SPEC).look(frame), FIRST, torch.ones((1, 2), dtype=torch.bool))[0].tolist()
+def risk(of: Edges, frame: torch.Tensor) -> list[float]:
+    """Of the red box and of the blue one."""
+    asked = torch.ones((1, 2), dtype=torch.bool)
+    return [round(chance, 4) for chance in of.risk(frame, Tracker(SPEC).look(frame), FIRST, asked)[0].tolist()]
 
 
 NEAR = int(MARGIN * SPEC.width)
@@ -60,32 +62,68 @@ def smeared(left: int = 0, rows: slice = slice(AT[1] - 5, AT[1] + 6)) -> torch.T
     ],
 )
 def test_an_object_near_an_edge_is_watched(left: int, top: int, watched: bool) -> None:
-    assert in_danger(edges(left, top), on_a_table(picture(**NOTHING), left, top)) == [watched, False]
+    assert risk(edges(left, top), on_a_table(picture(**NOTHING), left, top)) == [round(LIKELY * watched, 4), 0]
 
 
-@pytest.mark.parametrize("share", [SURE - 0.1, SURE + 0.1])
-def test_how_much_of_it_is_left_decides(share: float) -> None:
-    frame = on_a_table(picture(), AT[0] - 2)
-    frame[:, AT[1] - 5 + round(11 * share) : AT[1] + 6, : AT[0] + 6] = TABLE
-    assert in_danger(edges(AT[0] - 2), frame) == [share < SURE, False]
+def carried(out: int, share: float, left: int) -> torch.Tensor:
+    """The red box ``out`` pixels nearer to the table's left edge, with this share of its rows, the rest bare."""
+    frame = on_a_table(picture(red=(AT[0] - out, AT[1])), left)
+    rows = round(11 * share)
+    frame[:, AT[1] - 5 + rows : AT[1] + 6, AT[0] - 5 - out : AT[0] + 6 - out] = TABLE
+    return frame
+
+
+@pytest.mark.parametrize(
+    ("out", "share", "chance"),
+    [
+        (0, GONE - 0.1, LIKELY),
+        (0, GONE + 0.1, UNLIKELY),
+        (0, SURE - 0.1, UNLIKELY),
+        (0, SURE + 0.1, 0),
+        (3, GONE + 0.1, LIKELY),
+        (3, HALF - 0.1, LIKELY),
+        (3, HALF + 0.1, UNLIKELY),
+        (3, MOST - 0.1, UNLIKELY),
+        (3, 1.0, 0),
+        (-3, HALF - 0.1, UNLIKELY),
+        (-3, SURE + 0.1, 0),
+        (-3, GONE - 0.1, LIKELY),
+    ],
+)
+def test_what_is_left_of_it_and_which_way_it_goes_decide(out: int, share: float, chance: float) -> None:
+    """Three pixels are more than what counts as carried out, and less brings a box of which all is left nowhere."""
+    left = AT[0] - 4
+    assert risk(edges(left), carried(out, share, left)) == [round(chance, 4), 0]
+
+
+@pytest.mark.parametrize(("columns", "watched"), [(9, False), (6, True)])
+def test_what_the_agent_hides_already_is_not_watched(columns: int, watched: bool) -> None:
+    """Of eleven columns of the box; the next step may well hide the rest."""
+    assert (1 - columns / 11 >= OPEN) == watched
+    left, curtain = AT[0] - 2, slice(AT[0] - 5, AT[0] - 5 + columns)
+    frame = on_a_table(picture(curtain=curtain), left)
+    tracker = Tracker(SPEC)
+    known = tracker.follow(tracker.look(on_a_table(picture(), left)), frame)
+    of = Edges(tracker, Ground(tracker, frame, known), frame, frame, known)
+    assert risk(of, on_a_table(picture(red=None, curtain=curtain), left)) == [round(LIKELY * watched, 4), 0]
 
 
 def test_what_passes_before_it_reaches_below_it_and_a_smear_does_not() -> None:
     left = AT[0] - 2
     passing = on_a_table(picture(curtain=slice(AT[0], AT[0] + 9)), left)
-    assert in_danger(edges(left), smeared(left)) == [True, False]
-    assert in_danger(edges(left), passing) == [False, False]
-    assert in_danger(edges(left), smeared(left, slice(AT[1] - 5, AT[1] + 7))) == [True, False]
-    assert in_danger(edges(left), smeared(left, slice(AT[1] - 5, AT[1] + 10))) == [False, False]
+    assert risk(edges(left), smeared(left)) == [round(LIKELY, 4), 0]
+    assert risk(edges(left), passing) == [0, 0]
+    assert risk(edges(left), smeared(left, slice(AT[1] - 5, AT[1] + 7))) == [round(LIKELY, 4), 0]
+    assert risk(edges(left), smeared(left, slice(AT[1] - 5, AT[1] + 10))) == [0, 0]
 
 
 def test_what_stood_below_it_before_passes_nothing() -> None:
     """The curtain is there already; a box of which a third more is lost is in danger."""
     curtain = slice(AT[0] + 2, AT[0] + 9)
     frame = on_a_table(picture(red=None, curtain=curtain), AT[0] - 2)
-    assert in_danger(edges(AT[0] - 2, curtain=curtain), frame) == [True, False]
+    assert risk(edges(AT[0] - 2, curtain=curtain), frame) == [round(LIKELY, 4), 0]
     same = on_a_table(picture(curtain=curtain), AT[0] - 2)
-    assert in_danger(edges(AT[0] - 2, curtain=curtain), same) == [False, False]
+    assert risk(edges(AT[0] - 2, curtain=curtain), same) == [0, 0]
 
 
 def test_the_goal_shows_ground_that_the_agent_hides_now() -> None:
@@ -96,14 +134,14 @@ def test_the_goal_shows_ground_that_the_agent_hides_now() -> None:
     known = tracker.follow(tracker.look(goal), frame)
     ground = Ground(tracker, frame, known)
     gone = on_a_table(picture(red=None, curtain=curtain))
-    assert in_danger(Edges(tracker, ground, frame, frame, known), gone) == [True, False]
-    assert in_danger(Edges(tracker, ground, frame, goal, known), gone) == [False, False]
+    assert risk(Edges(tracker, ground, frame, frame, known), gone) == [round(LIKELY, 4), 0]
+    assert risk(Edges(tracker, ground, frame, goal, known), gone) == [0, 0]
 
 
-def test_only_what_is_asked_about_is_in_danger() -> None:
+def test_only_what_is_asked_about_may_fall() -> None:
     gone = on_a_table(picture(red=None), AT[0] - 2)
     nobody = torch.zeros((1, 2), dtype=torch.bool)
-    assert not edges(AT[0] - 2).in_danger(gone, Tracker(SPEC).look(gone), FIRST, nobody).any()
+    assert not edges(AT[0] - 2).risk(gone, Tracker(SPEC).look(gone), FIRST, nobody).any()
 
 
 def test_where_no_ground_is_to_be_seen_nothing_is_watched() -> None:
@@ -111,18 +149,26 @@ def test_where_no_ground_is_to_be_seen_nothing_is_watched() -> None:
     tracker = Tracker(SPEC)
     known = tracker.look(nothing)
     none = Edges(tracker, Ground(tracker, nothing, known), nothing, nothing, known)
-    assert in_danger(none, nothing) == [False, False]
+    assert risk(none, nothing) == [0, 0]
 
 
-def test_the_cost_of_followed_objects_counts_it_as_lost_and_does_not_forget_it() -> None:
+def test_the_cost_of_followed_objects_counts_what_is_to_be_feared_and_does_not_forget_it() -> None:
     left = AT[0] - 2
     start, goal = on_a_table(picture(), left), on_a_table(picture(red=(44, 30)), left)
     tracked = Tracker(SPEC).meet(start, goal)
     cost = make_cost("followed", PerfectGridModel(), SPEC, start, goal, tracked, Sights.first(start))
     assert isinstance(cost, FollowedCost)
-    found, known = cost.of_frames(smeared(left), FIRST, FIRST, cost.begin())
-    assert found.item() == pytest.approx(24**2 + LOST, abs=LOST / 8)
-    later, _ = cost.of_frames(goal, FIRST, FIRST, known)
-    assert later.item() == pytest.approx(LOST, abs=LOST / 8)
-    unseen, _ = cost.of_frames(goal, FIRST, FIRST, cost.of_frames(start, FIRST, FIRST, cost.begin())[1])
-    assert unseen.item() == pytest.approx(0, abs=LOST / 8)
+    for first, chance in ((smeared(left), LIKELY), (carried(3, MOST - 0.1, left), UNLIKELY), (start, 0)):
+        _, known = cost.of_frames(first, FIRST, FIRST, cost.begin())
+        later, _ = cost.of_frames(goal, FIRST, FIRST, known)
+        assert later.item() == pytest.approx(chance * PRICE, abs=SPEC.width / 8)
+    found, _ = cost.of_frames(smeared(left), FIRST, FIRST, cost.begin())
+    assert found.item() == pytest.approx(24**2 + LIKELY * PRICE, abs=SPEC.width / 8)
+
+
+def test_what_may_fall_counts_though_the_goal_does_not_show_it() -> None:
+    left = AT[0] - 2
+    start, goal = on_a_table(picture(), left), on_a_table(picture(red=None), left)
+    known, wanted = Tracker(SPEC).look(start), Tracker(SPEC).look(goal)
+    cost = FollowedCost(SPEC, known, wanted, edges=edges(left))
+    assert cost.of_frames(smeared(left), FIRST, FIRST, cost.begin())[0].item() == pytest.approx(LIKELY * PRICE)

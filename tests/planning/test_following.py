@@ -12,7 +12,8 @@ from planning.boxes import AT, FIRST, RED, SPEC, picture
 from planning.worlds import PerfectGridModel
 
 from dmotion_bench.planning.costs import PositionCost, TrackedCost, make_cost
-from dmotion_bench.planning.following import DOUBT, LOSS, TOUCH, FollowedCost
+from dmotion_bench.planning.edges import UNLIKELY
+from dmotion_bench.planning.following import DOUBT, LOST, TOUCH, FollowedCost
 from dmotion_bench.planning.futures import ModelFutures
 from dmotion_bench.planning.tracking import Tracker
 from dmotion_bench.planning.tree import FutureTree
@@ -20,7 +21,7 @@ from dmotion_bench.specs import EnvSpec
 from recorders.grid_world import FACTS, draw
 
 GOAL = (44, 30)
-LOST = (LOSS * SPEC.width) ** 2
+MAY_BE_LOST = UNLIKELY * (LOST * SPEC.width) ** 2
 BELOW = int(DOUBT * SPEC.width) ** 2
 
 
@@ -64,8 +65,8 @@ def test_an_object_that_fades_away_stays_where_it_was_imagined_last() -> None:
 
 def test_an_object_that_the_first_step_lacks_may_be_lost_and_does_not_come_back() -> None:
     sliver = picture(curtain=slice(16, 40))
-    assert followed(picture(red=None), picture(red=GOAL)) == pytest.approx([24**2 + LOST, LOST])
-    assert followed(sliver, picture(red=GOAL))[1] == pytest.approx(LOST)
+    assert followed(picture(red=None), picture(red=GOAL)) == pytest.approx([24**2 + MAY_BE_LOST, MAY_BE_LOST])
+    assert followed(sliver, picture(red=GOAL))[1] == pytest.approx(MAY_BE_LOST)
     assert followed(picture(), picture(red=None), picture(red=GOAL)) == pytest.approx([24**2, 24**2, 0])
 
 

@@ -16,6 +16,8 @@ from dmotion_bench.planning.tracking import Tracker
 
 TABLE = torch.tensor([200, 180, 150], dtype=torch.uint8)
 PRICE = (LOST * SPEC.width) ** 2
+FALLS, STAYS = [round(LIKELY, 4), 0], [0, 0]
+"""Of the red box and of the blue one."""
 
 
 def on_a_table(frame: torch.Tensor, left: int = 0, top: int = 0) -> torch.Tensor:
@@ -35,7 +37,6 @@ def edges(left: int = 0, top: int = 0, **start: object) -> Edges:
 
 
 def risk(of: Edges, frame: torch.Tensor) -> list[float]:
-    """Of the red box and of the blue one."""
     asked = torch.ones((1, 2), dtype=torch.bool)
     return [round(chance, 4) for chance in of.risk(frame, Tracker(SPEC).look(frame), FIRST, asked)[0].tolist()]
 
@@ -62,7 +63,7 @@ def smeared(left: int = 0, rows: slice = slice(AT[1] - 5, AT[1] + 6)) -> torch.T
     ],
 )
 def test_an_object_near_an_edge_is_watched(left: int, top: int, watched: bool) -> None:
-    assert risk(edges(left, top), on_a_table(picture(**NOTHING), left, top)) == [round(LIKELY * watched, 4), 0]
+    assert risk(edges(left, top), on_a_table(picture(**NOTHING), left, top)) == (FALLS if watched else STAYS)
 
 
 def carried(out: int, share: float, left: int) -> torch.Tensor:
@@ -91,7 +92,6 @@ def carried(out: int, share: float, left: int) -> torch.Tensor:
     ],
 )
 def test_what_is_left_of_it_and_which_way_it_goes_decide(out: int, share: float, chance: float) -> None:
-    """Three pixels are more than what counts as carried out, and less brings a box of which all is left nowhere."""
     left = AT[0] - 4
     assert risk(edges(left), carried(out, share, left)) == [round(chance, 4), 0]
 
@@ -105,25 +105,25 @@ def test_what_the_agent_hides_already_is_not_watched(columns: int, watched: bool
     tracker = Tracker(SPEC)
     known = tracker.follow(tracker.look(on_a_table(picture(), left)), frame)
     of = Edges(tracker, Ground(tracker, frame, known), frame, frame, known)
-    assert risk(of, on_a_table(picture(red=None, curtain=curtain), left)) == [round(LIKELY * watched, 4), 0]
+    assert risk(of, on_a_table(picture(red=None, curtain=curtain), left)) == (FALLS if watched else STAYS)
 
 
 def test_what_passes_before_it_reaches_below_it_and_a_smear_does_not() -> None:
     left = AT[0] - 2
     passing = on_a_table(picture(curtain=slice(AT[0], AT[0] + 9)), left)
-    assert risk(edges(left), smeared(left)) == [round(LIKELY, 4), 0]
-    assert risk(edges(left), passing) == [0, 0]
-    assert risk(edges(left), smeared(left, slice(AT[1] - 5, AT[1] + 7))) == [round(LIKELY, 4), 0]
-    assert risk(edges(left), smeared(left, slice(AT[1] - 5, AT[1] + 10))) == [0, 0]
+    assert risk(edges(left), smeared(left)) == FALLS
+    assert risk(edges(left), passing) == STAYS
+    assert risk(edges(left), smeared(left, slice(AT[1] - 5, AT[1] + 7))) == FALLS
+    assert risk(edges(left), smeared(left, slice(AT[1] - 5, AT[1] + 10))) == STAYS
 
 
 def test_what_stood_below_it_before_passes_nothing() -> None:
     """The curtain is there already; a box of which a third more is lost is in danger."""
     curtain = slice(AT[0] + 2, AT[0] + 9)
     frame = on_a_table(picture(red=None, curtain=curtain), AT[0] - 2)
-    assert risk(edges(AT[0] - 2, curtain=curtain), frame) == [round(LIKELY, 4), 0]
+    assert risk(edges(AT[0] - 2, curtain=curtain), frame) == FALLS
     same = on_a_table(picture(curtain=curtain), AT[0] - 2)
-    assert risk(edges(AT[0] - 2, curtain=curtain), same) == [0, 0]
+    assert risk(edges(AT[0] - 2, curtain=curtain), same) == STAYS
 
 
 def test_the_goal_shows_ground_that_the_agent_hides_now() -> None:
@@ -134,8 +134,8 @@ def test_the_goal_shows_ground_that_the_agent_hides_now() -> None:
     known = tracker.follow(tracker.look(goal), frame)
     ground = Ground(tracker, frame, known)
     gone = on_a_table(picture(red=None, curtain=curtain))
-    assert risk(Edges(tracker, ground, frame, frame, known), gone) == [round(LIKELY, 4), 0]
-    assert risk(Edges(tracker, ground, frame, goal, known), gone) == [0, 0]
+    assert risk(Edges(tracker, ground, frame, frame, known), gone) == FALLS
+    assert risk(Edges(tracker, ground, frame, goal, known), gone) == STAYS
 
 
 def test_only_what_is_asked_about_may_fall() -> None:
@@ -149,7 +149,7 @@ def test_where_no_ground_is_to_be_seen_nothing_is_watched() -> None:
     tracker = Tracker(SPEC)
     known = tracker.look(nothing)
     none = Edges(tracker, Ground(tracker, nothing, known), nothing, nothing, known)
-    assert risk(none, nothing) == [0, 0]
+    assert risk(none, nothing) == STAYS
 
 
 def test_the_cost_of_followed_objects_counts_what_is_to_be_feared_and_does_not_forget_it() -> None:

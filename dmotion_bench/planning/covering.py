@@ -78,8 +78,7 @@ class Ground:
     def color(self) -> Float[Tensor, "b 3"]:
         """Of the ground that most objects of a task stand on; NaN where nobody knows."""
         colors = self._colors[:, :, 0]
-        agree = ((colors[:, :, None] - colors[:, None]).abs().amax(dim=-1) < ALIKE).sum(dim=2)
-        votes = agree * (1 + self.now.seen)  # what hides an object may be around it, too
+        votes = ((colors[:, :, None] - colors[:, None]).abs().amax(dim=-1) < ALIKE).sum(dim=2)
         return colors[torch.arange(len(colors)), votes.argmax(dim=1)]
 
     def _is_covered(self, picture: UInt8[Tensor, "h w 3"], task: int, one: int, colors: Float[Tensor, "c 3"]) -> bool:

@@ -7,7 +7,6 @@ import pytest
 import torch
 from planning.boxes import AT, FIRST, SPEC, picture
 
-from dmotion_bench.planning.covering import Ground
 from dmotion_bench.planning.exploring import NOVELTY, WEARINESS, Exploration, Sights
 from dmotion_bench.planning.following import DOUBT, FollowedCost
 from dmotion_bench.planning.tracking import Tracker
@@ -45,19 +44,6 @@ def test_where_everything_is_in_its_place_the_agent_goes_back() -> None:
     assert 0 < settled.reluctance(FARTHER, FIRST, RIGHT).item() < 1
     long_ago = exploration(walked((RIGHT, THERE), (RIGHT, FARTHER)), goal=(AT[0] + 1, AT[1]))
     assert long_ago.reluctance(HERE, FIRST, LEFT).item() > long_ago.reluctance(THERE, FIRST, LEFT).item()
-
-
-def test_what_is_hidden_is_sought_and_what_has_fallen_is_not() -> None:
-    tracker, fresh = Tracker(SPEC), picture(curtain=slice(28, 48))
-    start, wanted = tracker.meet(picture(), picture(red=GOAL))
-    news = []
-    for gone in (picture(red=None, curtain=slice(14, 27)), picture(red=None)):
-        known = tracker.follow(start, gone)
-        standing = Ground(tracker, gone, known).standing
-        sights = Sights.first(picture()).after(RIGHT, gone)
-        news.append(Exploration(sights, known, wanted, standing=standing, spec=SPEC).novelty(fresh, FIRST).item())
-    hidden, fallen = news
-    assert hidden > fallen == 0
 
 
 def test_an_action_wearies_where_it_has_been_taken() -> None:

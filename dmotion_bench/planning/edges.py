@@ -42,7 +42,7 @@ most of them are; one that is not may fall if too few are left to be sure of it.
 
 LIKELY: Final = 2 / 3
 UNLIKELY: Final = 1 / 16
-"""The shares of such steps that make an object fall [measured; of the second kind it is 1/23 before anybody chooses
+"""The shares of such steps that make an object fall [measured; of the second kind it is 1/25 before anybody chooses
 among them]."""
 
 BELOW: Final = (3 / 128, 16 / 128)
@@ -66,7 +66,7 @@ class Edges:
 
     Args:
         tracker: Knows what is an object and no ground.
-        ground: Knows the ground's colours, and what is seen of the objects.
+        ground: Knows the ground's colours.
         frames: The present pictures.
         goals: What they should look like; they show some of the ground that the agent hides now.
         known: Where the objects are in the present pictures.
@@ -85,10 +85,10 @@ class Edges:
         now, then = (alike(pictures.float(), self._color) for pictures in (frames, goals))
         bare = F.avg_pool2d((now | then).float()[:, None], PATCH, stride=1, padding=PATCH // 2)[:, 0] > 0.5
         self._strange = ~now & ~tracker.show_objects(frames)
-        self._sides = _sides(bare)
-        self._pixels, self._depth = ground.now.pixels, _depth(self._sides, ground.now.centre)
+        self._sides, seen = _sides(bare), tracker.look(frames)
+        self._pixels, self._depth = seen.pixels, _depth(self._sides, seen.centre)
         near = _depth(self._sides, known.centre) < MARGIN * self._width
-        self._watched: Bool[Tensor, "b k"] = near & (ground.now.pixels >= OPEN * known.pixels)
+        self._watched: Bool[Tensor, "b k"] = near & (seen.pixels >= OPEN * known.pixels)
 
     def risk(
         self, frames: UInt8[Tensor, "n h w 3"], now: Outlines, task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]

@@ -19,11 +19,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.planning.tracking import Outlines
-from dmotion_bench.specs import EnvSpec
 
 SIDE: Final = 16
 """Pictures are compared at this many pixels a side."""
@@ -47,7 +46,7 @@ AROUND: Final = 0.12
 ELSEWHERE: Final = 0.03
 """What all other places count, where those around an object count 1."""
 
-NEAR: Final = 5 / 128
+NEAR: Final = 10 / 128
 AWAY: Final = 20 / 128
 """For an object that is nearer to its goal than ``NEAR`` nothing is risked, and from ``AWAY`` on it counts in full; as
 shares of the frame's width."""
@@ -111,16 +110,13 @@ class Exploration:
     Args:
         sights: What has been seen.
         known, wanted: Where the objects are, and where they should be.
-        standing: Which of them are still on the table; nobody seeks what has fallen.
-        spec: Says how large frames are, which are square here, others are stretched; and how many actions there are.
+        width: Of a frame [px]; frames are square here, others are stretched.
+        actions: How many there are.
     """
 
-    def __init__(
-        self, sights: Sights, known: Outlines, wanted: Outlines, *, standing: Bool[Tensor, "b k"], spec: EnvSpec
-    ) -> None:
-        width, actions = spec.width, len(spec.actions)
+    def __init__(self, sights: Sights, known: Outlines, wanted: Outlines, width: int, actions: int) -> None:
         off = (known.centre - wanted.centre).norm(dim=-1).nan_to_num(0.0) * wanted.seen / width
-        off = (off / AWAY).clamp(max=1) * ((off > NEAR) & standing)
+        off = (off / AWAY).clamp(max=1) * ((off > NEAR) & known.seen)  # what is not seen may have fallen
         place = (torch.arange(SIDE, device=off.device) + 0.5) / SIDE
         across, down = (
             torch.exp(-(place - known.centre[..., axis, None].nan_to_num(torch.inf) / width).square() / (2 * AROUND**2))

@@ -47,8 +47,8 @@ TOUCH: Final = 4 / 128
 much as a change that is not believed: what is imagined of a first touch is too little."""
 
 LOST: Final = 0.5
-"""What a missing object costs: this share of the frame's width, as a distance. One that may be lost costs as much of
-that as is to be feared, on top of its own distance, so what gains more may be done."""
+"""What an object that is lost costs on top of its distance: this share of the frame's width, as a distance; what may be
+lost costs as much of that as is to be feared, so what gains more may be done."""
 
 LOOSE: Final = 1.5
 """So much longer and wider than before may an object be that is seen in one piece: it may have turned."""

@@ -26,7 +26,7 @@ def walked(*steps: tuple[torch.Tensor, torch.Tensor]) -> Sights:
 
 def exploration(sights: Sights, goal: tuple[int, int] = GOAL) -> Exploration:
     known, wanted = Tracker(SPEC).meet(picture(), picture(red=goal))
-    return Exploration(sights, known, wanted, standing=known.seen, spec=SPEC)
+    return Exploration(sights, known, wanted, SPEC.width, len(SPEC.actions))
 
 
 def test_what_was_seen_is_not_new_and_what_is_near_a_misplaced_object_is_newer() -> None:
@@ -85,7 +85,7 @@ def test_what_is_new_weighs_less_than_a_gain_and_what_was_tried_in_vain_more() -
 def test_tasks_do_not_know_of_each_other_and_other_sizes_are_fine() -> None:
     both = Sights.first(torch.cat([HERE, THERE])).after(torch.tensor([0, 1]), torch.cat([THERE, THERE]))
     known, wanted = Tracker(SPEC).meet(picture().repeat(2, 1, 1, 1), picture(red=GOAL).repeat(2, 1, 1, 1))
-    explored = Exploration(both, known, wanted, standing=known.seen, spec=SPEC)
+    explored = Exploration(both, known, wanted, SPEC.width, 2)
     assert both.tried(2).tolist() == [[0, 0], [0, 1]]
     task = torch.tensor([0, 1, 1])
     found = explored.novelty(torch.cat([HERE, HERE, THERE]), task)

@@ -19,17 +19,17 @@ from torch import Tensor
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, State
+from dmotion_bench.planning.approaching import Approach
 from dmotion_bench.planning.covering import Ground
 from dmotion_bench.planning.edges import Edges
-from dmotion_bench.planning.exploring import Exploration, Sights
-from dmotion_bench.planning.following import FollowedCost, Following
+from dmotion_bench.planning.exploring import Exploration, Sights, misplaced
+from dmotion_bench.planning.following import LOST, FollowedCost, Following
+from dmotion_bench.planning.table import Table
 from dmotion_bench.planning.tracking import Outlines, Tracker, believed
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec
 
 COSTS = ("followed", "tracked", "position", "pixel", "feature")
-MISSING = 0.5
-"""What a missing object costs: this share of the frame's width, as a distance."""
 
 
 @runtime_checkable
@@ -61,7 +61,7 @@ class PositionCost:
         if not spec.objects:
             raise InvalidSetting(f"{spec.id!r} has no coloured objects to find; plan with another '--cost'.")
         self._finder, self._objects = PositionFinder(spec), len(spec.objects)
-        self._missing = float(spec.width * MISSING if missing is None else missing)
+        self._missing = float(spec.width * LOST if missing is None else missing)
         wanted = self._finder.find(goals)
         self._centre, self._wanted = wanted.centre[:, : self._objects], wanted.found[:, : self._objects]
 
@@ -99,7 +99,7 @@ class TrackedCost:
 
     def __init__(self, spec: EnvSpec, known: Outlines, wanted: Outlines) -> None:
         self._tracker, self._known, self._wanted = Tracker(spec), known, wanted
-        self._missing = float(spec.width * MISSING)
+        self._missing = float(spec.width * LOST)
 
     def of_looks(self, now: Outlines, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
         """The cost of what pictures show."""
@@ -175,11 +175,13 @@ def make_cost(
         return PositionCost(spec, goals)
     if name == "followed" and tracked is not None:
         known, wanted = tracked
-        exploration = None
+        ground, exploration = Ground(tracker := Tracker(spec), current, known), None
+        table = Table(ground, current, goals)
         if sights is not None:
-            exploration = Exploration(sights.to(current.device), known, wanted, spec.width, len(spec.actions))
-        ground = Ground(tracker := Tracker(spec), current, known)
-        edges = Edges(tracker, ground, current, goals, known)
+            off = misplaced(known, wanted, ground.standing, spec.width)
+            approach = Approach(tracker, ground, table, known, wanted, off > 0)
+            exploration = Exploration(sights.to(current.device), known, misplaced=off, approach=approach, spec=spec)
+        edges = Edges(tracker, ground, table, current, known)
         return FollowedCost(spec, known, wanted, ground=ground, exploration=exploration, edges=edges)
     if name == "tracked" and tracked is not None:
         return TrackedCost(spec, *tracked)

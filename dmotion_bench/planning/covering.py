@@ -1,4 +1,4 @@
-"""Whether an object that is gone from an imagined picture is covered, or has fallen off the table.
+"""Whether an object that is gone from a picture, imagined or real, is covered, or has fallen off the table.
 
 What has fallen leaves bare ground where it was; what is covered has the agent's pixels there, or some of them already.
 What the ground looks like is seen around the object in the present picture. Nothing but pictures is looked at.
@@ -39,9 +39,11 @@ class Ground:
 
     def __init__(self, tracker: Tracker, frames: UInt8[Tensor, "b h w 3"], known: Outlines) -> None:
         near, far = NEAR * frames.shape[2], FAR * frames.shape[2]
-        self._known = known
+        self._known, self._frames = known, frames
+        self.now = tracker.look(frames)
+        """What the present pictures show by themselves."""
         self._colors: Float[Tensor, "b k 2 3"] = known.centre.new_full((*known.centre.shape[:2], 2, 3), torch.nan)
-        self._hidden = tracker.look(frames).pixels < CLEAR * known.pixels
+        self._hidden = self.now.pixels < CLEAR * known.pixels
         objects = tracker.show_objects(frames)
         for task, one in (~known.centre[..., 0].isnan()).nonzero().tolist():
             ring = torch.zeros_like(frames[task, :, :, 0], dtype=torch.bool)
@@ -61,17 +63,29 @@ class Ground:
         covered = asked & self._hidden[task]
         for place, one in (asked & ~covered).nonzero().tolist():
             own = int(task[place])
-            patch = frames[place][self._box(own, one, 0.0, frames[place])].float()
-            bare = alike(patch, self._colors[own, one])
-            covered[place, one] = bare.numel() > 0 and float(bare.float().mean()) < BARE
+            covered[place, one] = self._is_covered(frames[place], own, one, self._colors[own, one])
         return covered
+
+    @property
+    def standing(self) -> Bool[Tensor, "b k"]:
+        """Which objects the present pictures show, or something stands before, wherever they were seen last."""
+        standing, color = self.now.seen.clone(), self.color
+        for task, one in (~standing & ~self._known.centre[..., 0].isnan()).nonzero().tolist():
+            standing[task, one] = self._is_covered(self._frames[task], task, one, color[task, None])
+        return standing
 
     @property
     def color(self) -> Float[Tensor, "b 3"]:
         """Of the ground that most objects of a task stand on; NaN where nobody knows."""
         colors = self._colors[:, :, 0]
-        votes = ((colors[:, :, None] - colors[:, None]).abs().amax(dim=-1) < ALIKE).sum(dim=2)
+        agree = ((colors[:, :, None] - colors[:, None]).abs().amax(dim=-1) < ALIKE).sum(dim=2)
+        votes = agree * (1 + self.now.seen)  # what hides an object may be around it, too
         return colors[torch.arange(len(colors)), votes.argmax(dim=1)]
+
+    def _is_covered(self, picture: UInt8[Tensor, "h w 3"], task: int, one: int, colors: Float[Tensor, "c 3"]) -> bool:
+        """Whether a picture shows something else than ground of these colours where an object was."""
+        bare = alike(picture[self._box(task, one, 0.0, picture)].float(), colors)
+        return bare.numel() > 0 and float(bare.float().mean()) < BARE
 
     def _box(self, task: int, one: int, beyond: float, picture: Tensor) -> tuple[slice, slice]:
         """The part of a picture within an object's outline, and so far beyond it."""

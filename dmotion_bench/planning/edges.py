@@ -15,11 +15,11 @@ import math
 from typing import Final
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.planning.covering import Ground, alike
+from dmotion_bench.planning.table import Table
 from dmotion_bench.planning.tracking import Outlines, Tracker
 
 MARGIN: Final = 11 / 128
@@ -42,7 +42,7 @@ most of them are; one that is not may fall if too few are left to be sure of it.
 
 LIKELY: Final = 2 / 3
 UNLIKELY: Final = 1 / 16
-"""The shares of such steps that make an object fall [measured; of the second kind it is 1/25 before anybody chooses
+"""The shares of such steps that make an object fall [measured; of the second kind it is 1/23 before anybody chooses
 among them]."""
 
 BELOW: Final = (3 / 128, 16 / 128)
@@ -54,21 +54,15 @@ BESIDE: Final = 3 / 128
 THIN: Final = 2
 """In some row there it has at least so many pixels."""
 
-SIDES: Final = 64
-"""The ground is taken for a polygon of so many sides around all that is seen of it, each of its own direction."""
-
-PATCH: Final = 5
-"""Ground is where most pixels of a square of so many a side have its colour; some of the agent's edges have it, too."""
-
 
 class Edges:
     """The objects of some tasks that are near the edge of what they stand on.
 
     Args:
         tracker: Knows what is an object and no ground.
-        ground: Knows the ground's colours.
+        ground: Knows the ground's colours, and what is seen of the objects.
+        table: Whose edge it is.
         frames: The present pictures.
-        goals: What they should look like; they show some of the ground that the agent hides now.
         known: Where the objects are in the present pictures.
     """
 
@@ -76,19 +70,17 @@ class Edges:
         self,
         tracker: Tracker,
         ground: Ground,
+        table: Table,
         frames: UInt8[Tensor, "b h w 3"],
-        goals: UInt8[Tensor, "b h w 3"],
         known: Outlines,
     ) -> None:
         self._tracker, self._known, self._width = tracker, known, frames.shape[2]
         self._color: Float[Tensor, "b 1 1 1 3"] = ground.color[:, None, None, None]
-        now, then = (alike(pictures.float(), self._color) for pictures in (frames, goals))
-        bare = F.avg_pool2d((now | then).float()[:, None], PATCH, stride=1, padding=PATCH // 2)[:, 0] > 0.5
-        self._strange = ~now & ~tracker.show_objects(frames)
-        self._sides, seen = _sides(bare), tracker.look(frames)
-        self._pixels, self._depth = seen.pixels, _depth(self._sides, seen.centre)
-        near = _depth(self._sides, known.centre) < MARGIN * self._width
-        self._watched: Bool[Tensor, "b k"] = near & (seen.pixels >= OPEN * known.pixels)
+        self._strange = ~alike(frames.float(), self._color) & ~tracker.show_objects(frames)
+        tasks = torch.arange(len(frames), device=frames.device)
+        self._table, self._pixels, self._depth = table, ground.now.pixels, table.depth(ground.now.centre, tasks)
+        near = table.depth(known.centre, tasks) < MARGIN * self._width
+        self._watched: Bool[Tensor, "b k"] = near & (ground.now.pixels >= OPEN * known.pixels)
 
     def risk(
         self, frames: UInt8[Tensor, "n h w 3"], now: Outlines, task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
@@ -102,7 +94,7 @@ class Edges:
             asked: The objects.
         """
         left = now.pixels / self._pixels[task].clamp(min=1)
-        out = self._depth[task] - _depth(self._sides[task], now.centre) > OUT * self._width
+        out = self._depth[task] - self._table.depth(now.centre, task) > OUT * self._width
         likely = (left < GONE) | (out & (left < HALF))
         may = asked & self._watched[task] & (likely | (left < SURE) | (out & (left < MOST)))
         for place, one in may.nonzero().tolist():
@@ -119,35 +111,3 @@ class Edges:
         strip = picture[below][None]
         new = ~alike(strip.float(), self._color[task]) & ~self._tracker.show_objects(strip)
         return bool(((new[0] & ~self._strange[task][below]).sum(dim=1) >= THIN).any())
-
-
-def _sides(bare: Bool[Tensor, "b h w"]) -> Float[Tensor, "b s"]:
-    """The polygon around all that is seen of the ground: how far its sides are from the picture's corner [px].
-
-    Each side lies across its own direction; without any ground they are infinitely far away.
-    """
-    down, across = (torch.arange(size, device=bare.device, dtype=torch.float32) for size in bare.shape[1:])
-    outwards = _outwards(down)
-    some = bare.any(dim=2)
-    sides: Float[Tensor, "b s"] = down.new_full((len(bare), SIDES), -torch.inf)
-    for end in _ends(bare):  # of each row: what lies between its ends is not at the edge
-        reach = across[end][..., None] * outwards[:, 0] + down[:, None] * outwards[:, 1]
-        sides = torch.maximum(sides, reach.where(some[..., None], reach.new_tensor(-torch.inf)).amax(dim=1))
-    return sides.where(some.any(dim=1)[:, None], sides.new_tensor(torch.inf))
-
-
-def _depth(sides: Float[Tensor, "b s"], centre: Float[Tensor, "b k 2"]) -> Float[Tensor, "b k"]:
-    """How far objects are from the edge of the ground [px], negative outside; infinite where there is none to see."""
-    return (sides[:, None] - centre @ _outwards(centre).T).amin(dim=2).nan_to_num(torch.inf)
-
-
-def _outwards(like: Tensor) -> Float[Tensor, "s 2"]:
-    """The directions of the polygon's sides."""
-    angle = torch.arange(SIDES, device=like.device, dtype=like.dtype) * (2 * math.pi / SIDES)
-    return torch.stack([angle.cos(), angle.sin()], dim=1)
-
-
-def _ends(bare: Bool[Tensor, "b h w"]) -> tuple[Int[Tensor, "b h"], Int[Tensor, "b h"]]:
-    """The first and the last column of each row; any for rows that have none."""
-    whole = bare.to(torch.uint8)
-    return whole.argmax(dim=2), bare.shape[2] - 1 - whole.flip(2).argmax(dim=2)

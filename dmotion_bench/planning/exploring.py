@@ -1,15 +1,17 @@
 """Where to go while nothing that the planner can think of brings an object nearer to its goal.
 
 Five actions do not reach an object on the other side of the table, and where all plans come to the same, the first
-of them is taken: the agent goes to and fro in one place until the steps are used up. Two things that pictures tell
+of them is taken: the agent goes to and fro in one place until the steps are used up. Three things that pictures tell
 set such plans apart:
 
+- how near they bring the agent to where it can push what is not where it should be (``approaching.py``);
 - how new what they lead to looks, above all around the objects that are not where they should be;
 - whether their first action has been taken before where everything looked as it does now. A model may believe in a
   way through a wall; who has tried it knows better.
 
-What is new weighs less than any gain or harm that the cost believes in. What has been tried weighs more each time, in
-the end more than either: gains that do not come and harm that was only imagined keep nobody in one place for ever.
+What is near or new weighs less than any gain or harm that the cost believes in. What has been tried weighs more each
+time, in the end more than either: gains that do not come and harm that was only imagined keep nobody in one place for
+ever.
 Where every object is near its goal the agent goes back to where it has just been: what else it would push may fall.
 """
 
@@ -19,10 +21,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.planning.approaching import Approach
 from dmotion_bench.planning.tracking import Outlines
+from dmotion_bench.specs import EnvSpec
 
 SIDE: Final = 16
 """Pictures are compared at this many pixels a side."""
@@ -46,13 +50,20 @@ AROUND: Final = 0.12
 ELSEWHERE: Final = 0.03
 """What all other places count, where those around an object count 1."""
 
-NEAR: Final = 10 / 128
+NEAR: Final = 5 / 128
 AWAY: Final = 20 / 128
 """For an object that is nearer to its goal than ``NEAR`` nothing is risked, and from ``AWAY`` on it counts in full; as
 shares of the frame's width."""
 
-NOVELTY: Final = 0.35
-"""What is new weighs at most this share of the smallest change that the cost believes in."""
+NEARNESS: Final = 0.6
+"""To be where a push can begin, and not a frame's width away, weighs this share of the smallest change that the cost
+believes in."""
+
+NOVELTY: Final = 0.15
+"""What is new weighs at most this share of it."""
+
+STRAYING: Final = 0.35
+"""And so does leaving what has just been seen, where nothing is sought."""
 
 WEARINESS: Final = 0.3
 """Each time that an action has been tried weighs this share of it."""
@@ -104,42 +115,62 @@ def small(frames: UInt8[Tensor, "n h w 3"]) -> Float[Tensor, "n d"]:
     return rows.sum(dim=3).flatten(1).float() / (255 * cells.shape[2] * width)
 
 
+def misplaced(known: Outlines, wanted: Outlines, standing: Bool[Tensor, "b k"], width: int) -> Float[Tensor, "b k"]:
+    """How much each object is sought: 0 if it is in its place, or has fallen, to 1.
+
+    Args:
+        known, wanted: Where the objects are, and where they should be.
+        standing: Which of them are still on the table.
+        width: Of a frame [px].
+    """
+    off = (known.centre - wanted.centre).norm(dim=-1).nan_to_num(0.0) * wanted.seen / width
+    share: Tensor = (off / AWAY).clamp(max=1) * ((off > NEAR) & standing)
+    return share
+
+
 class Exploration:
     """What makes one of two futures that cost the same the better one, as shares of the smallest believed change.
 
     Args:
         sights: What has been seen.
-        known, wanted: Where the objects are, and where they should be.
-        width: Of a frame [px]; frames are square here, others are stretched.
-        actions: How many there are.
+        known: Where the objects are.
+        misplaced: How much each of them is sought, from 0 to 1 (``misplaced``).
+        approach: The places to push them from; without it only what is new is sought.
+        spec: Says how large frames are, which are square here, others are stretched; and how many actions there are.
     """
 
-    def __init__(self, sights: Sights, known: Outlines, wanted: Outlines, width: int, actions: int) -> None:
-        off = (known.centre - wanted.centre).norm(dim=-1).nan_to_num(0.0) * wanted.seen / width
-        off = (off / AWAY).clamp(max=1) * ((off > NEAR) & known.seen)  # what is not seen may have fallen
-        place = (torch.arange(SIDE, device=off.device) + 0.5) / SIDE
-        across, down = (
-            torch.exp(-(place - known.centre[..., axis, None].nan_to_num(torch.inf) / width).square() / (2 * AROUND**2))
-            for axis in (0, 1)
-        )
-        weight = ELSEWHERE + torch.einsum("bk,bky,bkx->byx", off, down, across)
+    def __init__(
+        self,
+        sights: Sights,
+        known: Outlines,
+        *,
+        misplaced: Float[Tensor, "b k"],
+        approach: Approach | None = None,
+        spec: EnvSpec,
+    ) -> None:
+        place = (torch.arange(SIDE, device=misplaced.device) + 0.5) / SIDE
+        centre = known.centre[..., None].nan_to_num(torch.inf) / spec.width
+        across, down = (torch.exp(-(place - centre[:, :, axis]).square() / (2 * AROUND**2)) for axis in (0, 1))
+        weight = ELSEWHERE + torch.einsum("bk,bky,bkx->byx", misplaced, down, across)
         weight = (weight / weight.sum(dim=(1, 2), keepdim=True) / 3).flatten(1).repeat(1, 3).sqrt()
         self._weight, self._seen = weight, sights.pictures * weight[:, None]
-        self._seeking = off.amax(dim=1) > 0
+        self._approach, self._seeking = approach, misplaced.amax(dim=1) > 0
         self._scale = torch.where(self._seeking, 1.0, PLACID)
-        tried = sights.to(torch.device("cpu")).tried(actions).to(off)
+        tried = sights.to(torch.device("cpu")).tried(len(spec.actions)).to(misplaced)
         self._weariness = WEARINESS * tried
 
-    def novelty(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
+    def appeal(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
         """How much better than the rest imagined pictures make a future."""
-        novelty: Tensor = NOVELTY * self._unlike(frames, task, self._seen) * self._seeking[task]
-        return novelty
+        appeal: Tensor = NOVELTY * self._unlike(frames, task, self._seen)
+        if self._approach is not None:
+            appeal = appeal + NEARNESS * self._approach.nearness(frames, task)
+        return appeal * self._seeking[task]
 
     def reluctance(
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
     ) -> Float[Tensor, " n"]:
         """How much worse than the rest futures are that begin with these actions, which lead to these pictures."""
-        away: Tensor = NOVELTY * self._unlike(frames, task, self._seen[:, -2:])
+        away: Tensor = STRAYING * self._unlike(frames, task, self._seen[:, -2:])
         return torch.where(self._seeking[task], self._weariness[task, action], away)
 
     def _unlike(

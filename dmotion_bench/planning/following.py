@@ -47,8 +47,8 @@ TOUCH: Final = 4 / 128
 much as a change that is not believed: what is imagined of a first touch is too little."""
 
 LOST: Final = 0.5
-"""What an object that is lost costs on top of its distance: this share of the frame's width, as a distance; what may be
-lost costs as much of that as is to be feared, so what gains more may be done."""
+"""What a missing object costs: this share of the frame's width, as a distance. One that may be lost costs as much of
+that as is to be feared, on top of its own distance, so what gains more may be done."""
 
 LOOSE: Final = 1.5
 """So much longer and wider than before may an object be that is seen in one piece: it may have turned."""
@@ -155,7 +155,7 @@ class FollowedCost:
         idle = (cost - present).abs() < self._doubt
         cost = torch.where(idle, present + self._doubt * (distance / self._touch).clamp(max=1), cost)
         if self._exploration is not None:
-            cost = cost + self._doubt * (reluctance[:, 0] - self._exploration.novelty(frames, task))
+            cost = cost + self._doubt * (reluctance[:, 0] - self._exploration.appeal(frames, task))
         return cost, torch.cat([centre, risk[..., None], reluctance[..., None]], dim=-1)
 
     def _apart(

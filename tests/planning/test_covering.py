@@ -69,6 +69,19 @@ def test_what_is_partly_hidden_already_is_covered_when_it_is_gone() -> None:
     assert Ground(tracker, hidden, known).covered(picture(red=None), FIRST, RED_ONE).tolist() == [[True, False]]
 
 
+@pytest.mark.parametrize(("curtain", "standing"), [(slice(14, 27), True), (slice(17, 25), True), (None, False)])
+def test_an_object_that_something_stands_before_has_not_fallen(curtain: slice | None, standing: bool) -> None:
+    tracker = Tracker(SPEC)
+    known = tracker.follow(tracker.look(picture()), gone := picture(red=None, curtain=curtain))
+    assert Ground(tracker, gone, known).standing.tolist() == [[standing, True]]
+
+
+def test_an_object_that_was_never_seen_stands_nowhere() -> None:
+    tracker = Tracker(SPEC)
+    alone = picture(red=None, curtain=slice(10, 30))
+    assert Ground(tracker, alone, tracker.look(alone)).standing.tolist() == [[False, True]]
+
+
 def test_an_object_at_the_edge_of_the_table_has_two_grounds() -> None:
     def on_a_table(frame: torch.Tensor) -> torch.Tensor:
         table = frame.clone()

@@ -12,7 +12,8 @@ from dmotion_bench.planning.covering import Ground
 from dmotion_bench.planning.edges import GONE, HALF, LIKELY, MARGIN, MOST, OPEN, SURE, UNLIKELY, Edges
 from dmotion_bench.planning.exploring import Sights
 from dmotion_bench.planning.following import LOST, FollowedCost
-from dmotion_bench.planning.tracking import Tracker
+from dmotion_bench.planning.table import Table
+from dmotion_bench.planning.tracking import Outlines, Tracker
 
 TABLE = torch.tensor([200, 180, 150], dtype=torch.uint8)
 PRICE = (LOST * SPEC.width) ** 2
@@ -29,11 +30,14 @@ def on_a_table(frame: torch.Tensor, left: int = 0, top: int = 0) -> torch.Tensor
     return table
 
 
+def edges_in(frame: torch.Tensor, known: Outlines, goal: torch.Tensor | None = None) -> Edges:
+    ground = Ground(tracker := Tracker(SPEC), frame, known)
+    return Edges(tracker, ground, Table(ground, frame, frame if goal is None else goal), frame, known)
+
+
 def edges(left: int = 0, top: int = 0, **start: object) -> Edges:
     frame = on_a_table(picture(**start), left, top)
-    tracker = Tracker(SPEC)
-    known = tracker.look(frame)
-    return Edges(tracker, Ground(tracker, frame, known), frame, frame, known)
+    return edges_in(frame, Tracker(SPEC).look(frame))
 
 
 def risk(of: Edges, frame: torch.Tensor) -> list[float]:
@@ -104,7 +108,7 @@ def test_what_the_agent_hides_already_is_not_watched(columns: int, watched: bool
     frame = on_a_table(picture(curtain=curtain), left)
     tracker = Tracker(SPEC)
     known = tracker.follow(tracker.look(on_a_table(picture(), left)), frame)
-    of = Edges(tracker, Ground(tracker, frame, known), frame, frame, known)
+    of = edges_in(frame, known)
     assert risk(of, on_a_table(picture(red=None, curtain=curtain), left)) == (FALLS if watched else STAYS)
 
 
@@ -132,10 +136,9 @@ def test_the_goal_shows_ground_that_the_agent_hides_now() -> None:
     frame, goal = on_a_table(picture(curtain=curtain)), on_a_table(picture())
     tracker = Tracker(SPEC)
     known = tracker.follow(tracker.look(goal), frame)
-    ground = Ground(tracker, frame, known)
     gone = on_a_table(picture(red=None, curtain=curtain))
-    assert risk(Edges(tracker, ground, frame, frame, known), gone) == FALLS
-    assert risk(Edges(tracker, ground, frame, goal, known), gone) == STAYS
+    assert risk(edges_in(frame, known), gone) == FALLS
+    assert risk(edges_in(frame, known, goal), gone) == STAYS
 
 
 def test_only_what_is_asked_about_may_fall() -> None:
@@ -148,7 +151,7 @@ def test_where_no_ground_is_to_be_seen_nothing_is_watched() -> None:
     nothing = picture(**NOTHING)
     tracker = Tracker(SPEC)
     known = tracker.look(nothing)
-    none = Edges(tracker, Ground(tracker, nothing, known), nothing, nothing, known)
+    none = edges_in(nothing, known)
     assert risk(none, nothing) == STAYS
 
 

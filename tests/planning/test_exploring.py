@@ -7,7 +7,8 @@ import pytest
 import torch
 from planning.boxes import AT, FIRST, SPEC, picture
 
-from dmotion_bench.planning.exploring import NOVELTY, WEARINESS, Exploration, Sights
+from dmotion_bench.planning.covering import Ground
+from dmotion_bench.planning.exploring import NOVELTY, WEARINESS, Exploration, Sights, misplaced
 from dmotion_bench.planning.following import DOUBT, FollowedCost
 from dmotion_bench.planning.tracking import Tracker
 
@@ -26,24 +27,37 @@ def walked(*steps: tuple[torch.Tensor, torch.Tensor]) -> Sights:
 
 def exploration(sights: Sights, goal: tuple[int, int] = GOAL) -> Exploration:
     known, wanted = Tracker(SPEC).meet(picture(), picture(red=goal))
-    return Exploration(sights, known, wanted, SPEC.width, len(SPEC.actions))
+    return Exploration(sights, known, misplaced=misplaced(known, wanted, known.seen, SPEC.width), spec=SPEC)
 
 
 def test_what_was_seen_is_not_new_and_what_is_near_a_misplaced_object_is_newer() -> None:
     explored = exploration(walked((RIGHT, THERE)))
     far = picture(curtain=slice(60, 64))
-    news = [explored.novelty(frame, FIRST).item() for frame in (HERE, THERE, far, FARTHER)]
+    news = [explored.appeal(frame, FIRST).item() for frame in (HERE, THERE, far, FARTHER)]
     assert news[:2] == [0, 0]
     assert 0 < news[2] < news[3] <= NOVELTY
 
 
 def test_where_everything_is_in_its_place_the_agent_goes_back() -> None:
     settled = exploration(walked((RIGHT, THERE)), goal=(AT[0] + 1, AT[1]))
-    assert settled.novelty(FARTHER, FIRST).item() == 0
+    assert settled.appeal(FARTHER, FIRST).item() == 0
     assert settled.reluctance(HERE, FIRST, LEFT).item() == settled.reluctance(THERE, FIRST, RIGHT).item() == 0
     assert 0 < settled.reluctance(FARTHER, FIRST, RIGHT).item() < 1
     long_ago = exploration(walked((RIGHT, THERE), (RIGHT, FARTHER)), goal=(AT[0] + 1, AT[1]))
     assert long_ago.reluctance(HERE, FIRST, LEFT).item() > long_ago.reluctance(THERE, FIRST, LEFT).item()
+
+
+def test_what_is_hidden_is_sought_and_what_has_fallen_is_not() -> None:
+    tracker, fresh = Tracker(SPEC), picture(curtain=slice(28, 48))
+    start, wanted = tracker.meet(picture(), picture(red=GOAL))
+    news = []
+    for gone in (picture(red=None, curtain=slice(14, 27)), picture(red=None)):
+        known = tracker.follow(start, gone)
+        off = misplaced(known, wanted, Ground(tracker, gone, known).standing, SPEC.width)
+        sights = Sights.first(picture()).after(RIGHT, gone)
+        news.append(Exploration(sights, known, misplaced=off, spec=SPEC).appeal(fresh, FIRST).item())
+    hidden, fallen = news
+    assert hidden > fallen == 0
 
 
 def test_an_action_wearies_where_it_has_been_taken() -> None:
@@ -85,10 +99,10 @@ def test_what_is_new_weighs_less_than_a_gain_and_what_was_tried_in_vain_more() -
 def test_tasks_do_not_know_of_each_other_and_other_sizes_are_fine() -> None:
     both = Sights.first(torch.cat([HERE, THERE])).after(torch.tensor([0, 1]), torch.cat([THERE, THERE]))
     known, wanted = Tracker(SPEC).meet(picture().repeat(2, 1, 1, 1), picture(red=GOAL).repeat(2, 1, 1, 1))
-    explored = Exploration(both, known, wanted, SPEC.width, 2)
+    explored = Exploration(both, known, misplaced=misplaced(known, wanted, known.seen, SPEC.width), spec=SPEC)
     assert both.tried(2).tolist() == [[0, 0], [0, 1]]
     task = torch.tensor([0, 1, 1])
-    found = explored.novelty(torch.cat([HERE, HERE, THERE]), task)
+    found = explored.appeal(torch.cat([HERE, HERE, THERE]), task)
     assert found[0] == found[2] == 0 < found[1]
     assert explored.reluctance(torch.cat([HERE] * 3), task, torch.tensor([1, 1, 0])).tolist() == pytest.approx(
         [0, WEARINESS, 0]

@@ -65,7 +65,7 @@ class Row:
     Attributes:
         kind: Measured here, printed elsewhere, or a predictor that knows nothing.
         name: What it is called: the model's registry name, or what the reference does.
-        model: Gives it its colour; empty for references.
+        model: Gives it its colour, together with its variant; empty for references.
         variant: What tells it from others of the model and budget, often nothing.
         labels, label_count: The budget and what it came to.
         entries: The results behind it.

@@ -12,28 +12,28 @@ from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
 from leaderboard.columns import count, number
 from leaderboard.markup import Markup, element, joined
 
-Styles = Mapping[str, Style]
+Styles = Mapping[tuple[str, str], Style]
+"""By model and variant."""
 _AHEAD: Final = re.compile(r"(\w+)\[(\d+)\]")
 
 
-def assign_styles(boards: Iterable[Board]) -> dict[str, Style]:
-    """Each model's colour and marker, the same on every board of a page."""
-    models = sorted({row.model for board in boards for row in board.rows if row.model})
-    return {model: Style(index) for index, model in enumerate(models)}
+def assign_styles(boards: Iterable[Board]) -> dict[tuple[str, str], Style]:
+    """The colour and the marker of each model and each variant of it, the same on every board of a page."""
+    return {one: Style(index) for index, one in enumerate(sorted({one for board in boards for one in _drawn(board)}))}
+
+
+def _drawn(board: Board) -> list[tuple[str, str]]:
+    """The models and variants that a board has lines of."""
+    return sorted({(row.model, row.variant) for row in board.rows if row.model})
 
 
 def legend(board: Board, styles: Styles) -> Markup:
     """Which model is which; each is a button that brings its lines forward (``page.js``)."""
-    models = sorted({row.model for row in board.rows if row.model})
-    items = [
-        element(
-            "li",
-            element(
-                "button", key(styles[model]), model, type="button", aria_pressed="false", data_model=styles[model].index
-            ),
-        )
-        for model in models
-    ]
+    items = []
+    for model, variant in _drawn(board):
+        style, name = styles[model, variant], f"{model} ({variant})" if variant else model
+        button = element("button", key(style), name, type="button", aria_pressed="false", data_model=style.index)
+        items.append(element("li", button))
     kinds = []
     if any(_dash(row) == "dashed" for row in board.rows):
         elsewhere = ", or trained on another data set" if any(row.elsewhere for row in board.rows) else ""
@@ -86,7 +86,7 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
         Series(
             name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(row.figures[figure].mean)}" for row in rows),
             points=[_point(float(row.label_count or 0), row, figure) for row in rows],
-            style=styles[rows[0].model],
+            style=styles[rows[0].model, rows[0].variant],
             dash="dotted" if rows[0].kind == "published" else "dashed" if rows[0].elsewhere else "solid",
             hollow=rows[0].kind == "published",
         )
@@ -133,7 +133,7 @@ def _ahead(
         Series(
             name=f"{_title(row, base)}, labels {row.labels}",
             points=points,
-            style=styles[row.model],
+            style=styles[row.model, row.variant],
             dash=_dash(row),
             hollow=row.kind == "published",
             marked=marked,

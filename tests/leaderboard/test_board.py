@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from leaderboard.board import Board, Row, make_boards
+from leaderboard.curves import assign_styles, legend
 from leaderboard.entry import Entry
 from leaderboard.standings import control_standings
 
@@ -166,6 +167,18 @@ def test_runs_of_the_same_model_and_budget_are_told_apart_by_their_names(result:
     (board,) = make_boards(entries)
 
     assert {row.variant for row in board.rows if row.kind == "measured"} == {"a-affine", "a-plain"}
+
+
+def test_a_variant_of_a_model_has_its_own_colour_and_marker(result: Callable[..., Entry]) -> None:
+    entries = [result("a", np.ones(40), run="a-affine-s0"), result("a", np.ones(40), run="a-plain-s0")]
+    (board,) = make_boards(entries)
+
+    styles = assign_styles([board])
+
+    looks = [(one.color, one.marker) for one in styles.values()]
+    assert set(styles) == {("a", "a-affine"), ("a", "a-plain")}
+    assert looks[0] != looks[1]
+    assert all(f"a ({variant})" in str(legend(board, styles)) for _, variant in styles)
 
 
 @pytest.mark.parametrize(

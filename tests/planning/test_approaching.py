@@ -34,8 +34,8 @@ def approach(
 
 
 def nearness(of: Approach, *feet: tuple[int, int]) -> list[float]:
-    found: list[float] = of.nearness(torch.cat([agent_at(*foot, red=None) for foot in feet]), FIRST.repeat(len(feet)))
-    return found.tolist()
+    frames = torch.cat([agent_at(*foot, red=None) for foot in feet])
+    return [one.item() for one in of.nearness(frames, FIRST.repeat(len(feet)))]
 
 
 @pytest.mark.parametrize("foot", [(5, 40), (36, 10), (60, 59), (31, 61)])

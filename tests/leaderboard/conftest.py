@@ -6,21 +6,16 @@ import copy
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
-import torch
-from torch import Tensor
+from known_model import Known, write_run
 
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
-from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.score import ReferenceScores, ScoreSettings, score_run
-from dmotion_bench.specs import DatasetRecipe, Supervision
+from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import Workspace
@@ -31,67 +26,9 @@ from recorders.grid_world import FACTS, GridWorld
 SETTINGS = ScoreSettings(horizon=3, resamples=200)
 
 
-@dataclass(frozen=True, kw_only=True)
-class NoConfig:
-    """There is nothing to choose."""
-
-
-class Brighter(ForwardModel[NoConfig]):
-    """Predicts the current frame, brightened by ``offset``."""
-
-    supervision: ClassVar[Supervision] = Supervision.NONE
-    paper: ClassVar[str] = "nobody, nowhere"
-    Config: ClassVar[type] = NoConfig
-    offset: Tensor
-
-    def __init__(self, config: NoConfig, inputs: ModelInputs) -> None:
-        super().__init__(config, inputs)
-        self.register_buffer("offset", torch.zeros(1))
-
-    def losses(self, batch: TripletBatch) -> Losses:
-        return Losses(total=torch.zeros(()))
-
-    def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
-        return current + self.offset
-
-
-def write_run(workspace: Workspace, dataset: Dataset, name: str, *, offset: float, **changes: Any) -> Run:
-    asked: dict[str, Any] = {
-        "model": "dmotion",
-        "arch": "compact",
-        "config": {},
-        "training": {},
-        "preset": "tiny",
-        "labels": "one-shot",
-        "seed": 0,
-        "dataset": dataset.name,
-        "fingerprint": dataset.fingerprint,
-        "height": 128,
-        "width": 128,
-        "actions": 4,
-    }
-    run = Run.create_or_open(
-        workspace.runs / name, RunSpec(**(asked | changes)), dataset_path=dataset.path, versions={}
-    )
-    weights = {"offset": torch.tensor([offset])}
-    checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
-    run.finish(
-        {
-            "weights": checkpoint.weights_hash(weights),
-            "steps": 5,
-            "seconds": 1.5,
-            "parameters": 1,
-            "device": "cpu",
-            "labels": {"demonstrations": 4},
-            "labels_total": 4,
-        }
-    )
-    return run
-
-
 @pytest.fixture(autouse=True)
 def _model(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Brighter)
+    monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
 
 
 @pytest.fixture(scope="session")
@@ -105,14 +42,14 @@ def scored_workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Works
         writer.finish()
     dataset = Dataset.open(workspace.data / "grid_world-tiny")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Brighter)
+        patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
         references = ReferenceScores()
         for name, offset, changes in (
             ("dmotion-grid_world-tiny-s0", 0.0, {}),
             ("dmotion-grid_world-tiny-s1", 0.02, {"seed": 1}),
             ("cswm-grid_world-tiny-10pct-s0", 0.5, {"model": "cswm", "labels": "10%"}),
         ):
-            run = write_run(workspace, dataset, name, offset=offset, **changes)
+            run = write_run(workspace.runs / name, dataset, offset=offset, **changes)
             score_run(run.path, settings=SETTINGS, how=Execution(), references=references)
     return workspace
 
@@ -134,7 +71,7 @@ def workspace(scored_workspace: Workspace, tmp_path: Path, monkeypatch: pytest.M
 def sound(scored_workspace: Workspace) -> Entry:
     """The entry of the first run."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Brighter)
+        patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
         return entry_of_run(scored_workspace.runs / "dmotion-grid_world-tiny-s0")
 
 

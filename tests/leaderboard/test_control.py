@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from known_model import Known, write_run
 
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
@@ -27,8 +28,6 @@ from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry
 from leaderboard.entry import Entry
 
-from .conftest import Brighter, write_run
-
 SCORING = ControlScoring(tasks=3, steps=5, group=2)
 QUICK = CheckSettings(score=False)
 RUN = "dmotion-pushed-tiny-s0"
@@ -38,7 +37,7 @@ Rows = list[dict[str, Any]]
 def _few_candidates(patch: pytest.MonkeyPatch) -> None:
     quick = partial(CrossEntropyPlanner, samples=4, horizon=2, iterations=1, elites=2)
     patch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": quick})
-    patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Brighter)
+    patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +54,7 @@ def controlled(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     dataset = Dataset.open(workspace.data / "pushed-tiny")
     with pytest.MonkeyPatch.context() as patch:
         _few_candidates(patch)
-        run = write_run(workspace, dataset, RUN, offset=0.0)
+        run = write_run(workspace.runs / RUN, dataset)
         score_reference("oracle", dataset, SCORING)
         score_run(run.path, metrics=("control",), settings=ScoreSettings(resamples=100, control=SCORING))
     return workspace

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from known_model import write_run
 
 from dmotion_bench.learning.run import Run
 from dmotion_bench.recording.session import record_dataset
@@ -21,7 +22,7 @@ from leaderboard.entry import Entry
 from leaderboard.entry_file import read_entries
 from leaderboard.page import make_page
 
-from .conftest import SETTINGS, write_run
+from .conftest import SETTINGS
 
 QUICK = CheckSettings(score=False)
 RUN = "dmotion-grid_world-tiny-s0"
@@ -36,7 +37,7 @@ def transferred(workspace: Workspace) -> Entry:
         DatasetRecipe(environment="grid_world", policy="random", seed=9, episodes=30, frames=12),
     )
     dataset = Dataset.open(workspace.data / "other")
-    native = write_run(workspace, dataset, "dmotion-other-s0", offset=0.3)
+    native = write_run(workspace.runs / "dmotion-other-s0", dataset, offset=0.3)
     for run in (workspace.runs / RUN, native.path):
         score_run(run, settings=SETTINGS, data=dataset.path)
     return entry_of_run(workspace.runs / RUN, workspace.runs / RUN / ON)

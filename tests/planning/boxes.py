@@ -1,4 +1,4 @@
-"""Two boxes on a black ground and a curtain in front of them, for what has to do with where objects are."""
+"""Two boxes on a black ground or a table, and a curtain in front of them, for what has to do with where objects are."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ SPEC = EnvSpec(
 )
 FIRST = torch.zeros(1, dtype=torch.long)
 AT = (20, 30)
+TABLE = torch.tensor([200, 180, 150], dtype=torch.uint8)
 
 
 def picture(
@@ -34,3 +35,14 @@ def picture(
     if curtain is not None:
         frame[:, curtain] = 250
     return torch.from_numpy(frame)[None]
+
+
+def on_a_table(
+    frame: torch.Tensor, left: int = 0, top: int = 0, right: int | None = None, bottom: int | None = None
+) -> torch.Tensor:
+    """The picture with a table under the boxes; the ground outside its columns and rows (last ones excluded) stays."""
+    standing = torch.zeros(frame.shape[:-1], dtype=torch.bool)
+    standing[:, top:bottom, left:right] = True
+    table = frame.clone()
+    table[standing & (frame == 0).all(-1)] = TABLE
+    return table

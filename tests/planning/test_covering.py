@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from planning.boxes import AT, FIRST, SPEC, picture
+from planning.boxes import AT, FIRST, SPEC, on_a_table, picture
 
 from dmotion_bench.planning.covering import Ground
 from dmotion_bench.planning.edges import UNLIKELY
@@ -83,16 +83,10 @@ def test_an_object_that_was_never_seen_stands_nowhere() -> None:
 
 
 def test_an_object_at_the_edge_of_the_table_has_two_grounds() -> None:
-    def on_a_table(frame: torch.Tensor) -> torch.Tensor:
-        table = frame.clone()
-        black = (frame == 0).all(-1)
-        black[..., : AT[0] - 1] = False  # the table's edge runs below the object
-        table[black] = torch.tensor([200, 180, 150], dtype=torch.uint8)
-        return table
-
-    start = on_a_table(picture())
+    left = AT[0] - 1  # the table's edge runs below the object
+    start = on_a_table(picture(), left)
     tracker = Tracker(SPEC)
     ground = Ground(tracker, start, tracker.look(start))
-    assert ground.covered(on_a_table(picture(red=None)), FIRST, RED_ONE).tolist() == [[False, False]]
-    behind = on_a_table(picture(red=None, curtain=slice(17, 25)))
+    assert ground.covered(on_a_table(picture(red=None), left), FIRST, RED_ONE).tolist() == [[False, False]]
+    behind = on_a_table(picture(red=None, curtain=slice(17, 25)), left)
     assert ground.covered(behind, FIRST, RED_ONE).tolist() == [[True, False]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from planning.boxes import AT, FIRST, SPEC, picture
+from planning.boxes import AT, FIRST, SPEC, TABLE, on_a_table, picture
 from planning.worlds import PerfectGridModel
 
 from dmotion_bench.planning.costs import make_cost
@@ -15,19 +15,9 @@ from dmotion_bench.planning.following import LOST, FollowedCost
 from dmotion_bench.planning.table import Table
 from dmotion_bench.planning.tracking import Outlines, Tracker
 
-TABLE = torch.tensor([200, 180, 150], dtype=torch.uint8)
 PRICE = (LOST * SPEC.width) ** 2
 FALLS, STAYS = [round(LIKELY, 4), 0], [0, 0]
 """Of the red box and of the blue one."""
-
-
-def on_a_table(frame: torch.Tensor, left: int = 0, top: int = 0) -> torch.Tensor:
-    """The picture with a table under the boxes that begins at a column and a row, the rest of the ground black."""
-    black = (frame == 0).all(-1)
-    black[:, :top] = black[:, :, :left] = False
-    table = frame.clone()
-    table[black] = TABLE
-    return table
 
 
 def edges_in(frame: torch.Tensor, known: Outlines, goal: torch.Tensor | None = None) -> Edges:

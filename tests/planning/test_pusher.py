@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmotion_bench.environment import Restorable
+from dmotion_bench.environment import Environment, Restorable
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.control import ControlSettings, control
 from dmotion_bench.planning.controllers import NO_ACTION, make_reference
@@ -18,6 +18,7 @@ from dmotion_bench.planning.simulation import Simulation
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.tasks import ControlTask
 from recorders.grid_world import GridWorld
 from recorders.planar_push import PlanarPush
 
@@ -35,6 +36,22 @@ def problems(dataset: Dataset) -> list[Problem]:
     return load_problems(dataset)
 
 
+def away_from(env: Environment, frame: np.ndarray, task: ControlTask, seed: int) -> Problem:
+    """What an environment shows after its reset, with goals a unit away along both axes."""
+    positions = env.objects().position
+    return Problem(
+        number=0,
+        task=task,
+        seed=seed,
+        vary=(),
+        opening=np.zeros(0, np.int64),
+        start_frame=frame,
+        goal_frame=frame,
+        start_positions=positions,
+        goal_positions=positions + 1,
+    )
+
+
 def test_rules_bring_the_objects_nearer_and_then_stand_still(dataset: Dataset, problems: list[Problem]) -> None:
     pusher = make_reference("scripted", dataset.spec, PlanarPush)
     result = control(pusher, problems, PlanarPush, ControlSettings(steps=40))
@@ -48,17 +65,7 @@ def test_rules_need_to_know_where_actions_lead(problems: list[Problem], monkeypa
     monkeypatch.delattr(GridWorld, "moves")
     env = GridWorld()
     frame, _ = env.reset(seed=0)
-    problem = Problem(
-        number=0,
-        task=problems[0].task,
-        seed=0,
-        vary=(),
-        opening=np.zeros(0, np.int64),
-        start_frame=frame,
-        goal_frame=frame,
-        start_positions=env.objects().position,
-        goal_positions=env.objects().position + 1,
-    )
+    problem = away_from(env, frame, problems[0].task, seed=0)
     with pytest.raises(InvalidSetting, match="'grid_world' does not say where its actions lead"):
         control(make_reference("scripted", env.facts, GridWorld), [problem], GridWorld, ControlSettings(steps=1))
 
@@ -118,17 +125,7 @@ class Replayed(GridWorld):
 def test_what_cannot_be_restored_is_replayed_and_nothing_is_tried_twice(problems: list[Problem]) -> None:
     env = Replayed()
     frame, _ = env.reset(seed=4)
-    problem = Problem(
-        number=0,
-        task=problems[0].task,
-        seed=4,
-        vary=(),
-        opening=np.zeros(0, np.int64),
-        start_frame=frame,
-        goal_frame=frame,
-        start_positions=env.objects().position,
-        goal_positions=env.objects().position + 1,
-    )
+    problem = away_from(env, frame, problems[0].task, seed=4)
     world = World(GridWorld(), problem)
     simulation = Simulation(env, problem, lambda image, _: float(image.sum()))
     generator = np.random.default_rng(0)

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import pytest
 import torch
-from planning.boxes import FIRST, SPEC, picture
+from planning.boxes import FIRST, SPEC, on_a_table, picture
 
 from dmotion_bench.planning.covering import Ground
 from dmotion_bench.planning.table import Table
 from dmotion_bench.planning.tracking import Tracker
 
-WOOD = torch.tensor([200, 180, 150], dtype=torch.uint8)
 LEFT, RIGHT, TOP, END = 8, 60, 12, 62
 """The table's first and last columns and rows, each last one excluded."""
 
 
-def on_a_table(curtain: slice | None = None) -> torch.Tensor:
-    frame = picture(curtain=curtain)
-    black = (frame == 0).all(-1)
-    black[:, :TOP] = black[:, END:] = black[:, :, :LEFT] = black[:, :, RIGHT:] = False
-    frame[black] = WOOD
-    return frame
+def seen(curtain: slice | None = None) -> torch.Tensor:
+    return on_a_table(picture(curtain=curtain), LEFT, TOP, RIGHT, END)
 
 
 def table(frame: torch.Tensor, goal: torch.Tensor) -> Table:
@@ -30,7 +25,7 @@ def table(frame: torch.Tensor, goal: torch.Tensor) -> Table:
 
 @pytest.mark.parametrize("curtain", [None, slice(0, 12), slice(56, 64)])
 def test_it_lies_where_the_ground_is_seen_now_or_at_the_goal(curtain: slice | None) -> None:
-    inside = table(on_a_table(curtain), on_a_table()).inside[0]
+    inside = table(seen(curtain), seen()).inside[0]
     rows, columns = inside.nonzero(as_tuple=True)
     assert (columns.min() - LEFT, RIGHT - 1 - columns.max()) == pytest.approx((2, 2), abs=1)
     assert (rows.min() - TOP, END - 1 - rows.max()) == pytest.approx((2, 2), abs=1)
@@ -38,12 +33,12 @@ def test_it_lies_where_the_ground_is_seen_now_or_at_the_goal(curtain: slice | No
 
 
 def test_what_nobody_ever_sees_is_not_on_it() -> None:
-    hidden = on_a_table(slice(0, 24))
+    hidden = seen(slice(0, 24))
     assert not table(hidden, hidden).inside[0, :, :20].any()
 
 
 def test_depth_is_the_distance_from_the_nearest_edge_and_negative_beside_it() -> None:
-    of = table(on_a_table(), on_a_table())
+    of = table(seen(), seen())
     places = torch.tensor([[[LEFT + 10.0, 36.0], [RIGHT - 4.0, 36.0], [34.0, TOP + 6.0], [34.0, TOP - 5.0]]])
     assert of.depth(places, FIRST)[0].tolist() == pytest.approx([10, 3, 6, -5], abs=2)
 

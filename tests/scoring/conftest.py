@@ -3,50 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from known_model import Known, NoConfig, write_run
 from torch import Tensor
 
-from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
-from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.learning.run import Run
 from dmotion_bench.recording.rollout import record_episodes
-from dmotion_bench.specs import DatasetRecipe, Supervision
+from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
 from recorders.grid_world import FACTS, GridWorld
 
 FRAMES = 14
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoConfig:
-    """There is nothing to choose."""
-
-
-class Known(ForwardModel[NoConfig]):
-    """Knows nothing to learn; predicts the current frame."""
-
-    supervision: ClassVar[Supervision] = Supervision.NONE
-    paper: ClassVar[str] = "nobody, nowhere"
-    Config: ClassVar[type] = NoConfig
-    offset: Tensor
-
-    def __init__(self, config: NoConfig, inputs: ModelInputs) -> None:
-        super().__init__(config, inputs)
-        self.register_buffer("offset", torch.zeros(1))
-
-    def losses(self, batch: TripletBatch) -> Losses:
-        return Losses(total=torch.zeros(()))
-
-    def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
-        return current + self.offset
 
 
 class Oracle(Known):
@@ -109,38 +84,7 @@ def make_run(grid: Dataset, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ru
     """Makes finished runs of a model that predicts the current frame, brightened by ``offset``."""
     monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
 
-    def make(path: Path, *, offset: float = 0.0, finished: bool = True, **changes: Any) -> Run:
-        asked: dict[str, Any] = {
-            "model": "dmotion",
-            "arch": "compact",
-            "config": {},
-            "training": {},
-            "preset": "tiny",
-            "labels": "one-shot",
-            "seed": 0,
-            "dataset": grid.name,
-            "fingerprint": grid.fingerprint,
-            "height": 128,
-            "width": 128,
-            "actions": 4,
-        }
-        spec = RunSpec(**(asked | changes))
-        run = Run.create_or_open(path, spec, dataset_path=grid.path, versions={})
-        run.write()
-        if finished:
-            weights = {"offset": torch.tensor([offset])}
-            checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
-            run.finish(
-                {
-                    "weights": checkpoint.weights_hash(weights),
-                    "steps": 5,
-                    "seconds": 1.5,
-                    "triplets_per_s": 100.0,
-                    "parameters": 0,
-                    "labels": {"demonstrations": 4},
-                    "labels_total": 4,
-                }
-            )
-        return run
+    def make(path: Path, **changes: Any) -> Run:
+        return write_run(path, grid, **changes)
 
     return make

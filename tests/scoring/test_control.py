@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from known_model import Known
 from torch import Tensor
 
 from dmotion_bench.errors import DatasetError, FolderInUse
@@ -27,8 +28,6 @@ from dmotion_bench.scoring.samples import read_samples
 from dmotion_bench.scoring.score import ScoreSettings, score_run
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
-
-from .conftest import Known
 
 MakeRun = Callable[..., Run]
 SCORING = ControlScoring(tasks=3, steps=3, group=2)

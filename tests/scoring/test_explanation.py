@@ -6,13 +6,13 @@ import dataclasses
 
 import pytest
 import torch
+from known_model import Known
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.score import ScoreSettings, score_model
 from dmotion_bench.storage.dataset import Dataset
 
-from .conftest import Known
 from .test_identification import SeesGreen
 
 QUICK = ScoreSettings(resamples=200)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from known_model import Known, NoConfig
 from torch import Tensor
 
 from dmotion_bench.learning.model import ModelInputs
@@ -16,7 +17,7 @@ from dmotion_bench.scoring.score import ScoreSettings, score_model
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.storage.dataset import Dataset
 
-from .conftest import Known, NoConfig, Oracle
+from .conftest import Oracle
 
 CPU = torch.device("cpu")
 

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 import torch
+from known_model import Known
 from torch import Tensor
 
 from dmotion_bench.errors import ModelContractBroken
@@ -18,7 +19,7 @@ from dmotion_bench.specs import MASK_AGENT, episode_seed
 from dmotion_bench.storage.dataset import Dataset
 from recorders.grid_world import FACTS, GridWorld, draw
 
-from .conftest import FRAMES, Known, Oracle
+from .conftest import FRAMES, Oracle
 
 QUICK = ScoreSettings(horizon=4, resamples=200)
 

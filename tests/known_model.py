@@ -1,0 +1,76 @@
+"""A model that learns nothing, and finished runs of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
+from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.specs import Supervision
+from dmotion_bench.storage.dataset import Dataset
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoConfig:
+    """There is nothing to choose."""
+
+
+class Known(ForwardModel[NoConfig]):
+    """Predicts the current frame, brightened by ``offset``."""
+
+    supervision: ClassVar[Supervision] = Supervision.NONE
+    paper: ClassVar[str] = "nobody, nowhere"
+    Config: ClassVar[type] = NoConfig
+    offset: Tensor
+
+    def __init__(self, config: NoConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        self.register_buffer("offset", torch.zeros(1))
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        return Losses(total=torch.zeros(()))
+
+    def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
+        return current + self.offset
+
+
+def write_run(path: Path, dataset: Dataset, /, *, offset: float = 0.0, finished: bool = True, **changes: Any) -> Run:
+    """A run of DMotion with one label of each action, but for the changes; who opens it has to patch the model in."""
+    asked: dict[str, Any] = {
+        "model": "dmotion",
+        "arch": "compact",
+        "config": {},
+        "training": {},
+        "preset": "tiny",
+        "labels": "one-shot",
+        "seed": 0,
+        "dataset": dataset.name,
+        "fingerprint": dataset.fingerprint,
+        "height": 128,
+        "width": 128,
+        "actions": 4,
+    }
+    run = Run.create_or_open(path, RunSpec(**(asked | changes)), dataset_path=dataset.path, versions={})
+    run.write()
+    if finished:
+        weights = {"offset": torch.tensor([offset])}
+        checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
+        run.finish(
+            {
+                "weights": checkpoint.weights_hash(weights),
+                "steps": 5,
+                "seconds": 1.5,
+                "triplets_per_s": 100.0,
+                "parameters": 1,
+                "device": "cpu",
+                "labels": {"demonstrations": 4},
+                "labels_total": 4,
+            }
+        )
+    return run

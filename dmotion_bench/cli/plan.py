@@ -53,16 +53,11 @@ def plan(
         raise UnknownName("cost", cost, COSTS)
     name = planner or DEFAULT_PLANNER
     chosen = make_planner(name)
-    window = not (web or save or as_json)
-
-    from dmotion_bench.viewing.viewer import require_display
-
-    if window:
-        require_display()  # said before the work, not after it
 
     from dmotion_bench.planning.problems import load_problems
     from dmotion_bench.specs import IMPORTED
     from dmotion_bench.storage.dataset import Dataset
+    from dmotion_bench.viewing.viewer import require_display
 
     workspace = Workspace.current()
     model: ForwardModel[Any] | None = None
@@ -78,6 +73,8 @@ def plan(
     if dataset.recipe.environment == IMPORTED:
         raise UsageError(f"{dataset.name!r} was imported, so there is no environment to plan and act in.")
     problem = load_problems(dataset, [task])[0]
+    if window := not (web or save or as_json):
+        require_display()  # said before the work, not after it
     result = _solve(who, model, dataset, problem, chosen, cost, steps, seed, save, window=window, web=web)
     summary = _summary(who, dataset, result, name)
     if as_json:

@@ -104,7 +104,7 @@ def test_references_are_scored_by_name(
         (["plan", "idle", "--json", "--task", "3"], 2, "no task named '3'; known: 0 to 2"),
         (["plan", "idle", "--json", "--planner", "exhausting"], 2, "did you mean 'exhaustive'"),
         (["plan", "idle", "--json", "--cost", "pixels"], 2, "did you mean 'pixel'"),
-        (["plan", "nobody", "--json"], 2, "no run named 'nobody'"),
+        (["plan", "nobody"], 2, "no run named 'nobody'"),  # rather than that there is no display
         (["play", "--save", "play.mp4"], 2, "must end in .rrd"),
     ],
 )

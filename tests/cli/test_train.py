@@ -15,6 +15,8 @@ from walking_square import record_walks
 
 from dmotion_bench.learning.run import Run
 
+pytestmark = pytest.mark.slow
+
 Command = Callable[..., Outcome]
 QUICK = ("--set", "batch_size=4", "--set", "epochs=0.2")
 

@@ -114,7 +114,7 @@ def test_several_trainings_have_their_mean_its_interval_over_episodes_and_their_
     cells = _cells(section[: section.index("", 4)], "a")
     assert cells[1] == "4"
     assert cells[2] == f"2: {value.low:.2f} to {value.high:.2f}"
-    assert cells[3] == f"**{mean.mean():.2f}** ({low:.2f} to {high:.2f})"
+    assert cells[3] == f"**{mean.mean():.2f}** ({low:#.2g} to {high:#.2g})"
     assert cells[4] == "14.3"
 
 

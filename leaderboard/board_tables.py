@@ -16,6 +16,8 @@ from leaderboard.value import Value
 Cell = Callable[[Row], str]
 WIDTH: Final = 120
 """Characters of a line of words."""
+TO: Final = "\u00a0to\u00a0"
+"""Between two numbers that stay on one line, by spaces that do not break."""
 
 
 def board_section(board: Board) -> list[str]:
@@ -33,7 +35,7 @@ def board_section(board: Board) -> list[str]:
 
 def world(board: Board) -> str:
     """The environment in words, with its version."""
-    return board.title if board.version > 1 else f"{board.title}, version 1"
+    return f"{board.environment.replace('_', ' ').title()} v{board.version}"
 
 
 def published_section(board: Board) -> list[str]:
@@ -156,9 +158,9 @@ def mean(value: Value | None) -> str:
 
 
 def between(low: float | None, high: float | None) -> str:
-    """From one number to another; below 10 of two digits, which is as much as an interval says."""
+    """From one number to another, on one line; below 10 of two digits, which is as much as an interval says."""
     bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else written(one) for one in (low, high))
-    return " to ".join(bounds)
+    return TO.join(bounds)
 
 
 def written(value: float | None) -> str:

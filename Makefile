@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PARALLEL := -n auto --dist worksteal  # a process a core; long tests come first (tests/conftest.py)
 
-.PHONY: install demo test test-fast check faults format bench clean
+.PHONY: install demo test test-fast check faults format bench results clean
 
 install: $(STAMP)
 
@@ -41,6 +41,9 @@ format: install
 
 bench: install
 	$(BIN)/dmbench bench
+
+results: install
+	$(BIN)/dmbench leaderboard results README.md docs/results.md --from docs/leaderboard
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache

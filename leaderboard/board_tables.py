@@ -16,6 +16,8 @@ from leaderboard.value import Value
 Cell = Callable[[Row], str]
 WIDTH: Final = 120
 """Characters of a line of words."""
+TO: Final = "\u00a0to\u00a0"
+"""Between two numbers that stay on one line, by spaces that do not break."""
 
 
 def board_section(board: Board) -> list[str]:
@@ -33,7 +35,7 @@ def board_section(board: Board) -> list[str]:
 
 def world(board: Board) -> str:
     """The environment in words, with its version."""
-    return board.title if board.version > 1 else f"{board.title}, version 1"
+    return f"{board.environment.replace('_', ' ').title()} v{board.version}"
 
 
 def published_section(board: Board) -> list[str]:
@@ -58,19 +60,15 @@ def _predictions(board: Board) -> list[str]:
     rows = [row for row in board.rows if row.kind != "published" and RANKED_BY in row.figures]
     paper = {(row.model, row.labels): row for row in board.rows if row.kind == "published"}
 
-    def published(name: str) -> Cell:
-        return lambda row: mean(_published(paper, row).get(name))
-
     columns: dict[str, Cell] = {
         "Model": lambda row: plain(row.title),
         "Labels": labels,
         "Trainings": lambda row: trainings(row, RANKED_BY),
         "MSE": lambda row: figure(row.figures[RANKED_BY], strong=row.ties),
-        "paper": published(RANKED_BY),
+        "paper": lambda row: mean(_published(paper, row).get(RANKED_BY)),
         "pushes": lambda row: mean(row.figures.get("mse_push")),
         "15 ahead": lambda row: mean(row.figures.get("rollout_mse[15]")),
         "Position error [px]": lambda row: figure(row.figures.get("position_error_paper")),
-        "paper ": published("position_error_paper"),
         "detected": lambda row: mean(row.figures.get("position_error")),
     }
     return _lines(columns, rows)
@@ -111,7 +109,7 @@ def _published(paper: dict[tuple[str, str], Row], row: Row) -> dict[str, Value]:
 
 
 def _lines(columns: dict[str, Cell], rows: Sequence[Row]) -> list[str]:
-    return table([name.strip() for name in columns], [[cell(row) for cell in columns.values()] for row in rows])
+    return table(list(columns), [[cell(row) for cell in columns.values()] for row in rows])
 
 
 def _rounded(value: Value | None, form: str) -> str:
@@ -130,7 +128,7 @@ def trainings(row: Row, name: str) -> str:
     value = row.figures[name]
     if row.kind != "measured":
         return ""
-    return f"{value.seeds}" if value.seeds == 1 else f"{value.seeds}: {between(value.low, value.high)}"
+    return f"{value.seeds}" if value.seeds == 1 else f"{value.seeds}: {written(value.low)} to {written(value.high)}"
 
 
 def tuned(board: Board, row: Row, name: str) -> str:
@@ -160,8 +158,9 @@ def mean(value: Value | None) -> str:
 
 
 def between(low: float | None, high: float | None) -> str:
-    """From one number to another."""
-    return f"{written(low)} to {written(high)}"
+    """From one number to another, on one line; below 10 of two digits, which is as much as an interval says."""
+    bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else written(one) for one in (low, high))
+    return TO.join(bounds)
 
 
 def written(value: float | None) -> str:

@@ -15,7 +15,7 @@ from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.scoring.statistics import EpisodeBootstrap
 from leaderboard import planners
 from leaderboard.board import Board, make_boards
-from leaderboard.board_tables import board_section, published_section
+from leaderboard.board_tables import TO, board_section, published_section
 from leaderboard.chosen import TUNED_NOTE, chosen_table, find_rows, numbers, read_choices
 from leaderboard.entry import Entry
 from leaderboard.entry_file import write_entry
@@ -114,7 +114,7 @@ def test_several_trainings_have_their_mean_its_interval_over_episodes_and_their_
     cells = _cells(section[: section.index("", 4)], "a")
     assert cells[1] == "4"
     assert cells[2] == f"2: {value.low:.2f} to {value.high:.2f}"
-    assert cells[3] == f"**{mean.mean():.2f}** ({low:.2f} to {high:.2f})"
+    assert cells[3] == f"**{mean.mean():.2f}** ({low:#.2g}{TO}{high:#.2g})"
     assert cells[4] == "14.3"
 
 
@@ -172,8 +172,8 @@ def test_a_board_says_which_version_of_the_environment_recorded_its_data(
     first = result("a", errors[0])
     again = result("a", errors[0], dataset=dict(first.content["dataset"]) | {"version": 2})
     heads = [board_section(make_boards([entry])[0])[0] for entry in (first, again)]
-    assert heads[0].startswith("### Grid World, version 1: grid_world-tiny (")
-    assert heads[1].startswith("### Grid World, version 2: grid_world-tiny (")
+    assert heads[0].startswith("### Grid World v1: grid_world-tiny (")
+    assert heads[1].startswith("### Grid World v2: grid_world-tiny (")
 
 
 def test_published_rows_say_where_they_were_printed(board: Board) -> None:

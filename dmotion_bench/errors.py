@@ -11,6 +11,7 @@
     │   ├── DatasetIncomplete         recording was interrupted; the command that goes on is named
     │   ├── DatasetCorrupt            bytes that are not what was written
     │   ├── DatasetVersionUnknown     written by another version of the format
+    │   ├── CacheNotWritable          what is derived from a data set can be kept nowhere; another folder helps
     │   └── RecipeMismatch            the folder holds a data set made by another recipe
     ├── RecordingImportError          a foreign recording that cannot be read
     │   └── RecordingTruncated        it ends in the middle
@@ -33,6 +34,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.wording import sentence, shown
@@ -112,6 +114,16 @@ class DatasetCorrupt(DatasetError):
 
 class DatasetVersionUnknown(DatasetError):
     """The data set was written by another version of the format."""
+
+
+class CacheNotWritable(DatasetError):
+    """What is derived from a data set cannot be kept where it should be."""
+
+    def __init__(self, folder: Path, why: str) -> None:
+        super().__init__(
+            f"no cache can be written into {str(folder)!r}: {why}; name another folder with '--cache DIR', or in the "
+            "variable DMBENCH_CACHE."
+        )
 
 
 class RecipeMismatch(DatasetError):

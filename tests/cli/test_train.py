@@ -223,3 +223,17 @@ def test_a_truncated_checkpoint_is_said(run: Command, data: Path, tmp_path: Path
     outcome = run("score", str(tmp_path / "run"))
     assert outcome.code == 1
     assert "cannot be read" in outcome.sentence()
+
+
+def test_the_frames_of_a_data_set_that_is_read_only_are_kept_elsewhere(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DMBENCH_CACHE", "")  # and put back afterwards
+    (data / "cache").touch()  # nobody can write a cache there, not even root
+    words = ("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
+    outcome = run(*words)
+    assert outcome.code == 1
+    assert "name another folder with '--cache DIR', or in the variable DMBENCH_CACHE" in outcome.sentence()
+    assert run(*words, "--cache", str(tmp_path / "elsewhere")).code == 0
+    assert run("score", str(tmp_path / "run"), "--cache", str(tmp_path / "elsewhere")).code == 0
+    assert [file.suffix for file in (tmp_path / "elsewhere").iterdir()] == [".arrow"]

@@ -17,7 +17,7 @@
     control.py     a control task, watched live; drive.py: an imagination that somebody drives
     live.py        recordings that are watched while they are made
     file_server.py one file over HTTP, for the web page
-    viewer.py      Rerun's programs: a window, a web page, a headless one
+    viewer.py      Rerun's programs: a window, a web page, a headless one; guard.py ends them with this process
     screenshot.py  an .rrd -> a picture
 
 Rerun is imported by these modules alone, and they only by the command that needs them.

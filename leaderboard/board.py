@@ -118,6 +118,7 @@ class Board:
 
     Attributes:
         environment: Registry name.
+        version: Of the environment; data sets of two versions have two boards.
         dataset, fingerprint: Of the data set; empty where only published results are known.
         split, protocol: Which episodes, and how triplets were split.
         triplets: Single steps that were scored; None where nothing was.
@@ -125,6 +126,7 @@ class Board:
     """
 
     environment: str
+    version: int = 1
     dataset: str = ""
     fingerprint: str = ""
     split: str = ""
@@ -135,7 +137,8 @@ class Board:
     @property
     def title(self) -> str:
         """The environment in words."""
-        return self.environment.replace("_", " ").title()
+        name = self.environment.replace("_", " ").title()
+        return name if self.version == 1 else f"{name}, version {self.version}"
 
     @property
     def measured(self) -> list[Entry]:
@@ -155,16 +158,20 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
     boards = [_board(own, published.get(key[0], [])) for key, own in groups.items()]
     lonely = set(published) - {key[0] for key in groups}
     boards += [Board(environment=name, rows=_sorted(map(_published_row, published[name]))) for name in lonely]
-    return sorted(boards, key=lambda board: (board.environment, board.protocol, board.dataset, board.fingerprint))
+    return sorted(
+        boards,
+        key=lambda board: (board.environment, -board.version, board.protocol, board.dataset, board.fingerprint),
+    )
 
 
 def _board_key(entry: Entry) -> tuple[str, ...]:
     settings, dataset = entry.content["settings"], entry.content["dataset"]
-    return entry.environment, dataset["name"], dataset["fingerprint"], str(settings["split"]), str(settings["protocol"])
+    of = entry.environment, str(entry.version), dataset["name"], dataset["fingerprint"]
+    return *of, str(settings["split"]), str(settings["protocol"])
 
 
 def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
-    environment, dataset, fingerprint, split, protocol = _board_key(entries[0])
+    environment, _, dataset, fingerprint, split, protocol = _board_key(entries[0])
     planner = _planner_of(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     twins: dict[tuple[str, ...], int] = defaultdict(int)
@@ -178,6 +185,7 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
     return Board(
         environment=environment,
+        version=entries[0].version,
         dataset=dataset,
         fingerprint=fingerprint,
         split=split,

@@ -43,7 +43,7 @@ from dmotion_bench.scoring.samples import SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
 from dmotion_bench.scoring.transfer import report_folder, require_transferable
 from dmotion_bench.scoring.transitions import HeldOut
-from dmotion_bench.specs import SplitName
+from dmotion_bench.specs import VERSION, SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.versions import versions
@@ -327,6 +327,7 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             "environment": dataset.recipe.environment,
             "fingerprint": dataset.fingerprint,
         }
+        | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
         | elsewhere,
         weights=result["weights"],
         settings=settings.to_json(metrics),

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import DatasetCorrupt, DatasetIncomplete, DatasetMissing, DatasetVersionUnknown
-from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, ObjectSpec
+from dmotion_bench.registry import environment_versions
+from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe, EnvSpec, ObjectSpec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.shard import FileFacts
 from dmotion_bench.workspace import DATASET_MANIFEST
@@ -145,7 +146,8 @@ def record_command(recipe: DatasetRecipe, dataset: Path) -> str:
         words += [f"--{name}", str(getattr(recipe, name))]
     if recipe.vary:
         words += ["--vary", ",".join(recipe.vary)]
-    for key, value in recipe.parameters.items():
+    version = {VERSION: recipe.version} if environment_versions(recipe.environment) else {}
+    for key, value in (version | dict(recipe.parameters)).items():
         words += ["--ranges", str(value)] if key == "ranges" else ["--set", f"{key}={value}"]
     return shlex.join([*words, "--out", str(dataset)])
 

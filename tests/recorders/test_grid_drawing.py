@@ -15,7 +15,7 @@ from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import Preset, episode_seed
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.manifest import record_command
+from dmotion_bench.storage.manifest import record_words
 from recorders.grid_world import FACTS, GridWorld, draw
 
 THINGS = (FACTS.agent, *FACTS.objects)
@@ -127,7 +127,6 @@ def test_a_recording_goes_on_in_its_own_version_only(tmp_path: Path) -> None:
     old = recipe_for("grid_world", Preset.TINY, episodes=3, frames=4, settings=("version=1",))
     record_dataset(tmp_path / "d", old)
 
-    command = record_command(old, tmp_path / "d")
-    assert command.endswith(f"--set version=1 --out {tmp_path / 'd'}")
+    assert record_words(old, tmp_path / "d")[-4:] == ["--set", "version=1", "--out", str(tmp_path / "d")]
     with pytest.raises(RecipeMismatch, match=r"parameters is {} there and {'version': 2} here.*--set version=1"):
         record_dataset(tmp_path / "d", recipe_for("grid_world", Preset.TINY, episodes=3, frames=4))

@@ -106,9 +106,7 @@ class _Trainer:
     def __init__(self, run: Run, data: TrainingData, fabric: Fabric) -> None:
         self.run, self.data, self.fabric = run, data, fabric
         self.config: TrainingConfig = run.spec.training_config
-        self.model: ForwardModel[Any] = run.spec.build()
-        if self.config.channels_last:
-            self.model = self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.model: ForwardModel[Any] = run.spec.build().laid_out()
         self.demonstrations = demonstrations_of(
             data, fabric.device
         )  # asked for first: what is missing is said before the work

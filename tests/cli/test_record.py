@@ -92,7 +92,7 @@ def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) 
     outcome = run("record", "grid_world", "--preset", "tiny", "--seed", "4")
     assert outcome.code == 1
     assert "seed is 0 there and 4 here" in outcome.sentence()
-    assert "--seed 0 --out" in outcome.err
+    assert "--seed 0 --set version=2 --out" in outcome.err
     assert "'--out DIR'" in outcome.err
     assert files_of(tmp_path / "data") == before
 
@@ -144,7 +144,10 @@ def test_ctrl_c_leaves_it_resumable_and_says_how(run: Run, tmp_path: Path) -> No
     assert "run the same command again" in outcome.sentence()
     looked = run("data", "check", str(tmp_path / "d"))
     assert looked.code == 1
-    assert "dmbench record grid_world --episodes 2000 --frames 12 --tasks 0 --seed 0 --out" in looked.sentence()
+    assert (
+        "dmbench record grid_world --episodes 2000 --frames 12 --tasks 0 --seed 0 --set version=2 --out"
+        in looked.sentence()
+    )
     whole = files_of(tmp_path / "d")
     again = start_dmbench([*MANY, str(tmp_path / "d")], tmp_path)
     time.sleep(1.5)

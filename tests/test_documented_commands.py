@@ -66,6 +66,7 @@ COST = {
 
 ELSEWHERE = {
     "leaderboard serve": "tests/leaderboard/test_server.py",
+    "leaderboard results": "tests/leaderboard/test_results.py",
     "tiny-latents": "tests/test_third_party.py",
     "--executor ray": "tests/recording/test_executors.py",
 }

@@ -11,6 +11,7 @@
     futures.py        what can be imagined from where some tasks stand: a model's futures
     simulation.py     the same with the true simulator: the oracle's futures
     tree.py           futures of many action sequences, each shared beginning imagined once
+    configuration.py  everything that decides a plan beside the model and the data, for reports
     planner.py        what a planner is, and the planners by name
     cross_entropy.py  the cross-entropy method, the paper's and with variations
     exhaustive.py     all sequences there are

@@ -67,7 +67,6 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result
             settings={"metrics": metrics, "horizon": settings.horizon, "split": settings.split},
             training={},
             versions={},
-            code="c",
             figures={"mse": mse, "psnr": FIGURE, "rollout_mse[5]": FIGURE},
             reference={"copy_last": {"mse": FIGURE | {"mean": 1848.0}}, "paper": {"mse": PUBLISHED}},
             remarks={"paper": "Yuan et al. 2021"},

@@ -27,17 +27,33 @@ def register(data: typer.Typer) -> None:
 
 def data_import(
     recordings: Annotated[
-        list[Path], typer.Argument(help="MCAP files, folders of such, or folders of LeRobot data sets (v3).")
+        list[Path],
+        typer.Argument(
+            help="MCAP, MP4, MKV, WebM, AVI or HDF5 files, folders of such, folders of pictures, LeRobot data sets."
+        ),
     ],
     camera: Annotated[
-        str | None, typer.Option(help="Topic (MCAP) or feature (LeRobot) of the pictures; the only one if left out.")
+        str | None,
+        typer.Option(
+            help="Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera; the only one if "
+            "left out."
+        ),
     ] = None,
     actions: Annotated[
         str | None,
-        typer.Option(help="Topic or feature of discrete actions, kept apart as labels; video alone if left out."),
+        typer.Option(help="Topic, feature or path of discrete actions, kept apart as labels; video alone if left out."),
     ] = None,
     size: Annotated[int, typer.Option(min=8, max=4096, help="Side of a frame in pixels.")] = 128,
     hz: Annotated[float, typer.Option(min=0.01, max=1000, help="Frames a second.")] = 10.0,
+    source_hz: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001,
+            max=10_000,
+            help="Pictures a second of recordings without times (pictures, HDF5), or in place of a video's own times; "
+            "if left out, what the file says, else --hz.",
+        ),
+    ] = None,
     fit: Annotated[
         str, typer.Option(metavar="[crop|pad|stretch]", help="What becomes of a picture that is not square.")
     ] = "crop",
@@ -61,11 +77,12 @@ def data_import(
             help="Of a damaged file take what stands before the damage, for a damaged picture the last one.",
         ),
     ] = False,
-    max_chunk: Annotated[int, typer.Option(min=1, help="MiB that one chunk of a file may inflate to.")] = 1024,
+    max_chunk: Annotated[int, typer.Option(min=1, help="MiB that one chunk of an MCAP file may inflate to.")] = 1024,
+    max_memory: Annotated[int, typer.Option(min=64, help="MiB that decoding a video may take.")] = 1024,
     out: Annotated[Path | None, typer.Option(help="The data set's folder; data/imported-NAME if left out.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
-    """Make a data set of MCAP recordings (foxglove, ROS 2) or of LeRobot data sets.
+    """Make a data set of recordings: videos, pictures, MCAP (foxglove, ROS 2), HDF5 (robomimic), LeRobot data sets.
 
     Times and sizes are looked through first; nothing is left behind when a recording cannot be imported.
     """
@@ -90,7 +107,8 @@ def data_import(
         frames_per_episode=frames_per_episode,
         seed=seed,
         salvage=salvage,
-        limits=ImportLimits(chunk_bytes=max_chunk * MIB),
+        source_hz=source_hz,
+        limits=ImportLimits(chunk_bytes=max_chunk * MIB, reader_bytes=max_memory * MIB),
     )
     folder = out or Workspace.current().data / f"imported-{_plain(recordings[0])}"
     report = _import_with_progress(recordings, folder, options)
@@ -117,8 +135,13 @@ def _import_with_progress(recordings: list[Path], folder: Path, options: ImportO
 
 
 def _plain(path: Path) -> str:
-    """A file's name as a folder's name: letters, digits, dots, dashes."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", path.resolve().name.removesuffix(".mcap")).strip("-.") or "recording"
+    """A file's name as a folder's name: letters, digits, dots, dashes, and no suffix of a recording."""
+    from dmotion_bench.storage.imports.sources import SUFFIXES
+
+    name = path.resolve().name
+    if path.is_file():
+        name = name[: -max((len(suffix) for suffix in SUFFIXES if name.lower().endswith(suffix)), default=0) or None]
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "recording"
 
 
 def _summary(report: ImportReport, options: ImportOptions) -> str:

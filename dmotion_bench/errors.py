@@ -22,6 +22,7 @@
     ├── ModelContractBroken           a model does not do what learning/model.py asks
     ├── EntryInvalid                  an entry of the leaderboard that breaks its schema
     ├── PackageNotInstalled           an optional dependency is absent; names the command
+    ├── FolderInUse                   another process writes into the folder
     ├── StorageFull                   no space left on the device
     ├── ViewerError                   Rerun could not be started or reached
     └── Interrupted                   by Ctrl-C, in a command that does not go on where it stopped: exit with 130
@@ -35,11 +36,19 @@ import difflib
 from collections.abc import Iterable
 from typing import Any, Final
 
+from dmotion_bench.wording import sentence, shown
+
 _SAID_AT_MOST: Final = 12  # names that stand in a sentence beside the one that was probably meant
 
 
 class DmbenchError(Exception):
-    """Base of all errors that a user can cause and mend. A worker process sends it back as it is."""
+    """Base of all errors that a user can cause and mend. A worker process sends it back as it is.
+
+    Whatever a sentence echoes, it stays short enough to be read and safe to print.
+    """
+
+    def __init__(self, said: str = "") -> None:
+        super().__init__(sentence(said))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (type(self), self.args, self.__dict__)
@@ -71,7 +80,7 @@ class UnknownName(UsageError):
         self.kind, self.name, self.known = kind, name, sorted(known)
         near = difflib.get_close_matches(name, self.known, n=1)
         if near:
-            hint = f"did you mean {near[0]!r}?"
+            hint = f"did you mean {shown(near[0])}?"
             if not listing and len(self.known) <= _SAID_AT_MOST:
                 hint += f" Known: {', '.join(self.known)}."
         elif self.known:
@@ -79,7 +88,7 @@ class UnknownName(UsageError):
         else:
             hint = "none is known here."
         tail = f" List them with '{listing}'." if listing else ""
-        super().__init__(f"no {kind} named {name!r}; {hint}{tail}")
+        super().__init__(f"no {kind} named {shown(name)}; {hint}{tail}")
 
 
 class InvalidSetting(UsageError):

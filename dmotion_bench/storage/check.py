@@ -11,8 +11,8 @@ from dmotion_bench.errors import DatasetCorrupt
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Manifest, ShardEntry
 from dmotion_bench.storage.mcap_reader import DamagedFile
-from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, FileFacts, file_facts, scan_shard, shard_path
-from dmotion_bench.storage.tables import EPISODES, TASKS, read_episodes, read_tasks
+from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, scan_shard, shard_path
+from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
 
 LabelsState = Literal["present", "missing", "none"]
 
@@ -82,7 +82,7 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
     return CheckReport(dataset=path, manifest=manifest, damages=tuple(damages), labels=labels)
 
 
-def _rows(path: Path, manifest: Manifest) -> list[EpisodeRow] | None:
+def _rows(path: Path, manifest: Manifest) -> EpisodeTable | None:
     try:
         return read_episodes(path, manifest)
     except DamagedFile:
@@ -91,7 +91,7 @@ def _rows(path: Path, manifest: Manifest) -> list[EpisodeRow] | None:
 
 def _table_damages(path: Path, manifest: Manifest) -> Iterator[Damage]:
     try:
-        lengths = Dataset(path, manifest, read_episodes(path, manifest)).lengths
+        lengths = read_episodes(path, manifest).lengths
     except DamagedFile as damage:
         yield Damage(file=EPISODES, shard=None, what=str(damage))
         return
@@ -113,7 +113,7 @@ def _file_damage(path: Path, kind: str, index: int, facts: FileFacts) -> Iterato
 
 
 def _content_damages(
-    path: Path, manifest: Manifest, rows: list[EpisodeRow] | None, index: int, entry: ShardEntry, labels: LabelsState
+    path: Path, manifest: Manifest, rows: EpisodeTable | None, index: int, entry: ShardEntry, labels: LabelsState
 ) -> Iterator[Damage]:
     """What is wrong with a shard whose hashes are right: the writer's fault, or a forged dataset.json."""
     name = f"{VIDEO}/{shard_path(path, VIDEO, index).name}"
@@ -126,7 +126,7 @@ def _content_damages(
         yield Damage(file=name, shard=index, what="holds other episodes than dataset.json says")
     if rows is None:
         return
-    listed = [row for row in rows if row.shard == index]
+    listed = rows.of_shard(index)
     if labels != "missing" and listed != list(receipt.rows):
         yield Damage(file=name, shard=index, what=f"holds other episodes than {EPISODES} says")
     dataset = Dataset(path, manifest, rows)

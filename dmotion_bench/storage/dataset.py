@@ -20,8 +20,9 @@ from dmotion_bench.storage.mcap_reader import DamagedFile, read_messages
 from dmotion_bench.storage.messages import StateLabels, chunk_limit, decode_masks, decode_video
 from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, read_states, shard_path
 from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
-from dmotion_bench.storage.tables import EPISODES, TASKS, read_episodes, read_tasks
+from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
 from dmotion_bench.storage.tasks import ControlTask
+from dmotion_bench.wording import command, shown
 
 CACHE = "cache"
 
@@ -39,10 +40,10 @@ class Dataset:
         lengths: Frames of each episode.
     """
 
-    def __init__(self, path: Path, manifest: Manifest, rows: list[EpisodeRow]) -> None:
+    def __init__(self, path: Path, manifest: Manifest, rows: EpisodeTable) -> None:
         self.path, self.name, self.manifest, self.rows = path, path.resolve().name, manifest, rows
         self.recipe, self.spec, self.fingerprint = manifest.recipe, manifest.spec, manifest.fingerprint
-        self.lengths: Int[np.ndarray, " e"] = np.array([row.frames for row in rows], np.int64)
+        self.lengths = rows.lengths
         self._split = split_episodes(self.recipe.seed, len(rows))
 
     @classmethod
@@ -74,7 +75,7 @@ class Dataset:
 
     def _row(self, episode: int) -> EpisodeRow:
         if not 0 <= episode < len(self.rows):
-            raise UsageError(f"{self.name} has no episode {episode}; it has 0 to {len(self) - 1}.")
+            raise UsageError(f"{shown(self.name)} has no episode {shown(episode)}; it has 0 to {len(self) - 1}.")
         return self.rows[episode]
 
     def video(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]:
@@ -98,7 +99,7 @@ class Dataset:
         file = self._labels_file(row)
         try:
             return read_states(file, row.states, self.spec, row.frames)
-        except DamagedFile as damage:
+        except (DamagedFile, FileNotFoundError, MemoryError) as damage:
             raise corrupt(self.path, file, damage) from None
 
     def labels(self, episode: int) -> EpisodeLabels:
@@ -109,10 +110,10 @@ class Dataset:
         """
         row, states = self._row(episode), self.states(episode)
         file = self._labels_file(row)
-        masks = np.empty((row.frames, self.spec.height, self.spec.width), np.uint8)
         try:
+            masks = np.empty((row.frames, self.spec.height, self.spec.width), np.uint8)
             decode_masks(read_messages(file, row.masks, chunk_limit=chunk_limit(self.spec)), masks)
-        except DamagedFile as damage:
+        except (DamagedFile, FileNotFoundError, MemoryError) as damage:
             raise corrupt(self.path, file, damage) from None
         return EpisodeLabels(
             actions=states.actions,
@@ -130,7 +131,7 @@ class Dataset:
         if not file.is_file():
             raise LabelsNotAvailable(
                 f"the labels of {str(self.path)!r} are not there: no {str(file)!r}; restore the folder "
-                f"{LABELS}/ or make it again with 'dmbench data repair {self.path}'."
+                f"{LABELS}/ or make it again with {command('dmbench', 'data', 'repair', self.path)}."
             )
         return file
 
@@ -169,7 +170,7 @@ class Dataset:
 
 def corrupt(dataset: Path, file: Path, damage: object) -> DatasetCorrupt:
     """The error for a damaged file of a data set, with the commands that help."""
-    return DatasetCorrupt(
-        f"{str(file)!r} is damaged: it {damage}. See what else is with 'dmbench data check {dataset}', "
-        f"mend it with 'dmbench data repair {dataset}'."
-    )
+    check, repair = (command("dmbench", "data", verb, dataset) for verb in ("check", "repair"))
+    known = {FileNotFoundError: "is missing", MemoryError: "does not fit into memory"}
+    said = known.get(type(damage), damage)
+    return DatasetCorrupt(f"{str(file)!r} is damaged: it {said}. See what else is with {check}, mend it with {repair}.")

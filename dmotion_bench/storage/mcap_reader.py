@@ -22,6 +22,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from dmotion_bench.storage.mcap_writer import CHUNK_HEAD, COMPRESSION, MAGIC, MESSAGE_HEAD, RECORD_HEAD, Span
+from dmotion_bench.wording import sentence
 
 _CHUNK_TAIL: Final = struct.Struct(f"<I{len(COMPRESSION)}sQ")  # compression's name, compressed size
 _FIXED: Final = CHUNK_HEAD.size + _CHUNK_TAIL.size
@@ -30,6 +31,9 @@ _METADATA_LIMIT: Final = 2**20  # [bytes]
 
 class DamagedFile(Exception):
     """The bytes are not what was written; the text says where and why."""
+
+    def __init__(self, said: str) -> None:
+        super().__init__(sentence(said))
 
 
 class MessageView(NamedTuple):
@@ -50,28 +54,29 @@ def read_messages(path: Path, span: Span, *, chunk_limit: int) -> Iterator[Messa
     """
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
-        if span.offset < 0 or span.size < 0 or span.offset + span.size > size:
-            raise DamagedFile(
-                f"ends after {size} bytes, in the middle of what stands at {span.offset} to {span.offset + span.size}"
-            )
+        end = span.offset + span.size
+        if span.offset < 0 or span.size < 0 or end > size:
+            raise DamagedFile(f"ends after {size} bytes, in the middle of what stands at {span.offset} to {end}")
         file.seek(span.offset)
-        data = memoryview(file.read(span.size))
-    position = 0
-    while position < len(data):
-        opcode, length = _head(data, position)
-        body = data[position + RECORD_HEAD.size :][:length]
-        if len(body) < length:
-            raise DamagedFile(f"a record at byte {span.offset + position} runs past the episode's end")
-        if opcode == Opcode.CHUNK:
-            yield from _chunk_messages(body, chunk_limit, span.offset + position)
-        elif opcode != Opcode.MESSAGE_INDEX:
-            raise DamagedFile(f"a record of kind {opcode} at byte {span.offset + position}, where a chunk was expected")
-        position += RECORD_HEAD.size + length
+        position = span.offset
+        while position < end:
+            opcode, length = _head(file.read(min(RECORD_HEAD.size, end - position)))
+            if length > end - position - RECORD_HEAD.size:
+                raise DamagedFile(f"a record at byte {position} runs past the episode's end")
+            if opcode == Opcode.CHUNK:
+                if length > chunk_limit + chunk_limit // 64 + _FIXED:  # noise grows when it is compressed
+                    raise DamagedFile(f"the chunk at byte {position} has {length} bytes, more than can be right")
+                yield from _chunk_messages(memoryview(file.read(length)), chunk_limit, position)
+            elif opcode == Opcode.MESSAGE_INDEX:
+                file.seek(length, os.SEEK_CUR)
+            else:
+                raise DamagedFile(f"a record of kind {opcode} at byte {position}, where a chunk was expected")
+            position += RECORD_HEAD.size + length
 
 
-def _head(data: memoryview, position: int) -> tuple[int, int]:
+def _head(data: bytes) -> tuple[int, int]:
     try:
-        opcode, length = RECORD_HEAD.unpack_from(data, position)
+        opcode, length = RECORD_HEAD.unpack(data)
     except struct.error as error:
         raise DamagedFile(f"a record is cut off: {error}") from None
     return opcode, length
@@ -122,17 +127,18 @@ class Section(NamedTuple):
         return self.name.partition(" ")[0]
 
 
-def list_sections(path: Path, *, salvage: bool = False) -> list[Section]:
+def list_sections(path: Path, *, most: int, salvage: bool = False) -> list[Section]:
     """What a file holds, by walking its records; no chunk is decompressed.
 
     Args:
         path: The file.
+        most: How many sections it can have.
         salvage: Stop at the first thing that is wrong, with what came before it, instead of raising.
     """
     found: list[Section] = []
     with path.open("rb") as file:
         try:
-            for section in _sections(file):
+            for section in _sections(file, most):
                 if section.span.size == 0:
                     found.append(section)
                 else:
@@ -143,17 +149,21 @@ def list_sections(path: Path, *, salvage: bool = False) -> list[Section]:
     return found
 
 
-def _sections(file: BinaryIO) -> Iterator[Section]:
+def _sections(file: BinaryIO, most: int) -> Iterator[Section]:
     """Each section when it begins, empty, and again whenever it has grown."""
     size = os.fstat(file.fileno()).st_size
     if file.read(len(MAGIC)) != MAGIC:
         raise DamagedFile("does not start as an MCAP file")
     section: Section | None = None
+    count = 0
     for opcode, start, length in _walk(file, size):
         end = start + RECORD_HEAD.size + length
         if opcode == Opcode.METADATA:
             if length > _METADATA_LIMIT:
                 raise DamagedFile(f"holds a metadata record of {length} bytes")
+            count += 1
+            if count > most:
+                raise DamagedFile(f"holds more than {most:,} sections")
             section = Section(*_metadata(file.read(length)), Span(end, 0))
             yield section
         elif opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):

@@ -21,6 +21,7 @@ from google.protobuf.message import DecodeError
 from jaxtyping import Bool, Int, UInt8
 
 from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectStates, Scalar
+from dmotion_bench.storage.json_file import JsonUnreadable, parse_json
 from dmotion_bench.storage.mcap_reader import DamagedFile, MessageView
 from dmotion_bench.storage.mcap_writer import CHUNK_LIMIT, Message
 from dmotion_bench.storage.schema import (
@@ -35,11 +36,14 @@ from dmotion_bench.storage.schema import (
     RAW_IMAGE,
     STATES,
 )
+from dmotion_bench.wording import shown
 
 _CAMERA: Final = 1
 _LABEL_NUMBER: Final = {topic: number for number, (topic, _) in enumerate(LABEL_CHANNELS, start=1)}
 _STATE_NUMBERS: Final = 3 + 4 + 2 + 1  # position, orientation, pixel, visible
-_MESSAGE_OVERHEAD: Final = 4096  # more than a picture's other fields, or a single state, can take
+_MESSAGE_OVERHEAD: Final = 4096  # more than a picture's other fields, or an action, can take
+_STATE_OVERHEAD: Final = 256  # more than a state can take without its name
+_FACTORS_LARGEST: Final = 2**20  # [bytes]
 
 
 def chunk_limit(spec: EnvSpec) -> int:
@@ -77,15 +81,15 @@ def _decode_images(
     messages: Iterable[MessageView], channel: int, encoding: str, out: UInt8[np.ndarray, "t h w *c"]
 ) -> None:
     height, width = out.shape[1:3]
-    count = 0
+    count, size = 0, math.prod(out.shape[1:])
     for view in messages:
-        message = _parse(RAW_IMAGE.new(), view, channel)
+        message = _parse(RAW_IMAGE.new(), view, channel, size + _MESSAGE_OVERHEAD)
         if (message.width, message.height, message.encoding) != (width, height, encoding):
             raise DamagedFile(
-                f"holds a picture of {message.width}x{message.height} {message.encoding!r}; "
+                f"holds a picture of {message.width}x{message.height} {shown(message.encoding)}; "
                 f"the data set says {width}x{height} {encoding!r}"
             )
-        if count == len(out) or len(message.data) != out[count].nbytes:
+        if count == len(out) or len(message.data) != size:
             raise DamagedFile("holds other pictures than the data set says")
         out[count] = np.frombuffer(message.data, np.uint8).reshape(out.shape[1:])
         count += 1
@@ -93,9 +97,12 @@ def _decode_images(
         raise DamagedFile(f"holds {count} pictures of an episode that has {len(out)}")
 
 
-def _parse(message: Any, view: MessageView, channel: int) -> Any:
+def _parse(message: Any, view: MessageView, channel: int, largest: int) -> Any:
+    """The message's content; protobuf may need a hundred times the memory of what it parses."""
     if view.channel != channel:
         raise DamagedFile(f"holds a message of channel {view.channel} where channel {channel} was expected")
+    if len(view.data) > largest:
+        raise DamagedFile(f"holds a message of {len(view.data):,} bytes; at most {largest:,} can be right")
     try:
         message.ParseFromString(bytes(view.data))
     except DecodeError as error:
@@ -197,68 +204,80 @@ class StateLabels:
 
 def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -> StateLabels:
     """The labels of an episode of so many frames."""
-    actions, pushed = list[int](), list[bool]()
-    agent, objects = list[list[tuple[float, ...]]](), list[list[tuple[float, ...]]]()
+    actions, pushed = np.empty(max(frames - 1, 0), np.int64), np.empty(max(frames - 1, 0), np.bool_)
+    agent, objects = (
+        _StatesDecoder((spec.agent.name,), frames),
+        _StatesDecoder(tuple(one.name for one in spec.objects), frames),
+    )
     factors: dict[str, Scalar] = {}
-    agent_name, object_names = [spec.agent.name], [one.name for one in spec.objects]
+    acted = 0
     for view in messages:
         topic = LABEL_CHANNELS[view.channel - 1][0] if 1 <= view.channel <= len(LABEL_CHANNELS) else ""
         if topic == ACTION_TOPIC:
-            message = _parse(ACTION.new(), view, view.channel)
-            actions.append(message.action)
-            pushed.append(message.pushed)
+            message = _parse(ACTION.new(), view, view.channel, _MESSAGE_OVERHEAD)
+            if acted == len(actions) or not 0 <= message.action < len(spec.actions):
+                raise DamagedFile(f"holds action {message.action} at step {acted} of an episode of {frames} frames")
+            actions[acted], pushed[acted] = message.action, message.pushed
+            acted += 1
         elif topic == AGENT_TOPIC:
-            agent.append(_state_rows(_parse(STATES.new(), view, view.channel), agent_name))
+            agent.decode(view)
         elif topic == OBJECTS_TOPIC:
-            objects.append(_state_rows(_parse(STATES.new(), view, view.channel), object_names))
+            objects.decode(view)
         elif topic == FACTORS_TOPIC:
-            factors = _factors(_parse(FACTORS.new(), view, view.channel).json)
+            factors = _factors(_parse(FACTORS.new(), view, view.channel, _FACTORS_LARGEST).json)
         else:
             raise DamagedFile(f"holds a message of channel {view.channel} among the states")
-    if len(agent) != frames or len(objects) != frames or len(actions) != max(frames - 1, 0):
-        raise DamagedFile(f"holds {len(agent)} states and {len(actions)} actions of an episode of {frames} frames")
-    return StateLabels(
-        actions=np.array(actions, np.int64),
-        pushed=np.array(pushed, np.bool_),
-        agent=_object_states(agent, 1),
-        objects=_object_states(objects, len(object_names)),
-        factors=factors,
-    )
+    if agent.count != frames or objects.count != frames or acted != len(actions):
+        raise DamagedFile(f"holds {agent.count} states and {acted} actions of an episode of {frames} frames")
+    return StateLabels(actions=actions, pushed=pushed, agent=agent.states(), objects=objects.states(), factors=factors)
 
 
-def _state_rows(message: Any, names: list[str]) -> list[tuple[float, ...]]:
-    if [state.name for state in message.states] != names:
-        raise DamagedFile(f"holds the states of other things than {', '.join(names)}")
-    rows: list[tuple[float, ...]] = []
-    for state in message.states:
-        position, orientation, pixel = state.pose.position, state.pose.orientation, state.pixel
-        rows.append(
-            (
-                *(position.x, position.y, position.z),
-                *(orientation.x, orientation.y, orientation.z, orientation.w),
-                *(pixel.x, pixel.y),
-                state.visible,
-            )
+class _StatesDecoder:
+    """Takes the states of some things out of message after message, into memory that is set aside once.
+
+    Attributes:
+        count: Messages so far.
+    """
+
+    def __init__(self, names: tuple[str, ...], frames: int) -> None:
+        self._names, self.count = list(names), 0
+        self._largest = _MESSAGE_OVERHEAD + sum(len(name.encode()) + _STATE_OVERHEAD for name in names)
+        self._table = np.empty((frames, len(names), _STATE_NUMBERS), np.float64)
+
+    def decode(self, view: MessageView) -> None:
+        """Take one message."""
+        message = _parse(STATES.new(), view, view.channel, self._largest)
+        if [state.name for state in message.states] != self._names:
+            raise DamagedFile(f"holds the states of other things than {shown(self._names)}")
+        if self.count == len(self._table):
+            raise DamagedFile(f"holds more than the {self.count} states of its episode")
+        if self._names:
+            self._table[self.count] = [_state_row(state) for state in message.states]
+        self.count += 1
+
+    def states(self) -> ObjectStates:
+        """All of them."""
+        table = self._table
+        return ObjectStates(
+            position=table[..., :3], orientation=table[..., 3:7], pixel=table[..., 7:9], visible=table[..., 9]
         )
-    return rows
 
 
-def _object_states(rows: list[list[tuple[float, ...]]], count: int) -> ObjectStates:
-    table = np.array(rows, np.float64).reshape(len(rows), count, _STATE_NUMBERS)
-    return ObjectStates(
-        position=table[..., :3], orientation=table[..., 3:7], pixel=table[..., 7:9], visible=table[..., 9]
+def _state_row(state: Any) -> tuple[float, ...]:
+    position, orientation, pixel = state.pose.position, state.pose.orientation, state.pixel
+    return (
+        *(position.x, position.y, position.z),
+        *(orientation.x, orientation.y, orientation.z, orientation.w),
+        *(pixel.x, pixel.y),
+        state.visible,
     )
 
 
 def _factors(content: str) -> dict[str, Scalar]:
     try:
-        factors = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise DamagedFile(f"holds factors that are no JSON: {error}") from None
-    if not isinstance(factors, dict) or not all(_is_scalar(value) for value in factors.values()):
+        factors = parse_json(content, largest=_FACTORS_LARGEST)
+    except JsonUnreadable as error:
+        raise DamagedFile(f"holds factors that cannot be read: {error}") from None
+    if not all(isinstance(value, str | bool | int | float) for value in factors.values()):
         raise DamagedFile("holds factors that are no plain values")
     return factors
-
-
-def _is_scalar(value: object) -> bool:
-    return isinstance(value, str | bool | int) or (isinstance(value, float) and math.isfinite(value))

@@ -18,6 +18,7 @@ from pathlib import Path
 from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable
 from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.limits import MOST_SHARD_EPISODES
 from dmotion_bench.storage.lock import held, lock_folder
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections
@@ -31,7 +32,7 @@ from dmotion_bench.storage.shard import (
     shard_path,
     shard_range,
 )
-from dmotion_bench.storage.tables import read_episodes
+from dmotion_bench.storage.tables import EpisodeTable, read_episodes
 from dmotion_bench.storage.writer import DatasetWriter
 
 _UNFINISHED = "repairing"
@@ -81,7 +82,7 @@ def salvage(path: Path) -> Salvaged:
         )
     with held(path):
         listed = list(_listed_episodes(path, manifest))
-        damaged = Dataset(path, manifest, listed)
+        damaged = Dataset(path, manifest, EpisodeTable.of(listed))
         labelled = labels_state(path, manifest) == "present"
         kept = [place for place in range(len(listed)) if _readable(damaged, place, labelled)]
         if not kept:
@@ -121,14 +122,14 @@ def _listed_episodes(path: Path, manifest: Manifest) -> Iterator[EpisodeRow]:
             }
             for section in _sections(shard_path(path, VIDEO, index)):
                 with contextlib.suppress(DamagedFile):
-                    row = episode_row(section, index)
+                    row = episode_row(section, index, manifest.spec)
                     number = section.values["episode"]
                     states, masks = (labels.get((name, number), row.states) for name in ("states", "masks"))
                     yield dataclasses.replace(row, states=states, masks=masks)
 
 
 def _sections(file: Path) -> list[Section]:
-    return list_sections(file, salvage=True) if file.is_file() else []
+    return list_sections(file, most=2 * MOST_SHARD_EPISODES, salvage=True) if file.is_file() else []
 
 
 def _readable(dataset: Dataset, place: int, labelled: bool) -> bool:

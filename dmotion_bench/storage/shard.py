@@ -16,8 +16,10 @@ from typing import BinaryIO, Final, Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import UInt8
 
+from dmotion_bench.errors import DatasetError
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels
 from dmotion_bench.storage.atomic import atomic_file
+from dmotion_bench.storage.limits import LAST_NS, MOST_EPISODES, MOST_SHARD_EPISODES, longest_episode, most_frames
 from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections, read_messages
 from dmotion_bench.storage.mcap_writer import McapWriter, Span
 from dmotion_bench.storage.messages import (
@@ -30,6 +32,7 @@ from dmotion_bench.storage.messages import (
 )
 from dmotion_bench.storage.schema import LABEL_CHANNELS, VIDEO_CHANNELS
 from dmotion_bench.storage.tasks import Candidate, candidates
+from dmotion_bench.wording import shown
 
 VIDEO: Final = "video"
 LABELS: Final = "labels"
@@ -170,6 +173,8 @@ def write_shard(
             start_ns = number * (recipe.frames + PAUSE_FRAMES) * spec.step_ns
             if isinstance(episode, Footage) and episode.start_ns is not None:
                 start_ns = episode.start_ns
+            if not 0 <= start_ns <= LAST_NS - len(episode.frames) * spec.step_ns:
+                raise DatasetError(f"episode {number} starts at {start_ns} ns, which no time stamp of MCAP can say.")
             facts = {
                 "episode": str(number),
                 "frames": str(len(episode.frames)),
@@ -219,14 +224,14 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
         DamagedFile: The files are not whole or do not belong together.
     """
     video_path, labels_path = (shard_path(dataset, kind, index) for kind in (VIDEO, LABELS))
-    videos = list_sections(video_path)
+    videos = list_sections(video_path, most=MOST_SHARD_EPISODES)
     has_labels = labels_path.is_file()
-    sections = list_sections(labels_path) if has_labels else []
+    sections = list_sections(labels_path, most=2 * MOST_SHARD_EPISODES) if has_labels else []
     states = {one.values.get("episode"): one for one in sections if one.kind == "states"}
     masks = {one.values.get("episode"): one for one in sections if one.kind == "masks"}
     rows, found = list[EpisodeRow](), list[tuple[Candidate, ...]]()
     for section in videos:
-        row = episode_row(section, index)
+        row = episode_row(section, index, spec)
         possible: tuple[Candidate, ...] = ()
         if has_labels:
             number = section.values["episode"]
@@ -251,13 +256,13 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
     )
 
 
-def episode_row(section: Section, index: int) -> EpisodeRow:
+def episode_row(section: Section, index: int, spec: EnvSpec) -> EpisodeRow:
     """What a section of a video file says of its episode; where its labels are, it does not know."""
     values: Mapping[str, str] = section.values
     if section.kind != "episode":
         raise DamagedFile(f"holds a section {section.name!r} where an episode was expected")
     try:
-        return EpisodeRow(
+        row = EpisodeRow(
             episode=int(values["episode"]),
             shard=index,
             frames=int(values["frames"]),
@@ -271,6 +276,16 @@ def episode_row(section: Section, index: int) -> EpisodeRow:
         )
     except (KeyError, ValueError) as error:
         raise DamagedFile(f"holds a section that describes no episode: {error}") from None
+    if row.frames > most_frames(spec):
+        raise DamagedFile(f"holds an episode of {shown(row.frames)} frames; {longest_episode(spec)}")
+    if (
+        not 0 <= row.episode < MOST_EPISODES
+        or row.frames < 1
+        or not 0 <= row.seed <= LAST_NS
+        or not 0 <= row.start_ns <= LAST_NS - row.frames * spec.step_ns
+    ):
+        raise DamagedFile(f"holds a section that describes no episode: {shown(dict(values))}")
+    return row
 
 
 def ended_as(word: str) -> Ended:
@@ -279,7 +294,7 @@ def ended_as(word: str) -> Ended:
         if word == known:
             ended: Ended = known
             return ended
-    raise ValueError(f"{word!r} is no way to end")
+    raise ValueError(f"{shown(word)} is no way to end")
 
 
 def read_states(path: Path, span: Span, spec: EnvSpec, frames: int) -> StateLabels:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from pathlib import Path
 from typing import Any
 
 from dmotion_bench.storage.check import labels_state
-from dmotion_bench.storage.manifest import FORMAT, Manifest, record_command
+from dmotion_bench.storage.manifest import FORMAT, Manifest, record_words
 from dmotion_bench.storage.shard import LABELS, VIDEO
 from dmotion_bench.storage.split import split_episodes
 
@@ -38,7 +39,7 @@ def summarize(path: Path) -> dict[str, Any]:
     }
     if not manifest.complete:
         summary["shards_done"] = len(list((path / VIDEO).glob("*.mcap")))
-        summary["go_on_with"] = record_command(recipe, path)
+        summary["go_on_with"] = shlex.join(record_words(recipe, path))
         return summary
     split = split_episodes(recipe.seed, recipe.episodes)
     return summary | {

@@ -1,30 +1,34 @@
 """``episodes.parquet`` and ``tasks.parquet``: where each episode is, and what the control tasks are.
 
-Both are derived: ``dmbench data repair`` makes them again from the shards.
+Both are derived: ``dmbench data repair`` makes them again from the shards. A table is read as columns, after its size,
+its footer and the number of its rows have been held against the manifest.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+import os
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.atomic import write_atomically
-from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.limits import INDEX_BYTES, LAST_NS, longest_episode, most_frames
+from dmotion_bench.storage.manifest import TABLES, Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.mcap_writer import Span
 from dmotion_bench.storage.shard import EpisodeRow, ended_as, file_facts
+from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.storage.tasks import ControlTask
 
-EPISODES: Final = "episodes.parquet"
-TASKS: Final = "tasks.parquet"
+EPISODES, TASKS = TABLES
 _SPANS: Final = ("video", "states", "masks")
 _EPISODE_SCHEMA: Final = pa.schema(
     [
@@ -35,25 +39,68 @@ _EPISODE_SCHEMA: Final = pa.schema(
     ]
 )
 _TASK_SCHEMA: Final = pa.schema([pa.field(name, pa.int64(), False) for name in ControlTask._fields])
+_TAIL: Final = struct.Struct("<I4s")  # the footer's size, and the end of the file
+_LARGEST_FOOTER: Final = 2**16  # [bytes]
+_COLUMN_BYTES, _VALUE_BYTES = 4096, 24
+"""More than a column takes uncompressed: at all, and for each of its values."""
+Columns = Mapping[str, np.ndarray]
 
 
-def _write(path: Path, table: pa.Table) -> None:
-    buffer = io.BytesIO()
-    pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
-    write_atomically(path, buffer.getvalue())
+class EpisodeTable:
+    """The rows of ``episodes.parquet``, kept as columns: a hundred bytes an episode.
+
+    Attributes:
+        columns: One an entry of the schema but ``split``, which the recipe decides.
+    """
+
+    def __init__(self, columns: Columns) -> None:
+        self.columns = columns
+
+    @classmethod
+    def of(cls, rows: Sequence[EpisodeRow]) -> EpisodeTable:
+        """The table of some rows."""
+        names = [name for name in _EPISODE_SCHEMA.names if name != "split"]
+        return cls({name: np.array([_value(row, name) for row in rows], _dtype(name)) for name in names})
+
+    @property
+    def lengths(self) -> Int[np.ndarray, " e"]:
+        """Frames of each episode."""
+        lengths: Int[np.ndarray, " e"] = self.columns["frames"]
+        return lengths
+
+    def __len__(self) -> int:
+        return len(self.columns["frames"])
+
+    def __getitem__(self, index: int) -> EpisodeRow:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        values = {name: column[index : index + 1].tolist()[0] for name, column in self.columns.items()}
+        spans = {name: Span(values.pop(f"{name}_offset"), values.pop(f"{name}_bytes")) for name in _SPANS}
+        return EpisodeRow(**values | {"ended": ended_as(values["ended"])}, **spans)
+
+    def __iter__(self) -> Iterator[EpisodeRow]:
+        return (self[index] for index in range(len(self)))
+
+    def of_shard(self, shard: int) -> list[EpisodeRow]:
+        """The rows of one shard."""
+        return [self[index] for index in np.flatnonzero(self.columns["shard"] == shard).tolist()]
+
+
+def _value(row: EpisodeRow, name: str) -> Any:
+    span, _, part = name.rpartition("_")
+    if span in _SPANS:
+        return getattr(row, span).offset if part == "offset" else getattr(row, span).size
+    return getattr(row, name)
+
+
+def _dtype(name: str) -> Any:
+    return object if _EPISODE_SCHEMA.field(name).type == pa.string() else np.int64
 
 
 def write_episodes(dataset: Path, rows: Sequence[EpisodeRow], split: Mapping[SplitName, Int[np.ndarray, " n"]]) -> None:
     """Write the table of the episodes, in their order."""
     side = {int(episode): name for name, members in split.items() for episode in members}
-    columns: dict[str, list[Any]] = {
-        name: [getattr(row, name) for row in rows]
-        for name in ("episode", "shard", "frames", "start_ns", "seed", "ended", "interactions")
-    }
-    columns["split"] = [side[row.episode] for row in rows]
-    for span in _SPANS:
-        columns[f"{span}_offset"] = [getattr(row, span).offset for row in rows]
-        columns[f"{span}_bytes"] = [getattr(row, span).size for row in rows]
+    columns: dict[str, Any] = {**EpisodeTable.of(rows).columns, "split": [side[row.episode] for row in rows]}
     _write(dataset / EPISODES, pa.table({name: columns[name] for name in _EPISODE_SCHEMA.names}, _EPISODE_SCHEMA))
 
 
@@ -63,61 +110,29 @@ def write_tasks(dataset: Path, tasks: Sequence[ControlTask]) -> None:
     _write(dataset / TASKS, pa.table(columns, _TASK_SCHEMA))
 
 
-def _read(dataset: Path, name: str, schema: pa.Schema, manifest: Manifest) -> list[dict[str, Any]]:
-    path = dataset / name
-    if not path.is_file():
-        raise DamagedFile("is missing")
-    if file_facts(path) != manifest.tables.get(name):
-        raise DamagedFile("is not what was written")
-    try:
-        table = pq.read_table(path, schema=schema, page_checksum_verification=True)
-        rows: list[dict[str, Any]] = table.to_pylist()
-    except (pa.ArrowException, OSError) as error:
-        raise DamagedFile(f"cannot be read: {error}") from None
-    return rows
+def _write(path: Path, table: pa.Table) -> None:
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+    write_atomically(path, buffer.getvalue())
 
 
-def read_episodes(dataset: Path, manifest: Manifest) -> list[EpisodeRow]:
+def read_episodes(dataset: Path, manifest: Manifest) -> EpisodeTable:
     """The table of the episodes, checked against the manifest.
 
     Raises:
         DamagedFile: The table is missing, changed, or contradicts the manifest.
     """
-    rows = []
-    for number, values in enumerate(_read(dataset, EPISODES, _EPISODE_SCHEMA, manifest)):
-        row = _row(values)
-        if (
-            row.episode != number
-            or not 0 <= row.shard < len(manifest.shards)
-            or not 1 <= row.frames <= manifest.recipe.frames
-        ):
-            raise DamagedFile(f"has a row {number} that contradicts dataset.json")
-        rows.append(row)
-    if len(rows) != manifest.recipe.episodes or sum(row.frames for row in rows) != sum(
-        shard.frames for shard in manifest.shards
-    ):
-        raise DamagedFile(f"lists {len(rows)} episodes; dataset.json says {manifest.recipe.episodes}")
-    return rows
-
-
-def _row(values: dict[str, Any]) -> EpisodeRow:
-    video, states, masks = (Span(values[f"{name}_offset"], values[f"{name}_bytes"]) for name in _SPANS)
-    try:
-        ended = ended_as(values["ended"])
-    except ValueError as error:
-        raise DamagedFile(f"has a row that cannot be: {error}") from None
-    return EpisodeRow(
-        episode=values["episode"],
-        shard=values["shard"],
-        frames=values["frames"],
-        start_ns=values["start_ns"],
-        seed=values["seed"],
-        ended=ended,
-        interactions=values["interactions"],
-        video=video,
-        states=states,
-        masks=masks,
-    )
+    count = manifest.recipe.episodes
+    columns = dict(_read(dataset, EPISODES, _EPISODE_SCHEMA, manifest, range(count, count + 1)))
+    if not set(columns.pop("split")) <= set(SPLIT_NAMES):
+        raise DamagedFile("puts an episode into a split that does not exist")
+    for word in set(columns["ended"]):
+        try:
+            ended_as(word)
+        except ValueError as error:
+            raise DamagedFile(f"has a row that cannot be: {error}") from None
+    _check_episodes(columns, manifest)
+    return EpisodeTable(columns)
 
 
 def read_tasks(dataset: Path, manifest: Manifest, lengths: Int[np.ndarray, " e"]) -> list[ControlTask]:
@@ -126,8 +141,135 @@ def read_tasks(dataset: Path, manifest: Manifest, lengths: Int[np.ndarray, " e"]
     Raises:
         DamagedFile: The table is missing, changed, or names frames that do not exist.
     """
-    tasks = [ControlTask(**values) for values in _read(dataset, TASKS, _TASK_SCHEMA, manifest)]
-    for task in tasks:
-        if not (0 <= task.episode < len(lengths) and 0 <= task.start < task.goal < lengths[task.episode]):
-            raise DamagedFile(f"names the task {tuple(task)}, which lies outside its episode")
+    columns = _read(dataset, TASKS, _TASK_SCHEMA, manifest, range(manifest.recipe.tasks + 1))
+    episode, start, goal = (columns[name] for name in ControlTask._fields)
+    there = (episode >= 0) & (episode < len(lengths))
+    wrong = ~there | (start < 0) | (start >= goal) | (goal >= lengths[np.where(there, episode, 0)])
+    tasks = [ControlTask(*row) for row in zip(episode.tolist(), start.tolist(), goal.tolist(), strict=True)]
+    if wrong.any():
+        raise DamagedFile(f"names the task {tuple(tasks[wrong.argmax()])}, which lies outside its episode")
     return tasks
+
+
+def _check_episodes(columns: Columns, manifest: Manifest) -> None:
+    """See that every row can be true, and all of them together."""
+    recipe, spec = manifest.recipe, manifest.spec
+    episode, shard, frames = columns["episode"], columns["shard"], columns["frames"]
+    _refuse(episode != np.arange(recipe.episodes), "is not in the order of the episodes")
+    _refuse(shard != episode // recipe.shard_episodes, "is said to be in another shard than the recipe puts it into")
+    _refuse((frames < 1) | (frames > recipe.frames), f"has another number of frames than 1 to {recipe.frames:,}")
+    _refuse(frames > most_frames(spec), f"has too many frames; {longest_episode(spec)}")
+    starts = columns["start_ns"]
+    _refuse((starts < 0) | (starts > LAST_NS - frames * spec.step_ns), "starts at no time that a time stamp can say")
+    _refuse(columns["seed"] < 0, "has a negative seed")
+    steps = columns["interactions"]
+    _refuse((steps < 0) | (steps >= frames), "has more interactions than steps")
+    shards = np.arange(len(manifest.shards))
+    if (np.bincount(shard, frames, len(shards)) != [one.frames for one in manifest.shards]).any():
+        raise DamagedFile("lists other numbers of frames than dataset.json")
+    video = np.array([one.video.size for one in manifest.shards])
+    labels = np.array([one.labels.size if one.labels is not None else 0 for one in manifest.shards])
+    _check_spans(columns, ("video",), shard, video)
+    _check_spans(columns, ("states", "masks"), shard, labels)
+    _refuse(columns["video_bytes"] < frames * INDEX_BYTES, "has more frames than its part of the file can hold")
+
+
+def _check_spans(
+    columns: Columns, names: tuple[str, ...], shard: Int[np.ndarray, " e"], sizes: Int[np.ndarray, " s"]
+) -> None:
+    """See that the spans of a shard follow one another in its file; without a file they are empty."""
+    offsets, lengths = (np.stack([columns[f"{name}_{part}"] for name in names], 1) for part in ("offset", "bytes"))
+    there = sizes[shard] > 0
+    _refuse((~there[:, None] & ((offsets != 0) | (lengths != 0))).any(1), f"has {names[0]} in a file that is not there")
+    _refuse((there[:, None] & ((offsets < 1) | (lengths < 1))).any(1), f"has no {names[0]}")
+    _refuse((lengths > sizes[shard][:, None] - offsets).any(1), f"has {names[0]} beyond the end of the file")
+    owner, first, last = np.repeat(shard, len(names)), offsets.reshape(-1), (offsets + lengths).reshape(-1)
+    overlaps = (owner[1:] == owner[:-1]) & (first[1:] < last[:-1]) & (sizes[owner[1:]] > 0)
+    _refuse(np.concatenate([[False], overlaps]), f"has {names[0]} where another's is", len(names))
+
+
+def _refuse(wrong: Bool[np.ndarray, " n"], what: str, entries: int = 1) -> None:
+    if wrong.any():
+        raise DamagedFile(f"has a row {int(wrong.argmax()) // entries} that contradicts dataset.json: it {what}")
+
+
+def _read(dataset: Path, name: str, schema: pa.Schema, manifest: Manifest, counts: range) -> Columns:
+    """The columns of a table, whose number of rows is one of ``counts``."""
+    path, facts = dataset / name, manifest.tables.get(name)
+    if not path.is_file():
+        raise DamagedFile("is missing")
+    most = _LARGEST_FOOTER + len(schema) * (_COLUMN_BYTES + counts[-1] * _VALUE_BYTES)
+    if facts is None or path.stat().st_size != facts.size or facts.size > most or file_facts(path) != facts:
+        raise DamagedFile("is not what was written")
+    _check_tail(path)
+    text = [field.name for field in schema if field.type == pa.string()]
+    try:
+        with pq.ParquetFile(
+            path,
+            read_dictionary=text,
+            page_checksum_verification=True,
+            thrift_string_size_limit=_LARGEST_FOOTER,
+            thrift_container_size_limit=_LARGEST_FOOTER,
+        ) as file:
+            _check_footer(file, schema, counts)
+            table = file.read(use_threads=False)
+            return {name: _column(table.column(name), name in text) for name in schema.names}
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        raise DamagedFile(f"cannot be read: {error}") from None
+
+
+def _check_tail(path: Path) -> None:
+    """See that the footer is not larger than a footer of ours: to be parsed it takes many times its size."""
+    with path.open("rb") as file:
+        file.seek(-min(_TAIL.size, path.stat().st_size), os.SEEK_END)
+        tail = file.read()
+    size, end = _TAIL.unpack(tail) if len(tail) == _TAIL.size else (0, b"")
+    if end != b"PAR1" or size > _LARGEST_FOOTER:
+        raise DamagedFile("is no Parquet file of ours")
+
+
+def _check_footer(file: pq.ParquetFile, schema: pa.Schema, counts: range) -> None:
+    """See what a table holds before any of it is read."""
+    about = file.metadata
+    if about.num_rows not in counts:
+        wanted = f"{counts[0]:,} to {counts[-1]:,}" if len(counts) > 1 else f"{counts[0]:,}"
+        raise DamagedFile(f"has {about.num_rows:,} rows; dataset.json says {wanted}")
+    plain = pa.schema([_plain(field) for field in file.schema_arrow])
+    if plain != schema:
+        raise DamagedFile(f"has other columns: {', '.join(plain.names)}")
+    groups = [about.row_group(index) for index in range(about.num_row_groups)]
+    if sum(group.num_rows for group in groups) != about.num_rows or any(group.num_rows < 0 for group in groups):
+        raise DamagedFile("contradicts itself about its rows")
+    for index in range(len(schema)):
+        columns = [group.column(index) for group in groups]
+        size = sum(column.total_uncompressed_size for column in columns)
+        if (
+            any(column.num_values < 0 or column.total_uncompressed_size < 0 for column in columns)
+            or sum(column.num_values for column in columns) != about.num_rows
+            or size > _COLUMN_BYTES + about.num_rows * _VALUE_BYTES
+        ):
+            raise DamagedFile(f"claims {size:,} bytes for a column of {about.num_rows:,} rows")
+
+
+def _plain(field: pa.Field) -> pa.Field:
+    """The field as it was written: text is read as a dictionary, so that a word that recurs takes its room once."""
+    kind = field.type
+    return field.with_type(kind.value_type) if pa.types.is_dictionary(kind) else field
+
+
+def _column(column: pa.ChunkedArray, text: bool) -> np.ndarray:
+    if column.null_count:
+        raise DamagedFile("lacks values")
+    if not text:
+        numbers: np.ndarray = column.to_numpy()
+        return numbers
+    whole = column.unify_dictionaries().combine_chunks()
+    parts = whole.chunks if isinstance(whole, pa.ChunkedArray) else [whole]
+    words = np.array([*_words(parts)], object)
+    places = [part.indices.to_numpy(zero_copy_only=False) for part in parts]
+    found: np.ndarray = words[np.concatenate(places)] if places else words
+    return found
+
+
+def _words(parts: Iterable[pa.DictionaryArray]) -> list[str]:
+    return next((part.dictionary.to_pylist() for part in parts), [])

@@ -16,7 +16,7 @@ from dmotion_bench.errors import DatasetError, RecipeMismatch, UsageError
 from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.lock import ANOTHER_FOLDER, lock_folder
-from dmotion_bench.storage.manifest import Manifest, ShardEntry, record_command
+from dmotion_bench.storage.manifest import Manifest, ShardEntry, record_words
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.shard import (
     LABELS,
@@ -34,6 +34,7 @@ from dmotion_bench.storage.split import split_episodes
 from dmotion_bench.storage.tables import EPISODES, TASKS, write_episodes, write_tasks
 from dmotion_bench.storage.tasks import choose_tasks
 from dmotion_bench.versions import versions
+from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import DATASET_MANIFEST
 
 _PACKAGES = ("dmbench", "numpy", "zstandard", "gymnasium", "pymunk", "pybullet")
@@ -63,8 +64,11 @@ class DatasetWriter:
 
         Raises:
             RecipeMismatch: What stands there was made by another recipe, or is larger.
+            InvalidSetting: There can be no such data set.
             UsageError: The folder holds something else.
         """
+        begun = Manifest(recipe=recipe, spec=spec, versions=versions(_PACKAGES))
+        begun.require_possible()
         existing = path.is_dir() and any(path.iterdir())
         if existing and not (path / DATASET_MANIFEST).is_file():
             raise UsageError(f"{str(path)!r} is not empty and holds no data set; name another folder with '--out DIR'.")
@@ -88,7 +92,7 @@ class DatasetWriter:
             if not writer.missing:
                 writer._standing = standing
             else:
-                Manifest(recipe=recipe, spec=spec, versions=versions(_PACKAGES)).write(path)
+                begun.write(path)
         except BaseException:
             os.close(lock)
             raise
@@ -178,7 +182,7 @@ def _check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path
         raise RecipeMismatch(f"{str(path)!r} was repaired and lacks episodes, so it cannot be extended; {elsewhere}.")
     old, new = dataclasses.asdict(standing.recipe), dataclasses.asdict(recipe)
     differing = [
-        f"{key} is {old[key]!r} there and {new[key]!r} here"
+        f"{key} is {shown(old[key])} there and {shown(new[key])} here"
         for key in old
         if old[key] != new[key] and key not in _GROWS
     ]
@@ -187,7 +191,7 @@ def _check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path
     if differing:
         raise RecipeMismatch(
             f"{str(path)!r} holds a data set of another recipe: {'; '.join(differing)}. "
-            f"To go on with it: {record_command(standing.recipe, path)!r}; for a new one {elsewhere}."
+            f"To go on with it: {command(*record_words(standing.recipe, path))}; for a new one {elsewhere}."
         )
     if standing.recipe.episodes > recipe.episodes:
         raise RecipeMismatch(

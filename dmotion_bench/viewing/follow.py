@@ -22,6 +22,7 @@ from dmotion_bench.specs import EnvSpec
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import LABELS, VIDEO, scan_shard, shard_count, shard_path
+from dmotion_bench.storage.tables import EpisodeTable
 from dmotion_bench.viewing.curves import NO_LOSSES, ROOT, STEP, VALIDATION
 from dmotion_bench.viewing.labels import ACTION_COLORS, log_legend, plain
 from dmotion_bench.viewing.scene import FRAME, picture_view
@@ -188,7 +189,7 @@ class RecordingFollower:
 
     def _show(self, recording: rr.RecordingStream, manifest: Manifest, number: int, shards: int) -> None:
         receipt = scan_shard(self.dataset, manifest.spec, number)
-        part = Dataset(self.dataset, manifest, list(receipt.rows[:1]))
+        part = Dataset(self.dataset, manifest, EpisodeTable.of(receipt.rows[:1]))
         frames, states = part.video(0), part.states(0)
         log_images(recording, "/recording/camera", frames, first=self._frame)
         pixel = np.concatenate([states.objects.pixel, states.agent.pixel], axis=1)

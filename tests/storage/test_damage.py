@@ -71,7 +71,7 @@ def test_of_a_truncated_file_every_whole_episode_is_found(shard: Dataset, data: 
             for _ in NonSeekingReader(stream).iter_messages(log_time_order=False):
                 theirs += 1
         ours = 0
-        for section in list_sections(file, salvage=True):
+        for section in list_sections(file, most=10, salvage=True):
             messages = list(read_messages(file, section.span, chunk_limit=10**6))
             assert len(messages) in (0, int(section.values["frames"]))
             ours += len(messages)
@@ -123,7 +123,7 @@ def test_garbage_is_damage_and_nothing_else(garbage: bytes, tmp_path_factory: py
     file = tmp_path_factory.getbasetemp() / "garbage.mcap"
     file.write_bytes(b"\x89MCAP0\r\n" + garbage)
     with pytest.raises(DamagedFile):
-        list_sections(file)
+        list_sections(file, most=10)
     with contextlib.suppress(DamagedFile):
         list(read_messages(file, Span(8, len(garbage)), chunk_limit=1000))
 

@@ -1,0 +1,48 @@
+"""How names, values and commands are put into sentences: shortened, printable, ready to be pasted into a shell."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from typing import Final
+
+VALUE_LIMIT: Final = 120
+SENTENCE_LIMIT: Final = 4000
+"""Characters. A sentence may hold a long path twice; a value out of a file has no such reason."""
+_UNPRINTABLE: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+
+
+def shortened(text: str, limit: int) -> str:
+    """The text, or its beginning and end with the number of characters left out between them."""
+    if len(text) <= limit:
+        return text
+    head = limit * 2 // 3
+    tail = limit - head
+    return f"{text[:head]}... [{len(text) - limit} characters] ...{text[-tail:]}"
+
+
+def shown(value: object) -> str:
+    """A value that somebody gave, as Python writes it, for a sentence: ``'cwsm'``."""
+    if isinstance(value, str):
+        return shortened(repr(shortened(value, VALUE_LIMIT)), 2 * VALUE_LIMIT)
+    try:
+        return shortened(repr(value), VALUE_LIMIT)
+    except (ValueError, RecursionError):  # a whole number of thousands of digits, something nested too deeply
+        return f"a {type(value).__name__} too large to show"
+
+
+def sentence(text: str) -> str:
+    """A whole sentence that is safe to print: of bounded length, without control characters or lone surrogates."""
+    return _UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], shortened(text, SENTENCE_LIMIT))
+
+
+def command(*words: str | os.PathLike[str]) -> str:
+    """A command to type next, in quotation marks, its words quoted where a shell needs that.
+
+    The outer marks are some that the command does not hold: ``'dmbench data check data/a'`` but
+    ``"dmbench data check 'my data'"``.
+    """
+    text = shlex.join(os.fspath(word) for word in words)
+    mark = next((mark for mark in ("'", '"') if mark not in text), "`")
+    return f"{mark}{text}{mark}"

@@ -1,0 +1,49 @@
+"""What is echoed is short and printable, what is to be typed can be pasted."""
+
+from __future__ import annotations
+
+import pickle
+import shlex
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dmotion_bench.errors import DatasetCorrupt, DmbenchError, UnknownName
+from dmotion_bench.wording import SENTENCE_LIMIT, command, shown
+
+
+@settings(deadline=None, derandomize=True, max_examples=200)
+@given(words=st.lists(st.text(min_size=1), min_size=1))
+def test_a_command_is_read_by_a_shell_as_it_was_meant(words: list[str]) -> None:
+    quoted = command(*words)
+    assert quoted[0] == quoted[-1]
+    assert shlex.split(quoted[1:-1]) == words
+
+
+def test_a_plain_command_looks_plain() -> None:
+    assert command("dmbench", "data", "check", Path("data/a")) == "'dmbench data check data/a'"
+    assert command("dmbench", "view", "my data") == "\"dmbench view 'my data'\""
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["x" * 600_000, ["y" * 600_000], 10**5000, {"a": list(range(100_000))}],
+    ids=["text", "list", "number", "object"],
+)
+def test_a_value_is_shown_shortly(value: object) -> None:
+    assert len(shown(value)) < 300
+    assert shown("cwsm") == "'cwsm'"
+
+
+def test_a_sentence_stays_short_and_keeps_its_advice() -> None:
+    error = DatasetCorrupt(f"{'x' * 600_000!r} is damaged; see 'dmbench data check'.")
+    assert len(str(error)) < SENTENCE_LIMIT + 50
+    assert str(error).endswith("see 'dmbench data check'.")
+    assert len(str(UnknownName("model", "m" * 600_000, ["n" * 600_000] * 50))) < SENTENCE_LIMIT + 50
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+def test_what_would_move_a_terminal_is_written_out() -> None:
+    assert str(DmbenchError("a\x1b[2Jb\ud800\n c")) == "a\\x1b[2Jb\\ud800\n c"

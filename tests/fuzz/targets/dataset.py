@@ -36,11 +36,13 @@ PLAIN = 0.25
 
 @dataclass
 class SpoiltDataset:
-    """A data set's folder, the original that it is a copy of, and the names of the files that were spoilt."""
+    """A data set's folder, the original that it is a copy of, and the names of the files that were spoilt,
+    and whether ``labels/`` was taken away, which is allowed."""
 
     path: Path
     original: str
     files: list[str]
+    unlabelled: bool = False
 
 
 class DatasetTarget(Target):
@@ -186,10 +188,9 @@ class DatasetTarget(Target):
             if sound and damaged:
                 yield "unnoticed", f"'data check' calls it sound, of {_kinds(spoilt)}"
         if sound:
-            without_labels = not (spoilt.path / "labels").exists()
             for name, answer in answers.items():
-                if name.startswith("labels") and without_labels:
-                    continue  # which is allowed
+                if name.startswith("labels") and spoilt.unlabelled:
+                    continue
                 if (
                     name not in ("check", "repaired")
                     and answer.sentence
@@ -331,7 +332,8 @@ def _move_files(case: Case, spoilt: SpoiltDataset) -> None:
         file.write_bytes(other.read_bytes())
     elif kind == "labels":
         shutil.rmtree(spoilt.path / "labels", ignore_errors=True)
-        name = "labels"
+        spoilt.files = [name for name in spoilt.files if not name.startswith("labels")]
+        spoilt.unlabelled, name = True, "labels"
     elif kind == "extra":
         (spoilt.path / "video" / "shard-99999.mcap").write_bytes(file.read_bytes())
     else:

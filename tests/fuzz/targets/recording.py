@@ -74,7 +74,8 @@ class RecordingTarget(Target):
 
     def spoil(self, case: Case) -> SpoiltRecording:
         spoilt, rng = self.intact(case, pick(case.rng, self.names())), case.rng
-        spoilt.options = pick(rng, OPTIONS[spoilt.original])
+        spoilt.options = (*pick(rng, OPTIONS[spoilt.original]), *pick(rng, MORE))
+        case.told.append(" ".join(spoilt.options))
         files = (
             [spoilt.path]
             if spoilt.path.is_file()
@@ -110,13 +111,8 @@ class RecordingTarget(Target):
 
     def probes(self, case: Case, spoilt: SpoiltRecording) -> Iterator[Probe]:
         os.environ["DMBENCH_WORKSPACE"] = str(case.folder)
-        more = [option for option, share in (("--salvage", 0.3), ("--clock=header", 0.2)) if case.chance(share)]
-        more += [
-            pick(case.rng, ("--hz=10", "--hz=3", "--hz=60", "--max-gap=0.5", "--max-gap=1e6", "--frames-per-episode=5"))
-        ]
         out = case.folder / "imported"
-        words = ("data", "import", str(spoilt.path), *_common(spoilt.options), *more, "--out", str(out), "--json")
-        case.told.append(" ".join(more))
+        words = ("data", "import", str(spoilt.path), *_common(spoilt.options), "--out", str(out), "--json")
         before = sorted(case.folder.iterdir())
         done: list[Any] = []
         yield Probe("import", lambda: done.append(dmbench(*words).json()))
@@ -252,6 +248,12 @@ OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "lerobot": ((), ("--actions", "action")),
 }
 """The options that each original can be imported with."""
+
+MORE = (
+    *((), (), (), ("--salvage",), ("--salvage",), ("--clock", "header"), ("--clock", "header", "--salvage")),
+    *(("--hz", "3"), ("--hz", "60"), ("--max-gap", "0.5"), ("--max-gap", "1e6"), ("--frames-per-episode", "5")),
+)
+"""Options beside these."""
 
 GUARDED = ("foxglove", "bgra", "json", "jpeg", "png")
 """Originals whose chunks have a CRC-32."""

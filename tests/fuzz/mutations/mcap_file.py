@@ -116,7 +116,7 @@ def opened(body: bytes) -> Chunk | None:
             raw = zstandard.ZstdDecompressor().decompress(stored, max_output_size=size)
         else:
             raw = lz4.frame.decompress(stored) if compression == b"lz4" else stored
-    except (struct.error, zstandard.ZstdError, RuntimeError, MemoryError):
+    except (struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError):
         return None
     if len(raw) > LARGEST:
         return None

@@ -97,8 +97,8 @@ class RunTarget(Target):
         kinds += ("report/report.json",) * 3 + ("report/samples.parquet",) * 3 + ("samples",)
         name = pick(case.rng, kinds)
         file = spoilt.path / name
-        if file.is_dir():
-            file = pick(case.rng, sorted(file.iterdir()))
+        if name == "samples" and (pictures := sorted(file.glob("*"))):
+            file = pick(case.rng, pictures)
             name = f"samples/{file.name}"
         if not file.is_file():
             name = "last.safetensors" if spoilt.original in STOPPED_AT else "run.json"

@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument("--only", action="append", default=[], help="only this target: dataset, recording, run, entry")
     parser.add_argument("--case", type=int, help="this case alone, with all that is known of it")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time; changes none of them")
-    parser.add_argument("--faults", type=Path, default=Path("faults"), help="where faulty inputs are kept")
+    parser.add_argument("--keep", type=Path, default=Path("fuzz-faults"), help="where faulty inputs are kept")
     parser.add_argument("--summary", type=Path, help="write the JSON object into this file as well")
     asked = parser.parse_args()
 
@@ -39,14 +39,14 @@ def main() -> None:
         if asked.case is not None:
             result = campaign.run(asked.case)
             if result.faults:
-                campaign.keep(result, asked.faults)
+                campaign.keep(result, asked.keep)
             print(json.dumps(result.to_json(), indent=1, default=str))  # noqa: T201
             sys.exit(bool(result.faults))
         numbers = itertools.count(asked.first)
         if asked.cases is not None:
             wanted = (number for number in numbers if target_of(number) in campaign.targets)
             numbers = itertools.islice(wanted, asked.cases)
-        summary = run_side_by_side(campaign, numbers, jobs=asked.jobs, seconds=asked.seconds, faults=asked.faults)
+        summary = run_side_by_side(campaign, numbers, jobs=asked.jobs, seconds=asked.seconds, keep=asked.keep)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     text = json.dumps(summary.to_json(), indent=1)

@@ -201,7 +201,7 @@ def scratch_folder() -> Path:
 
 
 def run_side_by_side(
-    campaign: Campaign, numbers: Iterator[int], *, jobs: int, seconds: float | None, faults: Path
+    campaign: Campaign, numbers: Iterator[int], *, jobs: int, seconds: float | None, keep: Path
 ) -> Summary:
     """Run cases in so many processes until there are no more, or time is up."""
     workers = []
@@ -212,7 +212,7 @@ def run_side_by_side(
             code = 1
             try:
                 share = itertools.islice(numbers, job, None, jobs)
-                found = run_cases(campaign, share, seconds=seconds, faults=faults, tells=job == 0)
+                found = run_cases(campaign, share, seconds=seconds, keep=keep, tells=job == 0)
                 with os.fdopen(write, "wb") as pipe:
                     pickle.dump(found, pipe)
                 code = 0
@@ -230,9 +230,7 @@ def run_side_by_side(
     return summary
 
 
-def run_cases(
-    campaign: Campaign, numbers: Iterator[int], *, seconds: float | None, faults: Path, tells: bool
-) -> Summary:
+def run_cases(campaign: Campaign, numbers: Iterator[int], *, seconds: float | None, keep: Path, tells: bool) -> Summary:
     """Run cases until there are no more, or time is up; ``tells`` says on stderr how far it is."""
     summary, began = Summary(campaign.seed), time.monotonic()
     for number in numbers:
@@ -244,7 +242,7 @@ def run_cases(
         news = summary.add(result)
         summary.seconds = time.monotonic() - began
         if news:
-            campaign.keep(result, faults)
+            campaign.keep(result, keep)
         if tells and summary.cases % 200 == 0:
             print(f"{summary.cases} cases, {len(summary.faults)} different faults", file=sys.stderr, flush=True)  # noqa: T201
     return summary

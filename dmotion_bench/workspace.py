@@ -1,6 +1,7 @@
 """Where data sets, runs and reports live: the folders ``data/``, ``runs/`` and ``reports/`` of a workspace.
 
-The workspace is the current folder, or the one that ``DMBENCH_WORKSPACE`` names.
+The workspace is the current folder, or the one that ``DMBENCH_WORKSPACE`` names. What is derived from a data set is
+kept in its ``cache/``, or in the folder that ``DMBENCH_CACHE`` names.
 """
 
 from __future__ import annotations
@@ -11,8 +12,21 @@ from pathlib import Path
 
 from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
 
+CACHE = "cache"
+CACHE_VARIABLE = "DMBENCH_CACHE"
+ANOTHER_CACHE = f"name another folder with '--cache DIR', or in the variable {CACHE_VARIABLE}"
 DATASET_MANIFEST = "dataset.json"
 RUN_MANIFEST = "run.json"
+
+
+def cache_folder(dataset: Path) -> Path:
+    """Where what is derived from a data set is kept: in its folder, or where the variable says.
+
+    Args:
+        dataset: The data set's folder.
+    """
+    given = os.environ.get(CACHE_VARIABLE)
+    return Path(given) if given else dataset / CACHE
 
 
 @dataclass(frozen=True)

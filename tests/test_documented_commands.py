@@ -77,7 +77,6 @@ COMPLETED = {
     "dmbench train dmotion --live-to training.rrd": "--data grid_world-small",
     "dmbench train dmotion --split paper": "--data grid_world-small",
     "dmbench train dmotion --labels none": "--data imported-recordings",
-    "dmbench train dmotion-no-stn --set kernel=5": "--data grid_world-small",
     "dmbench train --all": "--data grid_world-small",
     "dmbench score": "dmotion-grid_world-small-s0",
 }

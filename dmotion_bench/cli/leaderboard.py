@@ -13,6 +13,8 @@ from typing import Annotated, Any
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
+
 GROUP = "dmbench.leaderboard"
 FOLDER = "leaderboard"
 
@@ -72,6 +74,7 @@ def check(
     differing: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of samples that may differ, on another kind of processor.")
     ] = 0.0,
+    cache: CacheFolder = None,
     as_json: AsJson = False,
 ) -> None:
     """Score entries again from their weights and data, and say whether their figures hold."""
@@ -79,6 +82,7 @@ def check(
     from dmotion_bench.errors import RunError, UsageError
     from dmotion_bench.workspace import Workspace
 
+    use_cache(cache)
     workspace = Workspace.current()
     built = workspace.reports / FOLDER / "entries"
     if not paths and not built.is_dir():

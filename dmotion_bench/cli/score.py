@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
+
 if TYPE_CHECKING:
     from dmotion_bench.scoring.control import ControlScoring
     from dmotion_bench.scoring.report import Report
@@ -56,6 +58,7 @@ def score(
         str, typer.Option(help="float32, or bf16: faster where the hardware has it, and the report says so.")
     ] = "float32",
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    cache: CacheFolder = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Score runs on the held-out episodes of their data sets, or of another one."""
@@ -69,6 +72,7 @@ def score(
     ):
         if given not in allowed:
             raise UnknownName(kind, given, allowed)
+    use_cache(cache)
     asked = _metrics(metrics)
     workspace = Workspace.current()
     if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
 from dmotion_bench.specs import Preset
@@ -52,6 +53,7 @@ def train(
     out: Annotated[Path | None, typer.Option(help="The run's folder; runs/NAME if left out.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Only go on with a run that is there already.")] = False,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
@@ -64,6 +66,7 @@ def train(
     for kind, given, allowed in (("split", split, ("episode", "paper")), ("device", device, ("auto", "cpu", "cuda"))):
         if given not in allowed:
             raise UnknownName(kind, given, allowed)
+    use_cache(cache)
     workspace = Workspace.current()
     if everything:
         own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}

@@ -34,6 +34,7 @@ from dmotion_bench.planning.problems import Moving, TaskDataset, load_problems, 
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import SampleRows
 from dmotion_bench.versions import code_version
+from dmotion_bench.workspace import cache_folder
 
 METRIC: Final = "control"
 QUICK: Final = ("idle", "random", "scripted")
@@ -228,7 +229,7 @@ def _key(
 
 def _kept(name: str, dataset: TaskDataset, scoring: ControlScoring) -> Path:
     key = json.dumps(_key(name, dataset, scoring, None), sort_keys=True)
-    return dataset.path / "cache" / f"control-{name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
+    return cache_folder(dataset.path) / f"control-{name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
 
 
 def planning_version() -> str:

@@ -3,8 +3,9 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PARALLEL := -n auto --dist worksteal  # a process a core; long tests come first (tests/conftest.py)
 
-.PHONY: install demo test check format bench clean
+.PHONY: install demo test test-fast check faults format bench results clean
 
 install: $(STAMP)
 
@@ -20,7 +21,13 @@ demo: install
 	$(BIN)/dmbench demo
 
 test: check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PARALLEL)
+
+test-fast: install
+	$(BIN)/python -m pytest $(PARALLEL) -m 'not slow'
+
+faults: install
+	$(BIN)/python -m tests.faults
 
 check: install
 	$(BIN)/ruff format --check .
@@ -34,6 +41,9 @@ format: install
 
 bench: install
 	$(BIN)/dmbench bench
+
+results: install
+	$(BIN)/dmbench leaderboard results README.md docs/results.md --from docs/leaderboard
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache

@@ -11,7 +11,8 @@ The loss is |x' - x|^2 + |x'' - x|^2 (eq. 2). Afterwards one demonstration (x_t,
 action-transformation table a -> phi^0, and the interaction learner is the forward model.
 
 This file is the method. The networks are in ``dmotion_paper.py``, layer by layer as published, and in
-``dmotion_compact.py``, which trains about 100 times faster to a lower error (DECISIONS.md).
+``dmotion_compact.py``, which need far less computation. ``dmbench bench`` measures both (``train[dmotion-compact]``,
+``train[dmotion-paper]``).
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@
     ├── ModelContractBroken           a model does not do what learning/model.py asks
     ├── EntryInvalid                  an entry of the leaderboard that breaks its schema
     ├── PackageNotInstalled           an optional dependency is absent; names the command
+    ├── FolderInUse                   another process writes into the folder
     ├── StorageFull                   no space left on the device
     ├── ViewerError                   Rerun could not be started or reached
     └── Interrupted                   by Ctrl-C, in a command that does not go on where it stopped: exit with 130

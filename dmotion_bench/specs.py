@@ -20,6 +20,9 @@ SplitName = Literal["train", "validation", "test"]
 IMPORTED = "imported"
 """What stands in the place of an environment's name where recordings come from somewhere else."""
 
+VERSION = "version"
+"""The parameter of an environment's constructor that says which of its versions it is; see ``Versioned``."""
+
 MASK_BACKGROUND = 0
 MASK_AGENT = 1
 MASK_FIRST_OBJECT = 2  # object k of EnvSpec.objects has the mask value 2 + k

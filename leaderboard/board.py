@@ -14,14 +14,14 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 from dmotion_bench.scoring.control import planning_version
-from dmotion_bench.scoring.report import FigureJson
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.entry import Entry
+from leaderboard.value import Value, values_of
 
 RANKED_BY: Final = "mse"
 OTHER_PLANNER: Final = "another planner"
@@ -29,6 +29,7 @@ OTHER_PLANNER: Final = "another planner"
 ORACLE: Final = "oracle"
 _CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
 RowKind = Literal["measured", "published", "reference"]
+_T = TypeVar("_T")
 
 REFERENCE_WORDS: Final = {
     "copy_last": "copy the last frame",
@@ -38,24 +39,6 @@ REFERENCE_WORDS: Final = {
     ORACLE: "true simulator as the model",
     "scripted": "scripted pusher",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Value:
-    """One figure of one row.
-
-    Attributes:
-        mean: Over seeds.
-        low, high: The range over several seeds, or one seed's interval over episodes.
-        std: Over samples, of a single seed or as published.
-        seeds: How many it is the mean of; fewer than the row has where not all were scored on it.
-    """
-
-    mean: float
-    low: float | None
-    high: float | None
-    std: float | None
-    seeds: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +101,7 @@ class Board:
 
     Attributes:
         environment: Registry name.
+        version: Of the environment; data sets of two versions have two boards.
         dataset, fingerprint: Of the data set; empty where only published results are known.
         split, protocol: Which episodes, and how triplets were split.
         triplets: Single steps that were scored; None where nothing was.
@@ -125,6 +109,7 @@ class Board:
     """
 
     environment: str
+    version: int = 1
     dataset: str = ""
     fingerprint: str = ""
     split: str = ""
@@ -135,7 +120,8 @@ class Board:
     @property
     def title(self) -> str:
         """The environment in words."""
-        return self.environment.replace("_", " ").title()
+        name = self.environment.replace("_", " ").title()
+        return name if self.version == 1 else f"{name}, version {self.version}"
 
     @property
     def measured(self) -> list[Entry]:
@@ -178,6 +164,7 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
     return Board(
         environment=environment,
+        version=entries[0].version,
         dataset=dataset,
         fingerprint=fingerprint,
         split=split,
@@ -217,17 +204,20 @@ def _measured_row(entries: Sequence[Entry], planner: str | None) -> Row:
         labels=first.labels,
         label_count=first.label_count,
         entries=tuple(sorted(entries, key=lambda entry: (entry.content["seed"], entry.slug))),
-        figures=_values([_compared(entry, mine) for entry in entries]),
+        figures=values_of(
+            [_compared(entry.figures, entry, mine) for entry in entries],
+            [_compared(entry.by_episode, entry, mine) for entry in entries],
+        ),
         planned_by=mine,
         planned_otherwise=mine not in (planner, None),
     )
 
 
-def _compared(entry: Entry, planner: str | None) -> dict[str, FigureJson]:
-    """Its figures without those of control that another version planned."""
+def _compared(figures: Mapping[str, _T], entry: Entry, planner: str | None) -> dict[str, _T]:
+    """What an entry says by figure, without those of control that another version planned."""
     return {
         name: figure
-        for name, figure in entry.figures.items()
+        for name, figure in figures.items()
         if entry.planned_by == planner or not name.startswith(CONTROLLED)
     }
 
@@ -251,7 +241,7 @@ def _by_weights(row: Row) -> Row:
 
 
 def _beyond(row: Row) -> str:
-    """What a run's name says beside its model, data set and budget, as ``epochs 3``; the name itself if that is odd."""
+    """What a run's name says beside its model, data set and budget, as ``small, epochs 3``; an odd name itself."""
     entry = row.entries[0]
     name, dataset = _without_seed(entry), entry.trained_on or str(entry.content["dataset"]["name"])
     prefixes = (f"{entry.model}-{dataset}", f"{entry.model}-{entry.content['arch']}-{dataset}")
@@ -259,24 +249,8 @@ def _beyond(row: Row) -> str:
     if known is None:
         return name
     beyond = name.removeprefix(known).strip("-").removeprefix(entry.labels.replace("%", "pct")).strip("-")
-    return ", ".join(part for part in (row.variant, beyond.replace("_", " ")) if part)
-
-
-def _values(seeds: Sequence[Mapping[str, Any]]) -> dict[str, Value]:
-    """The figures, each over the seeds that have it: control is often scored for one seed alone."""
-    found: dict[str, Value] = {}
-    for name in dict.fromkeys(name for figures in seeds for name in figures):
-        own = [figures[name] for figures in seeds if name in figures and figures[name]["mean"] is not None]
-        if not own:
-            continue
-        means = [float(figure["mean"]) for figure in own]
-        if len(own) == 1:
-            found[name] = Value(mean=means[0], low=own[0]["low"], high=own[0]["high"], std=own[0]["std"])
-        else:
-            found[name] = Value(
-                mean=sum(means) / len(means), low=min(means), high=max(means), std=None, seeds=len(means)
-            )
-    return found
+    changed = re.sub(r"-(?=[a-z])", ", ", beyond.replace("_", " "))
+    return ", ".join(part for part in (row.variant, changed) if part)
 
 
 def _published_row(entry: Entry) -> Row:
@@ -287,7 +261,7 @@ def _published_row(entry: Entry) -> Row:
         labels=entry.labels,
         label_count=entry.label_count,
         entries=(entry,),
-        figures=_values([entry.figures]),
+        figures=values_of([entry.figures]),
     )
 
 
@@ -308,7 +282,7 @@ def _reference_rows(entries: Sequence[Entry], planner: str | None) -> list[Row]:
         Row(
             kind="reference",
             name=REFERENCE_WORDS.get(name, name),
-            figures=_values([figures]),
+            figures=values_of([figures]),
             planned_by=oracle if name == ORACLE else None,
             planned_otherwise=name == ORACLE and oracle != planner,
         )

@@ -62,21 +62,32 @@ def difference_by_episode(first: Sequence[Mapping[str, Any]], second: Sequence[M
     The same as ``paired_difference`` of the samples; ``std`` is that over episodes' means. None where the sums are
     not over the same samples.
     """
-    everything = [*first, *second]
-    if (
-        not first
-        or not second
-        or any((one["episode"], one["n"]) != (everything[0]["episode"], everything[0]["n"]) for one in everything)
-    ):
+    count = _count([*first, *second]) if first and second else None
+    return None if count is None else _estimate(_mean_sum(first) - _mean_sum(second), count)
+
+
+def mean_by_episode(trainings: Sequence[Mapping[str, Any]]) -> Estimate | None:
+    """The mean over some trainings of a model, with its 95% interval over episodes, from sums over episodes.
+
+    None where the sums are not over the same samples.
+    """
+    count = _count(trainings)
+    return None if count is None else _estimate(_mean_sum(trainings), count)
+
+
+def _count(sums: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, " e"] | None:
+    """Samples of each episode, where all sums are over the same ones."""
+    if not sums or any((one["episode"], one["n"]) != (sums[0]["episode"], sums[0]["n"]) for one in sums):
         return None
-    count = np.asarray(everything[0]["n"], np.float64)
-    if not len(count):
-        return None
-    apart: Float[np.ndarray, " e"] = _mean_sum(first) - _mean_sum(second)
+    return np.asarray(sums[0]["n"], np.float64) if sums[0]["n"] else None
+
+
+def _estimate(total: Float[np.ndarray, " e"], count: Float[np.ndarray, " e"]) -> Estimate:
+    """From the sum of each episode and its number of samples."""
     bootstrap = EpisodeBootstrap(np.arange(len(count)))
-    low, high = bootstrap.interval(np.stack([apart, count], axis=1), lambda sums: sums[:, 0] / sums[:, 1])
+    low, high = bootstrap.interval(np.stack([total, count], axis=1), lambda sums: sums[:, 0] / sums[:, 1])
     return Estimate(
-        mean=float(apart.sum() / count.sum()), std=float((apart / count).std()), low=low, high=high, n=int(count.sum())
+        mean=float(total.sum() / count.sum()), std=float((total / count).std()), low=low, high=high, n=int(count.sum())
     )
 
 

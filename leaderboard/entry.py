@@ -24,6 +24,7 @@ from typing import Any, Final
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import PublishedResult
 from dmotion_bench.scoring.report import FigureJson, Report
+from dmotion_bench.specs import VERSION
 from leaderboard.json_schema import violations
 
 FORMAT: Final = "dmbench-entry/1"
@@ -95,6 +96,11 @@ class Entry:
     def environment(self) -> str:
         """The environment's registry name."""
         return str(self.content["dataset"]["environment"] if self.is_measured else self.content["environment"])
+
+    @property
+    def version(self) -> int:
+        """The version of the environment that a measured entry was scored in."""
+        return int(self.content["dataset"].get(VERSION, 1))
 
     @property
     def trained_on(self) -> str | None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row, Value
+from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
 from leaderboard.columns import Column, columns_for, control_columns, count, interval, number, signed
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markup import Markup, element, joined
+from leaderboard.value import Value
 
 SHOWN_SEPARATELY = "as published"
 OTHER_PLANNER_NOTE = (

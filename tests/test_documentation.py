@@ -1,10 +1,11 @@
-"""The documentation's commands: each is one that ``dmbench`` understands, and the road through them is walked."""
+"""The documentation: its commands are understood, its links lead somewhere, its results are those of the entries."""
 
 from __future__ import annotations
 
 import json
 import re
 import shlex
+import tomllib
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,15 +13,38 @@ import click
 import pytest
 import typer
 from dmbench_command import Outcome, dmbench
+from PIL import Image
 
 from dmotion_bench.cli.app import app, register_commands
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.settings import with_settings
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import Preset
+from leaderboard.results import write_results
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+EVERY_PAGE = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+README = ROOT / "README.md"
+WITH_RESULTS = [README, ROOT / "docs" / "results.md"]
+MOST_WORDS, MOST_CHARACTERS, MOST_BYTES = 900, 120, 2_000_000
+
+
+def _page_name(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def _without_code(page: Path) -> str:
+    """A page's text without code blocks and what stands between backticks."""
+    return re.sub(r"`[^`\n]+`", "", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL))
+
+
+def _anchors(page: Path) -> set[str]:
+    """The anchors that GitHub gives to a page's headings."""
+    headings = re.findall(
+        r"^#+ (.+)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL), re.MULTILINE
+    )
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 def _commands(page: Path) -> list[str]:
@@ -50,7 +74,7 @@ def test_every_setting_of_the_baselines_page_is_one_of_their_models(setting: str
     assert understood
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", EVERY_PAGE, ids=_page_name)
 def test_every_command_of_the_documentation_is_understood(page: Path) -> None:
     register_commands()
     for line in filter(_is_example, _commands(page)):
@@ -66,6 +90,65 @@ def test_every_command_of_the_documentation_is_understood(page: Path) -> None:
                 continue  # --help and --version
             except click.UsageError as error:
                 pytest.fail(f"{page.name}: {line}: {error.format_message()}")
+
+
+@pytest.mark.parametrize("page", EVERY_PAGE, ids=_page_name)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    text = _without_code(page)
+    targets = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r"^\[[^\]]+\]: (\S+)$", text, re.MULTILINE)
+    defined = set(re.findall(r"^\[([^\]]+)\]: ", text, re.MULTILINE))
+    assert set(re.findall(r"\]\[([^\]]+)\]", text)) <= defined
+    for target in targets:
+        if re.match(r"https?://", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.is_relative_to(ROOT), target
+        assert file.exists(), target
+        assert not anchor or anchor in _anchors(file), target
+
+
+@pytest.mark.parametrize("page", [page for page in EVERY_PAGE if page.name != "CHANGELOG.md"], ids=_page_name)
+def test_lines_are_short(page: Path) -> None:
+    long = [number for number, line in enumerate(page.read_text().splitlines(), start=1) if len(line) > MOST_CHARACTERS]
+    assert not long, f"lines of {_page_name(page)} with more than {MOST_CHARACTERS} characters: {long}"
+
+
+def test_the_readme_is_one_page() -> None:
+    text = re.sub(r"^```.*?^```|<!--.*?-->", "", README.read_text(), flags=re.MULTILINE | re.DOTALL)
+    assert len(text.split()) <= MOST_WORDS
+
+
+def test_results_in_pages_are_those_of_the_entries() -> None:
+    differing = write_results(ROOT / "docs" / "leaderboard", WITH_RESULTS, check=True)
+    assert not differing, "write them with 'make results'"
+
+
+@pytest.mark.parametrize("page", WITH_RESULTS, ids=_page_name)
+def test_no_result_is_typed_by_hand(page: Path) -> None:
+    text = re.sub(r"<!-- results:.*?<!-- /results -->", "", _without_code(page), flags=re.DOTALL)
+    typed = re.findall(r"\d+\.\d+|\d+,\d{3}", re.sub(r"\]\([^)]+\)", "", text))
+    assert set(typed) <= {"3.11"}  # Python's version
+
+
+def test_every_picture_is_shown_somewhere() -> None:
+    text = "".join(page.read_text() for page in EVERY_PAGE)
+    pictures = [path.name for path in (ROOT / "docs" / "images").iterdir()]
+    assert [name for name in pictures if f"images/{name})" not in text] == []
+
+
+def test_the_readmes_picture_moves_and_is_small() -> None:
+    (target,) = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README.read_text())
+    assert (ROOT / target).stat().st_size < MOST_BYTES
+    with Image.open(ROOT / target) as picture:
+        assert getattr(picture, "n_frames", 1) > 10
+        assert picture.width <= 1600
+
+
+def test_the_citation_is_of_this_version() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert f'\nversion: "{version}"\n' in (ROOT / "CITATION.cff").read_text()
+    assert f"version = {{{version}}}" in README.read_text()
 
 
 def test_the_readmes_road_leads_from_nothing_to_a_report_and_a_recording(

@@ -32,6 +32,8 @@ from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
+pytestmark = pytest.mark.slow
+
 READ = [page for page in PAGES if page.name == "README.md" or page.parent.name == "docs"]
 RECORDED = (
     ("grid_world", "small"),

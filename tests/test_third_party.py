@@ -14,6 +14,8 @@ from noise_world import noise_episode, noise_spec
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.writer import DatasetWriter
 
+pytestmark = pytest.mark.slow
+
 GUIDE = Path(__file__).parents[1] / "docs" / "your_model.md"
 COMMAND = "from dmotion_bench.cli import main; main()"
 ASK = """

@@ -46,7 +46,10 @@ def data_import(
     ] = "log",
     max_gap: Annotated[
         float | None,
-        typer.Option(help="Seconds without a picture that end an episode; 2.5 of the camera's intervals if left out."),
+        typer.Option(
+            help="Seconds without a picture that end an episode; if left out, 2.5 of the camera's intervals, but at "
+            "most 20 frames at --hz."
+        ),
     ] = None,
     min_frames: Annotated[int, typer.Option(min=3, help="Shorter episodes are left out.")] = 3,
     frames_per_episode: Annotated[int, typer.Option(min=3, help="Longer episodes are cut into equal parts.")] = 100,
@@ -142,8 +145,7 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
         lines.append(f"  actions, held out as labels: {', '.join(report.actions)}")
     else:
         lines.append("  no actions: what an action leads to cannot be scored; with '--actions TOPIC' it can")
-    if report.episodes < 3:
-        lines.append("  too few episodes to train, validate and test: cut them shorter with '--frames-per-episode'")
+    lines += [f"  {sentence}" for sentence in report.advice]
     lines.append(
         f"Look at it with 'dmbench view {report.path}', train on it with 'dmbench train dmotion --data {report.path}'."
     )

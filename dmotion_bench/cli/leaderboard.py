@@ -131,6 +131,31 @@ def compare(
 
 
 @group.command()
+def results(
+    pages: Annotated[list[Path], typer.Argument(metavar="PAGE...", help="Markdown files that ask for results.")],
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="DIR",
+            help="What 'build' wrote; reports/leaderboard of the workspace if left out.",
+        ),
+    ] = None,
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; fail if a page differs.")] = False,
+) -> None:
+    """Write the leaderboard's tables into pages, between '<!-- results:NAME -->' and '<!-- /results -->'."""
+    from dmotion_bench.errors import DmbenchError
+    from dmotion_bench.workspace import Workspace
+
+    changed = _part("results")(folder or Workspace.current().reports / FOLDER, pages, check=check)
+    if check and changed:
+        differing = ", ".join(map(str, changed))
+        raise DmbenchError(f"results differ from the entries in {differing}; run the same command without --check.")
+    for page in pages:
+        typer.echo(f"{page}: {'written' if page in changed else 'as it was'}")
+
+
+@group.command()
 def serve(
     folder: Annotated[
         Path | None, typer.Argument(metavar="[DIR]", help="What 'build' wrote.", show_default=False)

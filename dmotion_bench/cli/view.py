@@ -10,10 +10,13 @@ import typer
 from dmotion_bench.specs import SplitName
 
 if TYPE_CHECKING:
+    from dmotion_bench.learning.run import Run
+    from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.viewing.scene import Scene
     from dmotion_bench.viewing.target import Target
     from dmotion_bench.workspace import Workspace
 
+ANIMATED = (".gif", ".webp")
 SPLITS: tuple[SplitName, ...] = ("train", "validation", "test")
 
 
@@ -32,7 +35,15 @@ def view(
     ],
     web: Annotated[bool, typer.Option("--web", help="Serve a web page on this machine instead of a window.")] = False,
     save: Annotated[
-        Path | None, typer.Option(metavar="FILE.rrd", help="Write a file for Rerun instead of opening a window.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write a file instead of opening a window: FILE.rrd for Rerun; of runs also FILE.gif or FILE.webp, "
+            "an animation of real and imagined episodes.",
+        ),
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Imagined steps of an animation, at most; 30 if left out.")
     ] = None,
     episode: Annotated[
         list[int] | None, typer.Option(min=0, help="Show this episode; may be repeated. A few if left out.")
@@ -54,8 +65,13 @@ def view(
 
     if split is not None and split not in SPLITS:
         raise UnknownName("split", split, SPLITS)
-    if save is not None and save.suffix != ".rrd":
-        raise UsageError(f"--save {str(save)!r} must end in .rrd, as Rerun knows its files by it.")
+    animated = save is not None and save.suffix in ANIMATED
+    if save is not None and save.suffix != ".rrd" and not animated:
+        raise UsageError(
+            f"--save {str(save)!r} must end in .rrd for Rerun, or in .gif or .webp for an animation of runs."
+        )
+    if steps is not None and not animated:
+        raise UsageError("--steps is for an animation; name its file with --save FILE.gif or --save FILE.webp.")
 
     from dmotion_bench.viewing.target import find_target
 
@@ -69,6 +85,9 @@ def view(
     if data is not None and (live or len(targets) > 1 or target.kind not in ("run", "report")):
         raise UsageError("--data shows one run on another data set; name that run alone.")
     other = None if data is None else workspace.dataset(data)
+
+    if animated and (live or web or target.kind not in ("run", "report")):
+        raise UsageError("an animation shows what finished runs imagine; name runs, without --live and --web.")
 
     from dmotion_bench.viewing.viewer import require_display
 
@@ -90,6 +109,10 @@ def view(
     part = next((name for name in SPLITS if name == split), None)
     others = beside(target, workspace) if len(targets) == 1 and target.kind == "report" and other is None else []
     beside_each_other = [one.path for one in targets] if len(targets) > 1 else others
+    if animated and save is not None:
+        _animate(beside_each_other or [target.path], episode or [], part, other, save, steps)
+        typer.echo(f"{save}")
+        return
     if len(beside_each_other) > 1:
         scene = scene_of_several(beside_each_other, episode or [], part)
     else:
@@ -118,20 +141,41 @@ def scene_of(target: Target, episodes: list[int], split: SplitName | None, data:
     if target.kind == "data set":
         dataset = Dataset.open(target.path)
         return dataset_scene(dataset, choose_episodes(dataset, episodes, split))
-    from dmotion_bench.learning.run import Run
-    from dmotion_bench.scoring.transfer import report_folder, require_fitting
-    from dmotion_bench.viewing.report import telling_episodes
     from dmotion_bench.viewing.run import run_scene
 
-    run = Run.open(target.path)
-    dataset = Dataset.open(data or run.dataset_path)
-    if data is not None:
-        require_fitting(run, dataset)
-    folder = report_folder(run.path, run.spec.fingerprint, dataset)
-    told = {} if episodes or split else telling_episodes(run.path, folder)
-    chosen = choose_episodes(dataset, episodes or list(told), split or (None if episodes or told else "test"))
+    (run,), dataset, chosen, told = _chosen([target.path], episodes, split, data)
     scene = run_scene(run, dataset, chosen, told)
     return replace(scene, front="Report") if target.kind == "report" else scene
+
+
+def _chosen(
+    paths: list[Path], episodes: list[int], split: SplitName | None, data: Path | None
+) -> tuple[list[Run], Dataset, list[int], dict[int, str]]:
+    """Some runs, their data set (or the one at ``data``), the episodes to show, and what is said of these.
+
+    They are the episodes asked for. Otherwise those are chosen that the reports of the runs tell most about: of one
+    run the worst, the middle and the best; of several the worst, the best and where they differ most.
+    """
+    from dmotion_bench.learning.run import Run
+    from dmotion_bench.scoring.transfer import report_folder, require_fitting
+    from dmotion_bench.storage.dataset import Dataset
+    from dmotion_bench.viewing.comparison import comparable, contrasting_episodes
+    from dmotion_bench.viewing.episodes import choose_episodes
+    from dmotion_bench.viewing.report import telling_episodes
+
+    runs = [Run.open(path) for path in paths]
+    if len(runs) > 1:
+        runs = comparable(runs)
+    dataset = Dataset.open(data or runs[0].dataset_path)
+    if data is not None:
+        require_fitting(runs[0], dataset)
+    told: dict[int, str] = {}
+    if not episodes and split is None and len(paths) > 1:
+        told = contrasting_episodes([run.path for run in runs])
+    elif not episodes and split is None:
+        told = telling_episodes(runs[0].path, report_folder(runs[0].path, runs[0].spec.fingerprint, dataset))
+    chosen = choose_episodes(dataset, episodes or list(told), split or (None if episodes or told else "test"))
+    return runs, dataset, chosen, told
 
 
 def _follow(target: Target, web: bool, save: Path | None) -> None:
@@ -184,16 +228,20 @@ def beside(target: Target, workspace: Workspace) -> list[Path]:
 
 def scene_of_several(paths: list[Path], episodes: list[int], split: SplitName | None) -> Scene:
     """Several runs side by side: the episodes asked for, or the worst, the best and where they differ most."""
-    from dmotion_bench.learning.run import Run
-    from dmotion_bench.storage.dataset import Dataset
-    from dmotion_bench.viewing.comparison import comparable, comparison_scene, contrasting_episodes
-    from dmotion_bench.viewing.episodes import choose_episodes
+    from dmotion_bench.viewing.comparison import comparison_scene
 
-    runs = comparable([Run.open(path) for path in paths])
-    dataset = Dataset.open(runs[0].dataset_path)
-    told = {} if episodes or split else contrasting_episodes([run.path for run in runs])
-    chosen = choose_episodes(dataset, episodes or list(told), split or (None if episodes or told else "test"))
-    return comparison_scene(runs, dataset, chosen, told)
+    return comparison_scene(*_chosen(paths, episodes, split, None))
+
+
+def _animate(
+    paths: list[Path], episodes: list[int], split: SplitName | None, data: Path | None, file: Path, steps: int | None
+) -> None:
+    """Write an animation of some runs."""
+    from dmotion_bench.viewing.animation import STEPS, animate, write_animation
+    from dmotion_bench.viewing.comparison import told_apart
+
+    runs, dataset, chosen, told = _chosen(paths, episodes, split, data)
+    write_animation(animate(told_apart(runs), dataset, chosen, told, steps=steps or STEPS), file)
 
 
 def _show(file: Path, web: bool) -> None:

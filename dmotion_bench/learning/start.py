@@ -13,10 +13,16 @@ from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.learning.settings import to_json, with_settings
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.registry import model_class
-from dmotion_bench.specs import Preset
+from dmotion_bench.specs import IMPORTED, Preset
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.split import FEWEST_EPISODES
 from dmotion_bench.versions import versions
 from dmotion_bench.workspace import Workspace
+
+_MORE_EPISODES = {
+    False: f"record at least {FEWEST_EPISODES}.",
+    True: f"import at least {FEWEST_EPISODES}: cut the recordings shorter with '--frames-per-episode', or import more.",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,8 +125,9 @@ def training_data(run: Run, dataset: Dataset) -> TrainingData:
     train = TripletSet.of_split(dataset, "train", protocol)
     validation = TripletSet.of_split(dataset, "validation", protocol)
     if not len(train) or not len(validation):
+        imported = dataset.recipe.environment == IMPORTED
         raise UsageError(
-            f"{dataset.name!r} has {len(dataset)} episodes, too few to train and validate; record at least 10."
+            f"{dataset.name!r} has {len(dataset)} episodes, too few to train and validate; {_MORE_EPISODES[imported]}"
         )
     budget = LabelBudget(dataset, LabelRequest.parse(run.spec.labels), run.spec.seed)
     return TrainingData(train=train, validation=validation, budget=budget)

@@ -2,14 +2,20 @@
 
 ::
 
+    score.py            scores a model, and writes the report of a run
     transitions.py      held-out triplets and rollouts, in batches
-    prediction.py       what models and references predict of them, measured frame by frame ...
-      frame_measures.py   by pixels.py and position_errors.py (and dmotion_bench/positions.py)
-      references.py       what stands beside a model's figures
-      identification.py   whether a model found the agent and its motion
-      latent_ranking.py   whether a model that predicts in a space of its own predicts the right point of it
-    samples.py          one row a predicted frame
-    figures.py          means over samples, with statistics.py's intervals over episodes
-    report.py           report.json and samples.parquet
-    score.py            a model's figures, a run's report
+    prediction.py       predictions of models and references, measured frame by frame
+    references.py       the references: predictors without learning, and published results
+    frame_measures.py   everything that is measured on a predicted frame
+    pixels.py           MSE, PSNR and SSIM of two pictures
+    position_errors.py  distances between predicted and true objects
+    identification.py   whether a model found the agent and its motion
+    latent_ranking.py   whether a model predicts the right point of its own latent space
+    explanation.py      what can be measured on video whose actions are not known
+    control.py          how near a model and a planner bring the objects to their goals
+    transfer.py         scoring on another data set than the one of the training
+    samples.py          the samples: one row for each predicted frame
+    statistics.py       means, and their 95% intervals over episodes
+    figures.py          the figures of a report, computed from the samples
+    report.py           report.json and samples.parquet on disk
 """

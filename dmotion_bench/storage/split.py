@@ -11,6 +11,7 @@ from dmotion_bench.specs import SplitName
 
 TEST_SHARE: Final = 0.1  # the paper's 9:1
 VALIDATION_SHARE: Final = 0.1  # of what the test leaves
+FEWEST_EPISODES: Final = 10  # with fewer, one episode is more than a tenth
 _STREAM: Final = 0x5711  # sets the split's random numbers apart from the episodes'
 SPLIT_NAMES: Final[tuple[SplitName, ...]] = get_args(SplitName)
 

@@ -57,7 +57,7 @@ def comparison_scene(
         RunMissing: A training is not done.
         LabelsNotAvailable: The data set's labels are not there, and a model predicts by actions alone.
     """
-    names = _told_apart(runs)
+    names = told_apart(runs)
     notes = why or {}
     reports = {
         name: (run.path, report)
@@ -114,7 +114,7 @@ def contrasting_episodes(runs: Sequence[Path]) -> dict[int, str]:
     return told
 
 
-def _told_apart(runs: Sequence[Run]) -> dict[str, Run]:
+def told_apart(runs: Sequence[Run]) -> dict[str, Run]:
     """The runs by what tells them apart: the model, and of labels, architecture and seed what is not the same of all.
 
     Raises:

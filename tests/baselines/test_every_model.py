@@ -25,6 +25,8 @@ from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.testing import check_model
 from dmotion_bench.workspace import Workspace
 
+pytestmark = pytest.mark.slow
+
 NAMES = sorted(point.name for point in entry_points(group=MODELS) if point.value.startswith("baselines."))
 UNSUPERVISED = [name for name in NAMES if model_class(name).supervision is Supervision.NONE]
 FRAMES = 5

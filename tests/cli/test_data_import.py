@@ -56,6 +56,20 @@ def test_in_and_out_again(workspace: Path) -> None:
     assert json.loads(again.stdout)["episodes"] == 3
 
 
+def test_one_clip_is_told_how_to_become_enough_episodes(workspace: Path) -> None:
+    file = foxglove_file(workspace / "a.mcap", video(60, 16, 16), steady(60))
+    done = typed("import", file, "--size", "16")
+    assert (
+        "need at least 10 episodes, here are 1: cut them shorter with '--frames-per-episode 6 --out DIR'" in done.stdout
+    )
+    again = typed("import", file, "--size", "16", "--frames-per-episode", "6", "--out", workspace / "more", "--json")
+    assert json.loads(again.stdout)["episodes"] == 10
+    assert json.loads(again.stdout)["advice"] == []
+
+    short = typed("import", foxglove_file(workspace / "b.mcap", video(6, 16, 16), steady(6)), "--size", "16")
+    assert "here are 1: import more recordings." in short.stdout
+
+
 def test_video_without_labels_is_exported_alone(workspace: Path) -> None:
     typed("import", foxglove_file(workspace / "a.mcap", video(6, 16, 16), steady(6)), "--size", "16")
     done = typed("export", "--codec", "av1")

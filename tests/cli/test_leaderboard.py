@@ -140,7 +140,7 @@ def test_compare_as_json(run: Callable[..., Result], parts: Parts) -> None:
 def test_every_part_is_an_entry_point_that_exists() -> None:
     points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][command.GROUP]
 
-    assert set(points) == {"build", "check", "compare", "serve"}
+    assert set(points) == {"build", "check", "compare", "results", "serve"}
     for value in points.values():
         module, _, attribute = value.partition(":")
         assert callable(getattr(import_module(module), attribute))

@@ -11,9 +11,12 @@ from pathlib import Path
 
 import pytest
 from dmbench_command import Outcome, dmbench, finish, start_dmbench
+from storage.foreign import foxglove_file, steady, video
 from walking_square import record_walks
 
 from dmotion_bench.learning.run import Run
+
+pytestmark = pytest.mark.slow
 
 Command = Callable[..., Outcome]
 QUICK = ("--set", "batch_size=4", "--set", "epochs=0.2")
@@ -167,6 +170,10 @@ def test_no_data_set_and_several_are_said(run: Command, tmp_path: Path) -> None:
 def test_too_few_episodes_are_said(run: Command, tmp_path: Path) -> None:
     record_walks(tmp_path / "data" / "walk-few", episodes=2)
     assert "record at least 10" in run("train", "dmotion").sentence()
+    frames = foxglove_file(tmp_path / "clip.mcap", video(9), steady(9))
+    assert run("data", "import", str(frames), "--size", "32").code == 0
+    refused = run("train", "dmotion", "--data", "imported-clip").sentence()
+    assert "import at least 10: cut the recordings shorter with '--frames-per-episode'" in refused
 
 
 def test_without_labels_one_demonstration_is_too_much(run: Command, data: Path) -> None:

@@ -25,6 +25,8 @@ from leaderboard.entry_file import write_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, to_png
 
+pytestmark = pytest.mark.slow
+
 Changed = Callable[..., Entry]
 QUICK = CheckSettings(score=False)
 RUN = "dmotion-grid_world-tiny-s0"

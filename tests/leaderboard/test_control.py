@@ -28,6 +28,8 @@ from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry
 from leaderboard.entry import Entry
 
+pytestmark = pytest.mark.slow
+
 SCORING = ControlScoring(tasks=3, steps=5, group=2)
 QUICK = CheckSettings(score=False)
 RUN = "dmotion-pushed-tiny-s0"

@@ -24,6 +24,8 @@ from leaderboard.page import make_page
 
 from .conftest import SETTINGS
 
+pytestmark = pytest.mark.slow
+
 QUICK = CheckSettings(score=False)
 RUN = "dmotion-grid_world-tiny-s0"
 ON = Path("report/on/other")

@@ -38,6 +38,8 @@ from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from recorders.grid_world import FACTS, GridWorld
 
+pytestmark = pytest.mark.slow
+
 SMALL = CrossEntropyPlanner(samples=12, horizon=4, iterations=2, elites=4)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from planning.worlds import PerfectGridModel, SmoothWalks, Walks, moment
+from planning.worlds import FarWalks, PerfectGridModel, SmoothWalks, Walks, moment
 
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.planning.costs import PositionCost
@@ -43,6 +43,13 @@ def test_cem_approaches_the_optimum_with_more_samples() -> None:
     ]
     assert excess[0] > excess[1] > excess[2] >= 0
     assert excess[2] < 0.01
+
+
+def test_fitting_to_the_elites_beats_as_many_uniform_draws() -> None:
+    tasks = tuple(range(20))
+    fitted = CrossEntropyPlanner(horizon=8).plan(FarWalks(tasks), moment(20)).costs[:, 0]
+    uniform = CrossEntropyPlanner(horizon=8, samples=200, iterations=1).plan(FarWalks(tasks), moment(20)).costs[:, 0]
+    assert fitted.mean() < 0.5 * uniform.mean()
 
 
 def test_the_papers_setting_is_the_default_and_imagines_few_of_its_thousand_frames() -> None:

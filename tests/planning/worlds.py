@@ -55,6 +55,17 @@ class SmoothWalks(Walks):
         return after, (after[0] - goal).square().sum(1).double()
 
 
+class FarWalks(Walks):
+    """The same lattice; each task's goal lies so far in a corner that hardly a random walk comes near it."""
+
+    def expand(
+        self, states: tuple[Tensor, ...], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
+    ) -> tuple[tuple[Tensor, ...], Float[Tensor, " n"]]:
+        after, _ = super().expand(states, task, action)
+        corner = torch.stack([1 - 2 * (self._names[task] % 2), 1 - self._names[task] // 2 % 2 * 2], dim=1)
+        return after, (after[0] - 4 * corner).abs().sum(1).double()
+
+
 def moment(tasks: int, *, seed: int = 0, blocked: Any = None) -> Moment:
     """The beginning, with a generator for each task."""
     return Moment(

@@ -31,6 +31,8 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.recording.slurm_executor import SlurmExecutor
 from dmotion_bench.specs import DatasetRecipe
 
+pytestmark = pytest.mark.slow
+
 RECIPE = DatasetRecipe(environment="grid_world", episodes=6, frames=6, tasks=2, shard_episodes=2)
 needs_submitit = pytest.mark.skipif(find_spec("submitit") is None, reason="submitit is not installed")
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed")

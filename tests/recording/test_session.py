@@ -22,6 +22,8 @@ from dmotion_bench.recording.session import Progress, environment_facts, record_
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
 
+pytestmark = pytest.mark.slow
+
 RECIPE = DatasetRecipe(environment="grid_world", episodes=90, frames=6, tasks=5, shard_episodes=3)
 VARIED = DatasetRecipe(
     environment="robot_push",

@@ -29,6 +29,8 @@ from dmotion_bench.scoring.score import ScoreSettings, score_run
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 
+pytestmark = pytest.mark.slow
+
 MakeRun = Callable[..., Run]
 SCORING = ControlScoring(tasks=3, steps=3, group=2)
 QUICK = ScoreSettings(horizon=3, resamples=100, control=SCORING)

@@ -1,5 +1,7 @@
-"""The position finder against the simulators' true centres, by how much of an object is seen; docs/protocol.md has
-the figures of whole data sets."""
+"""The position finder against the simulators' true centres, by how much of an object is seen.
+
+``docs/experiments/position-finder.md`` has the figures of whole data sets.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import tracemalloc
 import zlib
@@ -35,6 +36,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.recording import Clock
 
 SMALL = ImportOptions(size=32)
 MAGIC = b"\x89MCAP0\r\n"
@@ -155,7 +157,61 @@ def test_time_going_backwards(tmp_path: Path) -> None:
 def test_a_camera_without_stamps(tmp_path: Path) -> None:
     messages = [("/camera", "sensor_msgs/msg/Image", t, ros_image(0, 4, 4, "rgb8", 12, bytes(48))) for t in steady(3)]
     file = ros_file(tmp_path / "bag", messages)
-    refused(file, tmp_path, "no time stamp of its own; use .*--clock log", ImportOptions(clock="header"))
+    refused(file, tmp_path, "no time stamp of its own; use .*--clock log", ImportOptions(clock=Clock.HEADER))
+
+
+@pytest.mark.parametrize("seconds", [10**12, 10**40])
+def test_a_stamp_that_no_clock_shows(tmp_path: Path, seconds: int) -> None:
+    file = tmp_path / "a.mcap"
+    with file.open("wb") as opened:
+        writer = OfficialWriter(opened)
+        writer.start()
+        channel = writer.register_channel("/c", "json", writer.register_schema("foxglove.RawImage", "jsonschema", b""))
+        picture = {"width": 2, "height": 2, "encoding": "mono8", "step": 2, "data": "AAAAAA=="}
+        for number, t_ns in enumerate(steady(4)):
+            stamp = {"sec": seconds, "nsec": number}
+            writer.add_message(channel, t_ns, json.dumps(picture | {"timestamp": stamp}).encode(), t_ns)
+        writer.finish()
+    refused(
+        file, tmp_path, "message 0 on '/c' has a time stamp .* which no clock shows", ImportOptions(clock=Clock.HEADER)
+    )
+    assert import_recordings([file], tmp_path / "out", SMALL).frames == 4
+
+
+def bursts(folder: Path, count: int, burst: int) -> Path:
+    """A camera of 10 Hz whose recorder writes several pictures at once."""
+    return ros_file(
+        folder,
+        [
+            (
+                "/camera",
+                "sensor_msgs/msg/Image",
+                START + number // burst * burst * 100_000_000 + number % burst * 1_000_000,
+                ros_image(t_ns, 32, 32, "rgb8", 96, frame.tobytes()),
+            )
+            for number, (t_ns, frame) in enumerate(zip(steady(count), video(count), strict=True))
+        ],
+    )
+
+
+def test_pictures_logged_in_bursts_are_told_of_the_other_clock(tmp_path: Path) -> None:
+    file = bursts(tmp_path / "bag", 40, 10)
+    sentence = refused(file, tmp_path, "'/camera' was logged in bursts, .* use '--clock header'")
+    assert "--hz'" not in sentence
+    better = import_recordings([file], tmp_path / "out", ImportOptions(size=32, clock=Clock.HEADER))
+    assert (better.frames, better.repeated) == (40, 0)
+
+    poor = import_recordings([file], tmp_path / "poor", ImportOptions(size=32, max_gap_s=2))
+    assert any("use '--clock header'" in sentence for sentence in poor.advice)
+    assert not any("--clock" in sentence for sentence in better.advice)
+
+
+def test_a_camera_that_is_too_slow_for_the_rate(tmp_path: Path) -> None:
+    slow = foxglove_file(tmp_path / "slow.mcap", video(4), steady(4, hz=0.1))
+    refused(slow, tmp_path, "10 s apart, and .* Lower '--hz' to 0.1", ImportOptions(size=32, hz=10))
+    days = foxglove_file(tmp_path / "days.mcap", video(4), steady(4, hz=1e-5))
+    match = r"4 pictures at 1 Hz: they are 100,000 s apart, .* save them as files and import their folder"
+    assert "--hz'" not in refused(days, tmp_path, match, ImportOptions(size=32, hz=1))
 
 
 def test_too_few_pictures(tmp_path: Path) -> None:

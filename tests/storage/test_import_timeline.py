@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmotion_bench.errors import RecordingImportError
-from dmotion_bench.storage.imports.timeline import Piece, cut, interval_ns, resample
+from dmotion_bench.storage.imports.timeline import Piece, cut, interval_ns, irregularity, length_for, resample
 
 ANY_TIMES = st.lists(st.integers(0, 20_000_000_000), min_size=1, max_size=60).map(lambda ts: np.array(sorted(ts)))
 
@@ -22,7 +22,7 @@ def frames_of(times: np.ndarray, hz: float, max_gap_s: float | None = None) -> l
 @given(times=ANY_TIMES, hz=st.sampled_from([1.0, 7.0, 10.0, 30.0]), gap=st.none() | st.floats(0.05, 3))
 @settings(deadline=None, derandomize=True, max_examples=200)
 def test_each_tick_shows_the_latest_frame(times: np.ndarray, hz: float, gap: float | None) -> None:
-    slack = int(interval_ns(times) / 4)
+    slack = int(min(interval_ns(times) / 4, 0.5e9 / hz))
     pieces = resample(times, hz=hz, max_gap_s=gap, most=10**6)
     for piece in pieces:
         assert np.abs(np.diff(piece.t_ns) - 1e9 / hz).max(initial=0) <= 1
@@ -47,6 +47,38 @@ def test_thirty_hertz_read_at_ten_is_every_third() -> None:
 
 def test_a_slower_camera_is_repeated() -> None:
     assert frames_of(np.arange(4) * 200_000_000, 10) == [[0, 0, 1, 1, 2, 2, 3]]
+
+
+def test_pictures_far_apart_are_not_repeated_without_end() -> None:
+    days = np.arange(4) * 100_000 * 10**9
+    assert frames_of(days, 1) == [[0], [1], [2], [3]]
+    assert sum(map(len, frames_of(days, 1, max_gap_s=200_000))) == 300_001
+
+
+def test_a_slow_camera_s_dropped_frame_is_bridged_for_twenty_ticks() -> None:
+    seconds = np.array([0, 1, 2, 4, 5, 8, 9]) * 10**9
+    assert [len(piece) for piece in frames_of(seconds, 10)] == [51, 11]
+
+
+def test_bursts_are_less_regular_than_jitter_and_pauses_alike_on_both_clocks() -> None:
+    jitter = np.random.default_rng(0).uniform(-0.02, 0.02, 200)
+    assert irregularity(np.sort(np.rint((np.arange(200) * 0.1 + jitter) * 1e9).astype(np.int64))) < 0.3
+    for burst in (2, 3, 10):
+        times = np.arange(200) // burst * burst * 100_000_000 + np.arange(200) % burst * 1_000_000
+        assert irregularity(times) > 0.9
+    assert irregularity(np.array([5])) == irregularity(np.array([5, 5, 5])) == 0
+
+
+@given(
+    lengths=st.lists(st.integers(1, 60), min_size=1, max_size=5),
+    episodes=st.integers(1, 12),
+    shortest=st.integers(3, 6),
+)
+@settings(deadline=None, derandomize=True)
+def test_the_length_for_so_many_episodes_is_the_longest(lengths: list[int], episodes: int, shortest: int) -> None:
+    pieces = [Piece(frames=np.arange(length), t_ns=np.arange(length)) for length in lengths]
+    enough = [n for n in range(shortest, 61) if len(cut(pieces, longest=n, shortest=shortest)) >= episodes]
+    assert length_for(pieces, episodes=episodes, shortest=shortest, most=60) == (max(enough) if enough else None)
 
 
 def test_a_dropped_frame_ends_no_episode_and_a_pause_does() -> None:

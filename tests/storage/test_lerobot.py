@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
 from storage.foreign import foxglove_file, steady, video
+from walking_square import record_walks
 
 from dmotion_bench.errors import LabelsNotAvailable, RecordingImportError, UsageError
 from dmotion_bench.storage.dataset import Dataset
@@ -80,6 +81,40 @@ def test_back_again(source: Dataset, exported: ExportReport, tmp_path: Path) -> 
     for episode in range(4):
         np.testing.assert_array_equal(back.video(episode), source.video(episode))
         np.testing.assert_array_equal(back.states(episode).actions, source.states(episode).actions)
+
+
+def test_actions_keep_their_numbers_and_order(tmp_path: Path) -> None:
+    walks = Dataset.open(record_walks(tmp_path / "walks", episodes=3))
+    exported = export_lerobot(walks, tmp_path / "lerobot")
+    import_recordings([exported.path], tmp_path / "back", ImportOptions(size=32, actions="action"))
+    back = Dataset.open(tmp_path / "back")
+
+    assert back.spec.actions == walks.spec.actions == ("up", "down", "left", "right")
+    for episode in range(3):
+        np.testing.assert_array_equal(back.states(episode).actions, walks.states(episode).actions)
+
+
+@pytest.mark.parametrize("names", [["up", 0.5, "left"], ["up", "\x1b[31m", "left"], [None, "a", "b"]])
+def test_names_of_actions_that_are_none_are_refused(
+    exported: ExportReport, tmp_path: Path, names: list[object]
+) -> None:
+    copy = damaged(exported, tmp_path)
+    info = info_of(exported)
+    info["features"]["action"]["dmbench_actions"] = names
+    (copy / "meta/info.json").write_text(json.dumps(info))
+    refused(copy, tmp_path, "no choice out of a few.*dmbench_actions", ImportOptions(size=48, actions="action"))
+
+
+def test_a_camera_is_found_by_the_last_part_of_its_name(exported: ExportReport, tmp_path: Path) -> None:
+    import_recordings([exported.path], tmp_path / "found", ImportOptions(size=48, camera="camera"))
+    assert Dataset.open(tmp_path / "found").recipe.parameters["camera"] == CAMERA
+
+    copy, info = damaged(exported, tmp_path), info_of(exported)
+    info["features"]["second.camera"] = info["features"][CAMERA]
+    (copy / "meta/info.json").write_text(json.dumps(info))
+    refused(copy, tmp_path, "more than one camera 'camera'", ImportOptions(camera="camera"))
+    refused(copy, tmp_path, "has 2 cameras; choose one with '--camera KEY': .*'second.camera'")
+    refused(copy, tmp_path, "has no camera 'amera'", ImportOptions(camera="amera"))
 
 
 def test_the_table_s_columns_are_the_features(source: Dataset, exported: ExportReport) -> None:
@@ -197,7 +232,7 @@ def test_paths_in_info_are_not_followed(exported: ExportReport, tmp_path: Path) 
     info = info_of(exported)
     info["features"] = {"../../escaped": info["features"][CAMERA]}
     (copy / "meta/info.json").write_text(json.dumps(info))
-    refused(copy, tmp_path, "has no video '../../escaped'")
+    refused(copy, tmp_path, "has 0 cameras; choose one with '--camera KEY': none")
 
 
 @pytest.mark.parametrize(

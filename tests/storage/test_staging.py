@@ -17,6 +17,8 @@ from dmotion_bench.errors import FolderInUse, UsageError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.staging import CONTENT, MARKER, staged, sweep
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 400
 
 

@@ -35,10 +35,12 @@ class Commands:
     Attributes:
         times_ns: When each was given.
         names: What it was, as text.
+        vocabulary: All names that there are, in the order of their numbers, where the recording says so.
     """
 
     times_ns: Int64[np.ndarray, " n"]
     names: Sequence[str]
+    vocabulary: Sequence[str] = ()
 
 
 def command_decoder(topic: TopicInfo) -> Callable[[bytes], str]:
@@ -84,19 +86,21 @@ def action_name(value: Any) -> str:
     )
 
 
-def sorted_names(names: Sequence[str], most: int) -> tuple[str, ...]:
-    """Every name once: integers by value, then words by the alphabet.
+def ordered_names(recordings: Sequence[Commands], most: int) -> tuple[str, ...]:
+    """Every name once: as the recordings order them; where they do not, integers by value, then words by the alphabet.
 
     Raises:
         RecordingImportError: There are more than ``most``.
     """
-    distinct = set(names)
+    given = list(dict.fromkeys(name for commands in recordings for name in commands.vocabulary))
+    others = {name for commands in recordings for name in set(commands.names)}.difference(given)
+    distinct = [*given, *sorted(others, key=lambda name: (0, int(name), "") if _is_integer(name) else (1, 0, name))]
     if len(distinct) > most:
         raise RecordingImportError(
             f"the actions take {len(distinct)} different values, more than the {most} that choices can have; bin them "
             "first, or import the video alone by leaving '--actions' out."
         )
-    return tuple(sorted(distinct, key=lambda name: (0, int(name), "") if _is_integer(name) else (1, 0, name)))
+    return tuple(distinct)
 
 
 def in_force(commands: Commands, t_ns: Int64[np.ndarray, " t"]) -> Int64[np.ndarray, " t-1"]:

@@ -20,7 +20,8 @@ from jaxtyping import Int64
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError, UsageError
 from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, Scalar
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.imports.commands import Commands, in_force, sorted_names
+from dmotion_bench.storage.imports.advice import advice, no_episode
+from dmotion_bench.storage.imports.commands import Commands, in_force, ordered_names
 from dmotion_bench.storage.imports.fitting import fitted
 from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording, is_lerobot
 from dmotion_bench.storage.imports.mcap_recording import McapRecording
@@ -102,13 +103,10 @@ def import_recordings(
         surveys.append(recording.survey())
     _check_sizes(recordings, surveys)
     names = _action_names(surveys, options)
-    planned, left_out = _plan(surveys, names, options)
+    pieces = _pieces(surveys, options)
+    planned, left_out = _plan(surveys, pieces, names, options)
     if not planned:
-        raise RecordingImportError(
-            f"no episode of at least {options.min_frames} frames comes out: {sum(map(_frames, surveys))} pictures at "
-            f"{options.hz:g} Hz; raise '--hz' or '--max-gap', lower '--min-frames' to 3 at least, or look at the "
-            "times in the recording."
-        )
+        raise no_episode(surveys, options)
     recipe = _recipe(recordings, surveys, planned, options)
     spec = EnvSpec(
         id=IMPORTED,
@@ -130,7 +128,7 @@ def import_recordings(
         path=out,
         episodes=len(planned),
         frames=sum(len(plan.piece) for plan in planned),
-        source_frames=sum(map(_frames, surveys)),
+        source_frames=sum(survey.pictures for survey in surveys),
         source_height=surveys[0].height,
         source_width=surveys[0].width,
         source_hz=_source_hz(surveys),
@@ -138,6 +136,7 @@ def import_recordings(
         unreadable=sum(recording.unreadable for recording in recordings),
         left_out=left_out,
         actions=names,
+        advice=advice(surveys, [one for found in pieces for one in found], len(planned), options),
     )
 
 
@@ -176,24 +175,34 @@ def _check_sizes(recordings: Sequence[Recording], surveys: Sequence[Survey]) -> 
 
 def _action_names(surveys: Sequence[Survey], options: ImportOptions) -> tuple[str, ...]:
     commands = [segment.commands for survey in surveys for segment in survey.segments if segment.commands is not None]
-    return sorted_names([name for one in commands for name in set(one.names)], options.limits.actions)
+    return ordered_names(commands, options.limits.actions)
 
 
-def _plan(surveys: Sequence[Survey], names: tuple[str, ...], options: ImportOptions) -> tuple[list[_Planned], int]:
+def _pieces(surveys: Sequence[Survey], options: ImportOptions) -> list[list[Piece]]:
+    """Each segment's stretches without a gap, in the order of the recordings and their segments."""
+    found: list[list[Piece]] = []
+    most = options.limits.frames
+    for segment in (segment for survey in surveys for segment in survey.segments):
+        found.append(resample(segment.times_ns, hz=options.hz, max_gap_s=options.max_gap_s, most=most))
+        most -= sum(map(len, found[-1]))
+    return found
+
+
+def _plan(
+    surveys: Sequence[Survey], found: Sequence[list[Piece]], names: tuple[str, ...], options: ImportOptions
+) -> tuple[list[_Planned], int]:
     """The episodes, and how many frames are left out of all."""
     planned: list[_Planned] = []
-    offered, most = 0, options.limits.frames
+    waiting = iter(found)
     for number, survey in enumerate(surveys):
         for index, segment in enumerate(survey.segments):
-            pieces = resample(segment.times_ns, hz=options.hz, max_gap_s=options.max_gap_s, most=most)
-            most -= sum(map(len, pieces))
-            offered += sum(map(len, pieces))
+            pieces = next(waiting)
             if segment.commands is not None:
                 pieces = [_commanded(piece, segment.commands) for piece in pieces]
             for piece in cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames):
                 actions = None if segment.commands is None else _actions(piece, segment.commands, names)
                 planned.append(_Planned(recording=number, segment=index, piece=piece, actions=actions))
-    return planned, offered - sum(len(plan.piece) for plan in planned)
+    return planned, sum(len(piece) for one in found for piece in one) - sum(len(plan.piece) for plan in planned)
 
 
 def _commanded(piece: Piece, commands: Commands) -> Piece:
@@ -295,10 +304,6 @@ def _nowhere(t: int, k: int) -> ObjectStates:
         pixel=np.full((t, k, 2), np.nan),
         visible=np.zeros((t, k)),
     )
-
-
-def _frames(survey: Survey) -> int:
-    return sum(len(segment.times_ns) for segment in survey.segments)
 
 
 def _source_hz(surveys: Sequence[Survey]) -> float:

@@ -72,20 +72,14 @@ class LeRobotRecording:
         self.path, self._actions, self._limits, self.unreadable = path, actions, limits, 0
         self._info = self._read_info()
         features = self._features = self._mapping(self._info, "features")
-        cameras = sorted(key for key, feature in features.items() if _kind(feature) == "video")
-        if camera is None and len(cameras) != 1:
-            raise self._bad(f"has {len(cameras)} cameras; choose with '--camera KEY': {', '.join(cameras) or 'none'}")
-        self._camera = cameras[0] if camera is None else camera
-        if self._camera not in cameras or not _KEY.fullmatch(self._camera):
-            raise self._bad(
-                f"has no video {self._camera!r}; its cameras are: {', '.join(map(repr, cameras)) or 'none'}"
-            )
+        self._camera = self._camera_of(camera)
         if actions is not None and actions not in features:
             raise self._bad(f"has no feature {actions!r}; its features are: {', '.join(sorted(features))}")
         fps = self._info.get("fps")
         if not isinstance(fps, int | float) or not 0.001 <= fps <= 10_000:
             raise self._bad(f"says that it has {str(fps)[:40]!r} frames a second")
         self._fps = float(fps)
+        self._vocabulary = self._known_actions()
         self._placed: list[_Placed] = []
         self._numbers: tuple[Path, Any] | None = None  # the table of numbers that was read last
 
@@ -117,8 +111,7 @@ class LeRobotRecording:
         segments = []
         for placed in self._placed:
             times = np.rint(np.arange(placed.frames) * (1e9 / self._fps)).astype(np.int64)
-            commands = None if self._actions is None else Commands(times_ns=times, names=self._commands(placed))
-            segments.append(Segment(times_ns=times, commands=commands))
+            segments.append(Segment(times_ns=times, commands=self._commands(placed, times)))
         return Survey(camera=self._camera, height=height, width=width, segments=segments)
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
@@ -174,8 +167,9 @@ class LeRobotRecording:
         except (ArrowException, OSError) as error:
             raise self._bad(f"has a damaged table {file.name!r}: {str(error)[:120]}") from error
 
-    def _commands(self, placed: _Placed) -> list[str]:
-        assert self._actions is not None
+    def _commands(self, placed: _Placed, times_ns: Int64[np.ndarray, " n"]) -> Commands | None:
+        if self._actions is None:
+            return None
         if self._numbers is None or self._numbers[0] != placed.data:  # episodes stand side by side in few files
             self._numbers = placed.data, self._table(placed.data, ["episode_index", "frame_index", self._actions])
         table = self._numbers[1]
@@ -183,19 +177,39 @@ class LeRobotRecording:
         frames = table.column("frame_index").to_numpy()[inside]
         if not np.array_equal(frames, np.arange(placed.frames)):
             raise self._bad(f"lacks actions of episode {placed.number}, or has them out of order")
-        feature = self._features[self._actions]
-        known = feature.get(ACTION_NAMES) if isinstance(feature, Mapping) else None
-        known = known if isinstance(known, list) else []
         names = []
         for value in table.column(self._actions).take(inside).to_pylist():
             single = value[0] if isinstance(value, list) and len(value) == 1 else value
             try:
                 name = action_name(single)
                 number = int(name) if name.isdecimal() else -1
-                names.append(action_name(known[number]) if 0 <= number < len(known) else name)
+                names.append(self._vocabulary[number] if 0 <= number < len(self._vocabulary) else name)
             except BadPicture as error:
                 raise self._bad(f"{error} (feature {self._actions!r}, episode {placed.number})") from error
-        return names
+        return Commands(times_ns=times_ns, names=names, vocabulary=self._vocabulary)
+
+    def _known_actions(self) -> list[str]:
+        """The names of the actions in the order of their numbers, where ``data export`` has left them."""
+        feature = self._features.get(self._actions or "")
+        known = feature.get(ACTION_NAMES) if isinstance(feature, Mapping) else None
+        try:
+            return [action_name(name) for name in known] if isinstance(known, list) else []
+        except BadPicture as error:
+            raise self._bad(f"{error} ({ACTION_NAMES} of the feature {self._actions!r})") from error
+
+    def _camera_of(self, asked: str | None) -> str:
+        """The feature that is meant: by its name, or by the last part of it."""
+        videos = [key for key, feature in self._features.items() if _kind(feature) == "video"]
+        cameras = sorted(key for key in videos if _KEY.fullmatch(key))
+        found = cameras if asked is None else [key for key in cameras if key == asked or key.endswith(f".{asked}")]
+        if asked in found:
+            return asked
+        if len(found) == 1:
+            return found[0]
+        listed = ", ".join(map(repr, cameras)) or "none"
+        if asked is None:
+            raise self._bad(f"has {len(cameras)} cameras; choose one with '--camera KEY': {listed}")
+        raise self._bad(f"has {'no' if not found else 'more than one'} camera {asked!r}; its cameras are: {listed}")
 
     def _read_info(self) -> Mapping[str, Any]:
         try:

@@ -16,11 +16,13 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, Picture, is_camera, picture_decoder
 from dmotion_bench.storage.imports.commands import Commands, command_decoder
 from dmotion_bench.storage.imports.limits import ImportLimits
-from dmotion_bench.storage.imports.mcap_records import McapFile, RawMessage, TopicInfo
+from dmotion_bench.storage.imports.mcap_records import LATEST, McapFile, RawMessage, TopicInfo
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
 from dmotion_bench.storage.imports.recording import Clock, Segment, Survey
+from dmotion_bench.storage.imports.timeline import irregularity
 
 LISTED = 30  # topics that an error names
+UNEVEN = 0.5  # of intervals: jitter is less, pauses and bursts are more
 Decoded = TypeVar("Decoded")
 
 
@@ -72,7 +74,7 @@ class McapRecording:
         Raises:
             RecordingImportError: As the file deserves it.
         """
-        times, given = array("q"), array("q")
+        times, others, given = array("q"), array("q"), array("q")
         names: list[str] = []
         size: tuple[int, int] | None = None
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
@@ -82,6 +84,7 @@ class McapRecording:
                 picture = self._decode(message, len(times), decoders, picture_decoder)
                 size = self._same_size(self._check(picture, len(times)), size, len(times))
                 _append_in_order(times, self._time(picture, message, len(times)), self.path, self._camera)
+                others.append(message.log_ns if self._clock is Clock.HEADER else min(picture.stamp_ns, LATEST))
             else:
                 name = self._decode(message, len(given), decoders, command_decoder)
                 names.append(known.setdefault(name, name))
@@ -96,7 +99,21 @@ class McapRecording:
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=_times(times), commands=commands)],
+            hints=self._clock_hints(_times(times), _times(others)),
         )
+
+    def _clock_hints(self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"]) -> list[str]:
+        """Whether the clock that was not asked for is the steadier one."""
+        if (np.diff(others_ns) <= 0).any():
+            return []
+        uneven = irregularity(times_ns)
+        if uneven < UNEVEN or uneven < 2 * irregularity(others_ns):
+            return []
+        if self._clock is Clock.LOG:
+            return [f"{self._camera!r} was logged in bursts, its own time stamps are steadier: use '--clock header'."]
+        return [
+            f"the time stamps of {self._camera!r} are uneven, its times of logging are steadier: use '--clock log'."
+        ]
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Unpack the wanted frames and no others; where damage is to be lived with, a damaged one repeats the last."""
@@ -163,6 +180,12 @@ class McapRecording:
             raise RecordingImportError(
                 f"{str(self.path)!r}: message {count} on {self._camera!r} has no time stamp of its own; "
                 "use the time of recording with '--clock log'."
+            )
+        if picture.stamp_ns > LATEST:
+            raise self._bad(
+                count,
+                self._camera,
+                f"has a time stamp {picture.stamp_ns / 1e9:.3g} s after 1970, which no clock shows; use '--clock log'",
             )
         return picture.stamp_ns
 

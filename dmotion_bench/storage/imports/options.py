@@ -22,7 +22,7 @@ class ImportOptions:
         hz: Frames a second.
         fit: What becomes of a picture that is not square.
         clock: Which time counts as the time of a frame.
-        max_gap_s: A longer time without a picture ends an episode [s]; None: see ``timeline.resample``.
+        max_gap_s: A longer time without a picture ends an episode [s]; None: see ``timeline.longest_gap_ns``.
         min_frames: A shorter episode is left out.
         frames_per_episode: A longer one is cut into equal parts.
         seed: Of the split into training, validation and test.
@@ -77,6 +77,7 @@ class ImportReport:
             set was there already.
         left_out: Frames of episodes that were too short.
         actions: Names of the actions, none without labels.
+        advice: Sentences about what would make a better data set of the same recordings.
     """
 
     path: Path
@@ -90,3 +91,4 @@ class ImportReport:
     unreadable: int
     left_out: int
     actions: tuple[str, ...]
+    advice: tuple[str, ...]

@@ -42,12 +42,19 @@ class Survey:
         camera: The topic or key that the pictures are from.
         height, width: Of every picture [px].
         segments: At least one, each with at least one frame.
+        hints: Sentences about a better way to import the recording, for whoever asked for this one.
     """
 
     camera: str
     height: int
     width: int
     segments: Sequence[Segment]
+    hints: Sequence[str] = ()
+
+    @property
+    def pictures(self) -> int:
+        """Of all segments together."""
+        return sum(len(segment.times_ns) for segment in self.segments)
 
 
 class Recording(Protocol):

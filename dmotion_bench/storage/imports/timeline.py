@@ -1,7 +1,10 @@
 """When frames were taken -> which frame stands at each tick of a steady clock, in episodes without gaps.
 
-At a tick stands the latest frame that is not later, where a quarter of the camera's usual interval is forgiven:
-a 10 Hz camera that jitters by milliseconds, read at 10 Hz, gives each of its frames once.
+At a tick stands the latest frame that is not later, where a quarter of the camera's usual interval, and half a tick at
+most, is forgiven: a 10 Hz camera that jitters by milliseconds, read at 10 Hz, gives each of its frames once.
+
+A long time without a frame ends an episode, since a frame that is repeated over and over looks like a world that
+stands still. How long is decided by the camera's own interval and, above that, by the number of repeats.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from dmotion_bench.errors import RecordingImportError
 
 GAP_INTERVALS = 2.5  # of the camera
 GAP_TICKS = 1.5  # of the new clock: a shorter gap repeats a frame once at most
+MOST_TICKS = 20.0  # of the new clock: a longer gap is no gap of a slow camera, it would be 20 times the same frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,14 +47,40 @@ def interval_ns(times_ns: Int64[np.ndarray, " n"]) -> float:
     return float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else 0.0
 
 
+def longest_gap_ns(usual: float, tick: float) -> float:
+    """The longest time without a frame that does not end an episode [ns].
+
+    Two and a half of the camera's usual intervals, at least one and a half ticks and at most twenty.
+
+    Args:
+        usual: The camera's usual interval [ns].
+        tick: Of the new clock [ns].
+    """
+    return max(min(GAP_INTERVALS * usual, MOST_TICKS * tick), GAP_TICKS * tick)
+
+
+def forgiven_ns(usual: float, tick: float) -> float:
+    """How much later than a tick a frame may be and still stand there [ns]; arguments as for ``longest_gap_ns``."""
+    return min(usual / 4, tick / 2)
+
+
+def irregularity(times_ns: Int64[np.ndarray, " n"]) -> float:
+    """How uneven the intervals are: their mean distance from their mean, in units of their mean.
+
+    0 for a steady camera; about 2 where pictures come in bursts. Pauses count as well.
+    """
+    intervals = np.diff(times_ns)
+    mean = float(intervals.mean()) if len(intervals) else 0.0
+    return float(np.abs(intervals - mean).mean()) / mean if mean else 0.0
+
+
 def resample(times_ns: Int64[np.ndarray, " n"], *, hz: float, max_gap_s: float | None, most: int) -> list[Piece]:
     """The pieces between gaps, in time order.
 
     Args:
         times_ns: When each frame was taken, ascending.
         hz: Ticks a second.
-        max_gap_s: A longer time without a frame ends a piece [s]; by default two and a half of the camera's
-            usual intervals, and never less than one and a half ticks.
+        max_gap_s: A longer time without a frame ends a piece [s]; see ``longest_gap_ns`` for the default.
         most: So many ticks may come out.
 
     Raises:
@@ -58,14 +88,15 @@ def resample(times_ns: Int64[np.ndarray, " n"], *, hz: float, max_gap_s: float |
     """
     usual = interval_ns(times_ns)
     tick = 1e9 / hz
-    gap = max(GAP_INTERVALS * usual, GAP_TICKS * tick) if max_gap_s is None else max_gap_s * 1e9
+    slack = forgiven_ns(usual, tick)
+    gap = longest_gap_ns(usual, tick) if max_gap_s is None else max_gap_s * 1e9
     ends = np.append(np.flatnonzero(np.diff(times_ns) > gap) + 1, len(times_ns))
     pieces: list[Piece] = []
     start = 0
     for end in ends:
         stretch = times_ns[start:end]
         length = float(stretch[-1] - stretch[0])
-        ticks = int((length + usual / 4) // tick) + 1
+        ticks = int((length + slack) // tick) + 1
         most -= ticks
         if most < 0:
             raise RecordingImportError(
@@ -73,7 +104,7 @@ def resample(times_ns: Int64[np.ndarray, " n"], *, hz: float, max_gap_s: float |
                 "import with a lower '--hz', or fewer files at a time."
             )
         t_ns = stretch[0] + np.rint(np.arange(ticks) * tick).astype(np.int64)
-        shown = np.searchsorted(stretch, t_ns + int(usual / 4), side="right") - 1
+        shown = np.searchsorted(stretch, t_ns + int(slack), side="right") - 1
         pieces.append(Piece(frames=start + shown.astype(np.int64), t_ns=t_ns))
         start = int(end)
     return pieces
@@ -89,3 +120,14 @@ def cut(pieces: list[Piece], *, longest: int, shortest: int) -> list[Piece]:
         edges = np.linspace(0, len(piece), -(-len(piece) // longest) + 1).round().astype(int)
         parts += [piece.cut(a, b) for a, b in itertools.pairwise(edges.tolist()) if b - a >= shortest]
     return parts
+
+
+def length_for(pieces: list[Piece], *, episodes: int, shortest: int, most: int) -> int | None:
+    """The longest episode length, at most ``most``, that cuts the pieces into so many episodes; None without any."""
+    pieces = [piece for piece in pieces if len(piece) >= shortest]
+    if len(pieces) < episodes:  # k pieces of n ticks in all give at most n / length + k parts
+        most = min(most, sum(map(len, pieces)) // (episodes - len(pieces)))
+    for longest in range(most, shortest - 1, -1):
+        if len(cut(pieces, longest=longest, shortest=shortest)) >= episodes:
+            return longest
+    return None

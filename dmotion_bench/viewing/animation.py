@@ -1,0 +1,137 @@
+"""Recorded episodes and what models imagine of them, one below the other, as an animated GIF or WebP.
+
+A column is an episode. The first row shows the recorded frames; each row below shows what one model imagines: it is
+given the first two frames and the actions, and feeds on its own predictions from then on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from dmotion_bench.errors import LabelsNotAvailable, UsageError, ViewerError
+from dmotion_bench.learning.run import Run
+from dmotion_bench.storage.atomic import atomic_file
+from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
+from dmotion_bench.viewing.imagination import GIVEN, can_imagine, imagine
+from dmotion_bench.viewing.tracks import Color
+
+STEPS: Final = 30
+"""Imagined steps, if nothing else is asked for."""
+FRAME_MS: Final = 250
+LAST_MS: Final = 1500
+"""How long the last frame stays before the animation begins again."""
+SIDE: Final = 256
+"""A frame is enlarged by a whole number to about this width [px]."""
+GAP: Final = 6
+TEXT: Final = 22
+LINE: Final = 34
+BACKGROUND: Final[Color] = (22, 22, 26)
+WORDS: Final[Color] = (235, 235, 235)
+FAINT: Final[Color] = (165, 165, 172)
+
+
+def animate(
+    runs: Mapping[str, Run],
+    dataset: ViewableDataset,
+    episodes: Sequence[int],
+    why: Mapping[int, str] | None = None,
+    *,
+    steps: int = STEPS,
+) -> list[Image.Image]:
+    """The pictures of an animation, in their order.
+
+    Args:
+        runs: Finished runs of models that draw frames, by the name that stands above their row.
+        dataset: Theirs, or another that fits them.
+        episodes: Numbers of episodes. One that is shorter than the others stays at its last frame.
+        why: What is said of an episode above its column, such as ``"worst"``.
+        steps: Imagined steps, at most.
+
+    Raises:
+        UsageError: A model draws no frames.
+        LabelsNotAvailable: The actions are not known, and a model predicts by actions alone.
+        RunMissing: A training is not done.
+    """
+    if lacking := [name for name, run in runs.items() if not run.model.needs_pixels]:
+        raise UsageError(f"{lacking[0]!r} draws no frames, so there is nothing to animate; name another run.")
+    columns = [_column(runs, dataset, episode, (why or {}).get(episode, ""), steps) for episode in episodes]
+    rows = ["real", *(f"imagined by {name}" for name in runs)]
+    return [_picture(columns, rows, time) for time in range(max(len(column.films[0]) for column in columns))]
+
+
+@dataclass(frozen=True)
+class _Column:
+    """An episode: what stands above it, and a film for each row, all of the same length."""
+
+    title: str
+    films: list[UInt8[np.ndarray, "t h w 3"]]
+
+
+def _column(runs: Mapping[str, Run], dataset: ViewableDataset, episode: int, note: str, steps: int) -> _Column:
+    frames, labels = dataset.video(episode), labels_if_any(dataset, episode)
+    films = [frames[: GIVEN + steps]]
+    for name, run in runs.items():
+        if not can_imagine(run.model, labels):
+            raise LabelsNotAvailable(
+                f"the actions of episode {episode} are not known, and {name!r} predicts by actions alone."
+            )
+        imagined = imagine(run.model, frames, labels, dataset.spec).imagined.frames
+        films.append(np.concatenate([frames[:GIVEN], imagined])[: GIVEN + steps])
+    return _Column(f"episode {episode}" + (f" ({note.partition(',')[0]})" if note else ""), films)
+
+
+def _picture(columns: Sequence[_Column], rows: Sequence[str], time: int) -> Image.Image:
+    """From top to bottom: a title for each episode, words and frames for each row, and the step."""
+    height, width = columns[0].films[0].shape[1:3]
+    scale = max(1, round(SIDE / width))
+    wide, high = width * scale, height * scale
+    across = [GAP + place * (wide + GAP) for place in range(len(columns))]
+    down = [LINE + place * (LINE + high) for place in range(len(rows) + 1)]
+    picture = Image.new("RGB", (across[-1] + wide + GAP, down[-1] + LINE), BACKGROUND)
+    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(TEXT)
+
+    def write(words: str, left: int, top: int, color: Color) -> None:
+        draw.text((left, top + LINE // 2), words, font=font, fill=color, anchor="lm")
+
+    for column, left in zip(columns, across, strict=True):
+        write(column.title, left, 0, FAINT)
+        for film, top in zip(column.films, down, strict=False):
+            frame = Image.fromarray(film[min(time, len(film) - 1)])
+            picture.paste(frame.resize((wide, high), Image.Resampling.NEAREST), (left, top + LINE))
+    ahead = time + 1 - GIVEN
+    words = [*rows, f"step {ahead}" if ahead > 0 else "both frames are given"]
+    for line, top in zip(words, down, strict=True):
+        write(line, GAP, top, WORDS)
+    return picture
+
+
+def write_animation(pictures: Sequence[Image.Image], path: Path) -> None:
+    """Write an animation that begins again when it ends; what it is decides the name's end.
+
+    Raises:
+        ViewerError: It cannot be written.
+        StorageFull: There is no space left for it.
+    """
+    durations = [FRAME_MS] * (len(pictures) - 1) + [LAST_MS]
+    shown = [one.quantize(256) for one in pictures] if path.suffix == ".gif" else list(pictures)
+    how: dict[str, int] = {} if path.suffix == ".gif" else {"quality": 80, "method": 6}
+    try:
+        with atomic_file(path) as file:
+            shown[0].save(
+                file,
+                format=path.suffix.removeprefix("."),
+                save_all=True,
+                append_images=shown[1:],
+                duration=durations,
+                loop=0,
+                **how,
+            )
+    except OSError as error:
+        raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None

@@ -1,0 +1,168 @@
+"""A board as Markdown: a table of predictions and one of control, with the paper's figures beside ours."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
+from leaderboard.columns import control_columns, number
+from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.markdown import plain, table
+from leaderboard.planners import tuned_share
+from leaderboard.value import Value
+
+Cell = Callable[[Row], str]
+WIDTH: Final = 120
+"""Characters of a line of words."""
+TO: Final = "\u00a0to\u00a0"
+"""Between two numbers that stay on one line, by spaces that do not break."""
+
+
+def board_section(board: Board) -> list[str]:
+    """The lines of a board: its heading, what it was measured on, and its tables."""
+    lines = [f"### {world(board)}: {plain(board.dataset)} ({board.fingerprint[:8]})", ""]
+    protocols = sorted({str(entry.content["protocol"]) for entry in board.measured})
+    lines += [
+        f"Protocol {', '.join(map(plain, protocols))}, split by {plain(board.protocol)}, "
+        f"{board.triplets or 0:,} predicted frames."
+    ]
+    lines += ["", *_predictions(board)]
+    control = _control(board)
+    return [*lines, "", *control] if control else lines
+
+
+def world(board: Board) -> str:
+    """The environment in words, with its version."""
+    return f"{board.environment.replace('_', ' ').title()} v{board.version}"
+
+
+def published_section(board: Board) -> list[str]:
+    """The lines of the figures that were published of an environment."""
+    rows = [row for row in board.rows if row.kind == "published"]
+    sources = sorted({str(entry.content["source"]) for row in rows for entry in row.entries})
+    notes = sorted({str(entry.content["note"]) for row in rows for entry in row.entries})
+    last = _last_distance(rows)
+    columns: dict[str, Cell] = {
+        "Model": lambda row: plain(row.name),
+        "Labels": labels,
+        "MSE": lambda row: figure(row.figures.get("mse")),
+        "Position error [px]": lambda row: figure(row.figures.get("position_error_paper")),
+    }
+    if last is not None:
+        columns["Distance left"] = lambda row: figure(row.figures.get(last))
+    said = textwrap.wrap(" ".join(map(plain, [f"{', '.join(sources)}.", *notes])), WIDTH)
+    return [f"### {board.title}: as published", "", *said, "", *_lines(columns, rows)]
+
+
+def _predictions(board: Board) -> list[str]:
+    rows = [row for row in board.rows if row.kind != "published" and RANKED_BY in row.figures]
+    paper = {(row.model, row.labels): row for row in board.rows if row.kind == "published"}
+
+    columns: dict[str, Cell] = {
+        "Model": lambda row: plain(row.title),
+        "Labels": labels,
+        "Trainings": lambda row: trainings(row, RANKED_BY),
+        "MSE": lambda row: figure(row.figures[RANKED_BY], strong=row.ties),
+        "paper": lambda row: mean(_published(paper, row).get(RANKED_BY)),
+        "pushes": lambda row: mean(row.figures.get("mse_push")),
+        "15 ahead": lambda row: mean(row.figures.get("rollout_mse[15]")),
+        "Position error [px]": lambda row: figure(row.figures.get("position_error_paper")),
+        "detected": lambda row: mean(row.figures.get("position_error")),
+    }
+    return _lines(columns, rows)
+
+
+def _control(board: Board) -> list[str]:
+    last = _last_distance([row for row in board.rows if row.kind != "published"])
+    if last is None:
+        return []
+    rows = [row for row in board.rows if row.kind != "published" and last in row.figures]
+    paper = {(row.model, row.labels): row for row in board.rows if row.kind == "published"}
+    steps = last.partition("[")[2].rstrip("]")
+    columns: dict[str, Cell] = {
+        "Model": lambda row: plain(row.title) + (f", {OTHER_PLANNER}" if row.planned_otherwise else ""),
+        "Labels": labels,
+        "Trainings": lambda row: trainings(row, last),
+        "Tasks": lambda row: f"{row.figures[last].samples or ''}",
+        f"Left after {steps} steps": lambda row: figure(row.figures[last], strong=last in row.leads),
+        "paper": lambda row: mean(_published(paper, row).get(last)),
+        "after 40": lambda row: mean(row.figures.get("control_distance[40]")),
+        "Solved": lambda row: _rounded(row.figures.get("control_success"), ".0%"),
+        "Lost": lambda row: _rounded(row.figures.get("control_lost"), ".3g"),
+        "Tuned here": lambda row: tuned(board, row, last),
+    }
+    return _lines(columns, sorted(rows, key=lambda row: row.figures[last].mean))
+
+
+def _last_distance(rows: Sequence[Row]) -> str | None:
+    """The distance at the end of control, by its fixed name; None where there is none."""
+    names = {name for row in rows for name in row.figures if name.startswith(CONTROLLED)}
+    return next((one.figure for one in control_columns(names) if "distance" in one.figure), None)
+
+
+def _published(paper: dict[tuple[str, str], Row], row: Row) -> dict[str, Value]:
+    """What was published of a row's model with its budget."""
+    found = paper.get((row.model, row.labels))
+    return {} if found is None or not row.model else dict(found.figures)
+
+
+def _lines(columns: dict[str, Cell], rows: Sequence[Row]) -> list[str]:
+    return table(list(columns), [[cell(row) for cell in columns.values()] for row in rows])
+
+
+def _rounded(value: Value | None, form: str) -> str:
+    return "" if value is None else format(value.mean, form)
+
+
+def labels(row: Row) -> str:
+    """How many labels a row's model was given."""
+    if row.kind == "reference":
+        return ""
+    return "?" if row.label_count is None else f"{row.label_count:,}"
+
+
+def trainings(row: Row, name: str) -> str:
+    """How many trainings a figure is the mean of and, of several, the lowest and the highest."""
+    value = row.figures[name]
+    if row.kind != "measured":
+        return ""
+    return f"{value.seeds}" if value.seeds == 1 else f"{value.seeds}: {written(value.low)} to {written(value.high)}"
+
+
+def tuned(board: Board, row: Row, name: str) -> str:
+    """Whether a row's planner was tuned on the tasks that a figure is of; nothing where nobody planned."""
+    tasks = row.figures[name].samples
+    if row.planned_by is None or not tasks or not name.startswith(CONTROLLED):
+        return ""
+    share = tuned_share(row.planned_by, board.fingerprint, tasks)
+    if share is None:
+        return "not known"
+    return "no" if not share else "yes" if share == 1 else f"{share:.0%}"
+
+
+def figure(value: Value | None, *, strong: bool = False) -> str:
+    """A mean with its 95% interval over episodes or, of published figures, their spread."""
+    if value is None:
+        return ""
+    text = f"**{mean(value)}**" if strong else mean(value)
+    if value.interval is not None:
+        return f"{text} ({between(*value.interval)})"
+    return text if value.std is None or value.samples is not None else f"{text} ± {written(value.std)}"
+
+
+def mean(value: Value | None) -> str:
+    """A mean alone."""
+    return "" if value is None else written(value.mean)
+
+
+def between(low: float | None, high: float | None) -> str:
+    """From one number to another, on one line; below 10 of two digits, which is as much as an interval says."""
+    bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else written(one) for one in (low, high))
+    return TO.join(bounds)
+
+
+def written(value: float | None) -> str:
+    """A number of a few digits, with commas and an ordinary minus sign."""
+    return number(value).replace("\u202f", ",").replace("\u2212", "-")

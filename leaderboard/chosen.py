@@ -1,0 +1,178 @@
+"""The few rows that a front page shows: which they are stands in a TOML file, what they say in the entries.
+
+::
+
+    [[row]]
+    name = "control"                   # how a sentence of the page refers to it
+    title = "control"                  # what is measured, in words
+    model_title = "DMotion"            # the model, in words
+    board = "robot_push-small"         # the data set's name; with "@" and a fingerprint's beginning where two share it
+    model = "dmotion"                  # registry name
+    variant = "warp true"              # as on the board; left out if it has none
+    labels = "one-shot"                # label budget
+    figure = "control_distance[100]"
+    baseline = "idle"                  # a reference of the board
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final
+
+from dmotion_bench.errors import UsageError
+from leaderboard.board import REFERENCE_WORDS, Board, Row
+from leaderboard.board_tables import between, figure, labels, mean, trainings, tuned, world
+from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.markdown import plain, table
+from leaderboard.value import Value
+
+TUNED_MARK: Final = "†"
+TUNED_NOTE: Final = f"{TUNED_MARK} The planner was tuned on the tasks of this row."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A row as the file asks for it; the module says what each field means."""
+
+    name: str
+    title: str
+    model_title: str
+    board: str
+    model: str
+    labels: str
+    figure: str
+    baseline: str
+    variant: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chosen:
+    """A row that was found.
+
+    Attributes:
+        choice: What was asked for.
+        board, row: Where it stands.
+        value, baseline: Its figure, and the same of the baseline.
+        paper: What was published of the same model and budget, if anything was.
+    """
+
+    choice: Choice
+    board: Board
+    row: Row
+    value: Value
+    baseline: Value
+    paper: Value | None
+
+    @property
+    def tuned(self) -> bool:
+        """Whether a planner was tuned on tasks that the figure is of, or nobody knows that it was not."""
+        return tuned(self.board, self.row, self.choice.figure) not in ("", "no")
+
+    def numbers(self) -> dict[str, str]:
+        """What sentences say of it, by what follows the row's name after a full stop."""
+        return {
+            "": mean(self.value),
+            "interval": "" if self.value.interval is None else between(*self.value.interval),
+            "labels": labels(self.row),
+            "trainings": f"{self.value.seeds}",
+            "samples": f"{self.value.samples or 0:,}",
+            "baseline": mean(self.baseline),
+            "paper": mean(self.paper),
+        }
+
+
+def read_choices(path: Path) -> list[Choice]:
+    """The rows that a file asks for.
+
+    Raises:
+        UsageError: It cannot be read, or a row has other fields.
+    """
+    try:
+        rows = tomllib.loads(path.read_text())["row"]
+        return [Choice(**{name: str(value) for name, value in row.items()}) for row in rows]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(
+            f"{str(path)!r} names no rows to show: {error}. It holds [[row]] tables with the fields "
+            f"{', '.join(field.name for field in fields(Choice))}."
+        ) from None
+
+
+def find_rows(choices: Sequence[Choice], boards: Sequence[Board]) -> list[Chosen]:
+    """The rows on the boards.
+
+    Raises:
+        UsageError: One is not there; says what is.
+    """
+    return [_found(choice, boards) for choice in choices]
+
+
+def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
+    name, _, fingerprint = choice.board.partition("@")
+    near = {f"{one.dataset}@{one.fingerprint[:8]}": one for one in boards if one.dataset}
+    matching = [one for one in near.values() if one.dataset == name and one.fingerprint.startswith(fingerprint)]
+    board = _only(choice, "board", choice.board, matching, list(near))
+    able = {_key(row): row for row in board.rows if row.kind == "measured" and choice.figure in row.figures}
+    wanted = (choice.model, choice.variant, choice.labels)
+    row = _only(choice, "row", wanted, [row for key, row in able.items() if key == wanted], list(able))
+    words = REFERENCE_WORDS.get(choice.baseline, choice.baseline)
+    references = {one.name: one for one in board.rows if one.kind == "reference" and choice.figure in one.figures}
+    baseline = _only(choice, "baseline", words, [one for one in [references.get(words)] if one], list(references))
+    paper = [
+        one for one in board.rows if one.kind == "published" and (one.model, one.labels) == (row.model, row.labels)
+    ]
+    return Chosen(
+        choice=choice,
+        board=board,
+        row=row,
+        value=row.figures[choice.figure],
+        baseline=baseline.figures[choice.figure],
+        paper=paper[0].figures.get(choice.figure) if paper else None,
+    )
+
+
+def _key(row: Row) -> tuple[str, str, str]:
+    return row.model, row.variant, row.labels
+
+
+def _only(choice: Choice, kind: str, wanted: object, found: Sequence[Any], known: Sequence[object]) -> Any:
+    if len(found) != 1:
+        how = "several are" if found else "none is"
+        raise UsageError(
+            f"the row {choice.name!r} asks for the {kind} {wanted!r}, and {how} there with {choice.figure!r}; "
+            f"there are: {', '.join(map(str, known)) or 'none'}."
+        )
+    return found[0]
+
+
+def chosen_table(rows: Sequence[Chosen]) -> list[str]:
+    """The lines of the table of the chosen rows, with a note where a planner was tuned on their tasks."""
+    head = ["World", "Measured on", "Model", "Labels", "Trainings", "Error (95% interval)", "Baseline", "Paper"]
+    lines = table(head, [_cells(row) for row in rows], words=3)
+    return [*lines, "", TUNED_NOTE] if any(row.tuned for row in rows) else lines
+
+
+def _cells(one: Chosen) -> list[str]:
+    unit = "tasks" if one.choice.figure.startswith(CONTROLLED) else "frames"
+    return [
+        world(one.board),
+        f"{one.choice.title}, {one.value.samples or 0:,} {unit}",
+        one.choice.model_title,
+        labels(one.row),
+        trainings(one.row, one.choice.figure).partition(":")[0],
+        figure(one.value) + (f" {TUNED_MARK}" if one.tuned else ""),
+        mean(one.baseline),
+        mean(one.paper),
+    ]
+
+
+def numbers(rows: Sequence[Chosen]) -> Mapping[str, str]:
+    """Every number that a sentence may ask for: ``NAME`` or ``NAME.interval``, ``NAME.paper`` ..."""
+    return {
+        f"{row.choice.name}.{part}".rstrip("."): plain(text)
+        for row in rows
+        for part, text in row.numbers().items()
+        if text
+    }

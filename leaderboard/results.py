@@ -1,0 +1,103 @@
+"""Writes the results into documentation pages, so that no figure there is typed by hand.
+
+A page asks for results by a pair of comments, which a reader does not see; what stands between them is replaced::
+
+    <!-- results:boards -->      every board with its tables, then what was published
+    <!-- results:chosen -->      the table of the chosen rows (``chosen.py``)
+    <!-- results:NAME.interval -->   one number of a chosen row, within a sentence
+    <!-- /results -->            the end of each
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.storage.atomic import write_atomically
+from leaderboard.board import Board, make_boards
+from leaderboard.board_tables import board_section, published_section
+from leaderboard.chosen import chosen_table, find_rows, numbers, read_choices
+from leaderboard.entry_file import read_entries
+from leaderboard.layout import CHOSEN, ENTRIES
+
+_ASKED: Final = re.compile(r"(<!-- results:(\S+) -->)(.*?)(<!-- /results -->)", re.DOTALL)
+_OPENED: Final = re.compile(r"<!-- /?results\b")
+
+
+def write_results(folder: Path, pages: Sequence[Path], *, check: bool = False) -> list[Path]:
+    """Write the results of a leaderboard into pages.
+
+    Args:
+        folder: Of the leaderboard: its entries, and which rows are chosen.
+        pages: Markdown files that ask for results.
+        check: Write nothing.
+
+    Returns:
+        The pages that were changed or, of a check, that differ from the entries.
+
+    Raises:
+        UsageError: A page cannot be read, asks for nothing, or leaves a comment open; the chosen rows are not there.
+        UnknownName: A page asks for something that there is not.
+        EntryInvalid: An entry cannot be read.
+    """
+    entries = read_entries(folder / ENTRIES)
+    if not entries:
+        raise UsageError(f"{str(folder)!r} holds no entries; make them with 'dmbench leaderboard build'.")
+    boards = make_boards(entries)
+    rows = find_rows(read_choices(folder / CHOSEN), boards) if (folder / CHOSEN).is_file() else []
+    blocks = {"boards": _every_board(boards)} | ({"chosen": chosen_table(rows)} if rows else {})
+    found = {name: f"\n{chr(10).join(lines)}\n" for name, lines in blocks.items()} | dict(numbers(rows))
+    changed = []
+    for page in pages:
+        old = _read(page)
+        new = filled(old, found, str(page))
+        if new != old:
+            changed.append(page)
+            if not check:
+                write_atomically(page, new.encode())
+    return changed
+
+
+def filled(text: str, found: Mapping[str, str], page: str) -> str:
+    """A page's text with results in the places that ask for them.
+
+    Args:
+        text: Of the page.
+        found: What there is to ask for, by name.
+        page: Its name, for errors.
+
+    Raises:
+        UsageError: It asks for nothing, or leaves a comment open.
+        UnknownName: It asks for something that there is not.
+    """
+    places = list(_ASKED.finditer(text))
+    if not places or len(_OPENED.findall(text)) != 2 * len(places):
+        raise UsageError(
+            f"{page!r} has no place for results, or one that does not end: a place begins with "
+            "'<!-- results:NAME -->' and ends with '<!-- /results -->'."
+        )
+    for place in places:
+        if place[2] not in found:
+            raise UnknownName("result", place[2], found)
+    return _ASKED.sub(lambda place: f"{place[1]}{found[place[2]]}{place[4]}", text)
+
+
+def _read(page: Path) -> str:
+    try:
+        return page.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"the page {str(page)!r} cannot be read: {error}.") from None
+
+
+def _every_board(boards: Sequence[Board]) -> list[str]:
+    lines: list[str] = []
+    for board in boards:
+        if board.measured:
+            lines += ["", *board_section(board)]
+    published = {board.environment: board for board in boards if any(row.kind == "published" for row in board.rows)}
+    for board in published.values():
+        lines += ["", *published_section(board)]
+    return [*lines, ""]

@@ -1,0 +1,69 @@
+"""A figure of a row: one training's, or the mean over several trainings that differ in their seed alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dmotion_bench.scoring.report import FigureJson
+from leaderboard.comparison import mean_by_episode
+
+
+@dataclass(frozen=True, kw_only=True)
+class Value:
+    """One figure of one row.
+
+    Attributes:
+        mean: Over seeds.
+        low, high: The range over several seeds, or one seed's interval over episodes.
+        std: Over samples, of a single seed or as published.
+        seeds: How many it is the mean of; fewer than the row has where not all were scored on it.
+        interval: The 95% interval of the mean over episodes, of one seed or of several; None where it is not known.
+        samples: That each seed was scored on: frames, or tasks; None where that is not known.
+    """
+
+    mean: float
+    low: float | None
+    high: float | None
+    std: float | None
+    seeds: int = 1
+    interval: tuple[float, float] | None = None
+    samples: int | None = None
+
+
+def values_of(seeds: Sequence[Mapping[str, Any]], sums: Sequence[Mapping[str, Any]] = ()) -> dict[str, Value]:
+    """The figures, each over the seeds that have it: control is often scored for one seed alone.
+
+    Args:
+        seeds: The figures of each.
+        sums: Of each seed the sums over episodes, by figure; of some figures, or of none.
+    """
+    found: dict[str, Value] = {}
+    for name in dict.fromkeys(name for figures in seeds for name in figures):
+        own = [figures[name] for figures in seeds if name in figures and figures[name]["mean"] is not None]
+        if not own:
+            continue
+        means = [float(figure["mean"]) for figure in own]
+        counts = [figure["n"] for figure in own]
+        one = len(own) == 1
+        found[name] = Value(
+            mean=sum(means) / len(means),
+            low=own[0]["low"] if one else min(means),
+            high=own[0]["high"] if one else max(means),
+            std=own[0]["std"] if one else None,
+            seeds=len(own),
+            interval=_interval(own, [episodes[name] for episodes in sums if name in episodes]),
+            samples=None if None in counts else int(max(counts)),
+        )
+    return found
+
+
+def _interval(figures: Sequence[FigureJson], sums: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
+    """Of one seed's figure what its report says, of several what follows from their sums over episodes."""
+    if len(figures) == 1:
+        low, high = figures[0]["low"], figures[0]["high"]
+    else:
+        mean = mean_by_episode(sums) if len(sums) == len(figures) else None
+        low, high = (None, None) if mean is None else (mean.low, mean.high)
+    return None if low is None or high is None else (low, high)

@@ -1,0 +1,1 @@
+"""Deliberate faults that the test suite must notice."""

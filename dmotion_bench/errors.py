@@ -26,7 +26,7 @@
     ├── FolderInUse                   another process writes into the folder
     ├── StorageFull                   no space left on the device
     ├── ViewerError                   Rerun could not be started or reached
-    └── Interrupted                   by Ctrl-C, in a command that does not go on where it stopped: exit with 130
+    └── Interrupted                   in a command that does not go on where it stopped: exit with 130, 143 or 129
 
 Each message says what was given, what is allowed, and the next command to type.
 """
@@ -35,7 +35,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.wording import sentence, shown
@@ -120,12 +119,6 @@ class DatasetVersionUnknown(DatasetError):
 class CacheNotWritable(DatasetError):
     """What is derived from a data set cannot be kept where it should be."""
 
-    def __init__(self, folder: Path, why: str) -> None:
-        super().__init__(
-            f"no cache can be written into {str(folder)!r}: {why}; name another folder with '--cache DIR', or in the "
-            "variable DMBENCH_CACHE."
-        )
-
 
 class RecipeMismatch(DatasetError):
     """The folder holds a data set that another recipe made."""
@@ -188,4 +181,4 @@ class ViewerError(DmbenchError):
 
 
 class Interrupted(DmbenchError):
-    """Ctrl-C in a command that starts anew when it is called again."""
+    """Ctrl-C or a signal in a command that starts anew when it is called again."""

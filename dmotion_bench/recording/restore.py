@@ -78,6 +78,7 @@ def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor)
     staging = path / _STAGING
     with held(path):
         shutil.rmtree(staging, ignore_errors=True)
+        staging.mkdir()
         try:
             jobs = [ShardJob(dataset=staging, recipe=manifest.recipe, spec=manifest.spec, index=one) for one in shards]
             for receipt in executor.map_unordered(record_shard, jobs):

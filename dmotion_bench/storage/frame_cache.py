@@ -141,15 +141,18 @@ class CacheFile:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise CacheNotWritable(self.folder, error.strerror or "it cannot be made") from None
+            raise self._not_writable(error.strerror) from None
         if not os.access(self.folder, os.W_OK):
-            raise CacheNotWritable(self.folder, "it is read-only")
+            raise self._not_writable("it is read-only")
         free = shutil.disk_usage(self.folder).free
         if self.bytes > free:
             raise StorageFull(
                 f"the frames take {self.bytes / _GIB:.1f} GiB as a cache in {str(self.folder)!r}, where "
                 f"{free / _GIB:.1f} GiB are free; free some, or {ANOTHER_CACHE}."
             )
+
+    def _not_writable(self, why: str) -> CacheNotWritable:
+        return CacheNotWritable(f"no cache can be written into {str(self.folder)!r}: {why}; {ANOTHER_CACHE}.")
 
     def remove_others(self) -> None:
         """Delete the caches of earlier states of the data set; only for a folder that no other data set uses."""

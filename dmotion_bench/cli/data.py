@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from dmotion_bench.cli import data_export, data_import
+from dmotion_bench.wording import command
 
 group = typer.Typer(
     help="Look at a data set, check it, mend it; import recordings, export data sets.", no_args_is_help=True
@@ -100,7 +101,8 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
             typer.echo(f"{damage.file} {damage.what}")
     if report.damages:
         raise DatasetCorrupt(
-            f"{str(folder)!r} is damaged in {len(report.damages)} places; mend it with 'dmbench data repair {folder}'."
+            f"{str(folder)!r} is damaged in {len(report.damages)} places; mend it with "
+            f"{command('dmbench data repair', folder)}."
         )
     if not as_json:
         typer.echo(f"{folder} is sound: {recipe.episodes} episodes, {frames} frames, labels {report.labels}.")

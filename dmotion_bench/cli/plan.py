@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.wording import command
+
 if TYPE_CHECKING:
     from dmotion_bench.learning.model import ForwardModel
     from dmotion_bench.planning.control import ControlResult
@@ -180,4 +182,4 @@ def _show(summary: dict[str, Any], save: Path | None) -> None:
         each = summary["frames"] / summary["steps"]
         typer.echo(f"  {each:.0f} frames imagined a step, {summary['planning_seconds']:.1f} s of planning in all")
     if save is not None:
-        typer.echo(f"Watch it with 'dmbench view {save}'.")
+        typer.echo(f"Watch it with {command('dmbench view', save)}.")

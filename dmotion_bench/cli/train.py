@@ -13,6 +13,7 @@ from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
 from dmotion_bench.specs import Preset
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.viewing.follow import Follower
@@ -95,6 +96,8 @@ def train(
     folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
         raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave --resume away to begin one.")
+    if not (folder / RUN_MANIFEST).exists() and folder.is_dir() and any(folder.iterdir()):
+        raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
     run = open_run(request, dataset, folder, workspace)
     with following(lambda: _follower(run.path), live, live_to) as poll:
         _tell(run, dataset, train_run(run, dataset, device, poll), as_json)
@@ -130,7 +133,7 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
     if run.spec.labels == "none" and dataset.spec.actions:
         typer.echo("Its actions have no names yet; '--labels one-shot' takes this training over and names them.")
     else:
-        typer.echo(f"Score it with 'dmbench score {run.path}'.")
+        typer.echo(f"Score it with {command('dmbench score', run.path)}.")
 
 
 def _train_all(

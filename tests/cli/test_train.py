@@ -244,3 +244,16 @@ def test_the_frames_of_a_data_set_that_is_read_only_are_kept_elsewhere(
     assert run(*words, "--cache", str(tmp_path / "elsewhere")).code == 0
     assert run("score", str(tmp_path / "run"), "--cache", str(tmp_path / "elsewhere")).code == 0
     assert [file.suffix for file in (tmp_path / "elsewhere").iterdir()] == [".arrow"]
+
+
+@pytest.mark.parametrize("out", ["", ".", "/"])
+def test_a_folder_of_other_things_is_left_alone(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str
+) -> None:
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "notes.txt").touch()
+    monkeypatch.chdir(tmp_path / "project")
+    outcome = run("train", "dmotion", *QUICK, "--out", out)
+    assert outcome.code == 2
+    assert "is not empty and holds no run; name another folder" in outcome.sentence()
+    assert [file.name for file in (tmp_path / "project").iterdir()] == ["notes.txt"]

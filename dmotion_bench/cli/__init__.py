@@ -10,7 +10,7 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Entry point of the ``dmbench`` script; also what interrupts its loading ends it without a traceback."""
+    """Entry point of the ``dmbench`` script. Ctrl-C ends it without a traceback, also while it is still loading."""
     try:
         from dmotion_bench.cli.app import main as run
     except KeyboardInterrupt:

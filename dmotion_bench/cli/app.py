@@ -18,7 +18,7 @@ from dmotion_bench.storage.atomic import FULL
 
 app = typer.Typer(
     name="dmbench",
-    help="The benchmark for forward models learned from robot video without action labels.",
+    help="Compare models that predict the next camera image, learned from robot video without action labels.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -44,7 +44,7 @@ COMMANDS = (
 
 
 IN_THE_WAY = (errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL)
-"""Error numbers of a path that cannot be what it should be."""
+"""Error numbers of paths at which the file or folder cannot be created or read."""
 
 INTERRUPTED = "interrupted; run the same command again to go on where it stopped."
 
@@ -58,10 +58,10 @@ def _version(value: bool) -> None:
 @app.callback()
 def dmbench(
     version: bool = typer.Option(
-        False, "--version", help="Print the version and leave.", callback=_version, is_eager=True
+        False, "--version", help="Print the version and exit.", callback=_version, is_eager=True
     ),
 ) -> None:
-    """The benchmark for forward models learned from robot video without action labels."""
+    """Compare models that predict the next camera image, learned from robot video without action labels."""
 
 
 def register_commands() -> None:
@@ -83,7 +83,7 @@ def _fail(sentence: str, code: int) -> NoReturn:
 
 
 def main() -> None:
-    """Run the command that was typed; say in a sentence what is wrong."""
+    """Run the command that was typed; print an error as one sentence."""
     try:
         register_commands()
         app(prog_name="dmbench", standalone_mode=True)

@@ -43,7 +43,7 @@ def test_json_has_the_names_that_scripts_rely_on(run: Run, tmp_path: Path) -> No
 def test_the_same_command_completes_and_a_larger_number_extends(run: Run, tmp_path: Path) -> None:
     words = ("record", "grid_world", "--preset", "tiny", "--workers", "1")
     assert run(*words, "--episodes", "25").code == 0
-    assert "it was complete already" in run(*words, "--episodes", "25").out
+    assert "the data set was complete already" in run(*words, "--episodes", "25").out
     first = files_of(tmp_path / "data" / "grid_world-tiny")
     assert run(*words, "--episodes", "45", "--json").code == 0
     assert run(*words, "--episodes", "45", "--out", str(tmp_path / "at once")).code == 0
@@ -111,7 +111,7 @@ def test_variation_has_a_folder_of_its_own_and_the_command_that_goes_on_says_it(
     assert outcome.code == 1
     command = outcome.err.split("To go on with it: ")[1].split("; for a new one")[0].strip("'\"")
     assert "--vary friction,light --set objects=2 --set shapes=square --ranges shifted" in command
-    assert "it was complete already" in run(*shlex.split(command)[1:]).out
+    assert "the data set was complete already" in run(*shlex.split(command)[1:]).out
     assert files_of(shifted) == before
 
 

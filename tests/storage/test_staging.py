@@ -81,7 +81,7 @@ def test_ctrl_c_leaves_nothing_and_says_so(command: str, recording: Path, worksp
     ended = finish(process)
     assert ended.code == 130
     assert ended.sentence() == (
-        f"dmbench: interrupted; nothing is left of the {command}, the same command starts it anew.\n"
+        f"dmbench: interrupted; the unfinished {command} was removed. Run the same command again to start over.\n"
     )
     assert names(workspace) == []
 

@@ -142,16 +142,20 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
     boards = [_board(own, published.get(key[0], [])) for key, own in groups.items()]
     lonely = set(published) - {key[0] for key in groups}
     boards += [Board(environment=name, rows=_sorted(map(_published_row, published[name]))) for name in lonely]
-    return sorted(boards, key=lambda board: (board.environment, board.protocol, board.dataset, board.fingerprint))
+    return sorted(
+        boards,
+        key=lambda board: (board.environment, -board.version, board.protocol, board.dataset, board.fingerprint),
+    )
 
 
 def _board_key(entry: Entry) -> tuple[str, ...]:
     settings, dataset = entry.content["settings"], entry.content["dataset"]
-    return entry.environment, dataset["name"], dataset["fingerprint"], str(settings["split"]), str(settings["protocol"])
+    of = entry.environment, str(entry.version), dataset["name"], dataset["fingerprint"]
+    return *of, str(settings["split"]), str(settings["protocol"])
 
 
 def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
-    environment, dataset, fingerprint, split, protocol = _board_key(entries[0])
+    environment, _, dataset, fingerprint, split, protocol = _board_key(entries[0])
     planner = _planner_of(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     twins: dict[tuple[str, ...], int] = defaultdict(int)

@@ -15,7 +15,6 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import torch
 
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.control import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
@@ -197,9 +196,8 @@ def _plan_anew(
     groups = range(0, len(problems), scoring.group)
     first = groups[int(check.entry.content["weights"][:8], 16) % len(groups)]
     group = problems[first : first + scoring.group]
-    weights = run.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     planner = make_planner(scoring.planner)
-    model = ModelController(weights, dataset.spec, planner, cost=scoring.cost, device=how.device)
+    model = ModelController(run.model.laid_out(), dataset.spec, planner, cost=scoring.cost, device=how.device)
     witness = _Repeater(actions, model)
     few = ControlScoring(steps=min(PLANNED, scoring.steps), seed=scoring.seed, group=scoring.group)
     _control(witness, group, dataset, few, how, "control, planned anew")

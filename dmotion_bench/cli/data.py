@@ -132,6 +132,8 @@ def repair(
     elif done.how == "restored":
         anew = f"{len(done.shards)} shards were recorded anew, " if done.shards else "its tables were made anew, "
         typer.echo(f"{folder} is restored: {anew}byte for byte as they were.")
+    elif done.how == "cache":
+        typer.echo(f"{folder} is sound; its damaged cache was deleted and is made anew when it is needed.")
     else:
         typer.echo(f"{folder} is sound; nothing was changed.")
 

@@ -16,7 +16,7 @@ from dmotion_bench.errors import Interrupted, UnknownName
 if TYPE_CHECKING:
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.storage.exports.lerobot import ExportReport
-    from dmotion_bench.storage.video import Codec
+    from dmotion_bench.storage.video.codecs import Codec
 
 FORMATS = ("lerobot",)
 
@@ -54,7 +54,7 @@ def data_export(
     The command also decodes the video that it wrote and prints how much the codec lost.
     """
     from dmotion_bench.storage.dataset import Dataset
-    from dmotion_bench.storage.video import CODECS
+    from dmotion_bench.storage.video.codecs import CODECS
     from dmotion_bench.workspace import Workspace
 
     for option, given, allowed in (("format", format_, FORMATS), ("codec", codec, tuple(CODECS))):

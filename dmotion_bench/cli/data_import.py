@@ -28,17 +28,36 @@ def register(data: typer.Typer) -> None:
 
 def data_import(
     recordings: Annotated[
-        list[Path], typer.Argument(help="MCAP files, folders of MCAP files, or folders of LeRobot data sets (v3).")
+        list[Path],
+        typer.Argument(
+            help="What to import: MCAP, MP4, MKV, WebM, AVI or HDF5 files, folders of such files, folders of pictures, "
+            "or LeRobot data sets."
+        ),
     ],
     camera: Annotated[
-        str | None, typer.Option(help="Topic (MCAP) or feature (LeRobot) with the pictures. Default: the only one.")
+        str | None,
+        typer.Option(
+            help="Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera. Default: the only "
+            "one."
+        ),
     ] = None,
     actions: Annotated[
         str | None,
-        typer.Option(help="Topic or feature with discrete actions; they become labels. Default: import video alone."),
+        typer.Option(
+            help="Topic, feature or path with discrete actions; they become labels. Default: import video alone."
+        ),
     ] = None,
     size: Annotated[int, typer.Option(min=8, max=4096, help="Height and width of the frames, in pixels.")] = 128,
     hz: Annotated[float, typer.Option(min=0.01, max=1000, help="Frames per second of the data set.")] = 10.0,
+    source_hz: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001,
+            max=10_000,
+            help="Pictures per second of a recording without times (pictures, HDF5), or in place of a video's times. "
+            "Default: what the file says, else --hz.",
+        ),
+    ] = None,
     fit: Annotated[
         str, typer.Option(metavar="[crop|pad|stretch]", help="How a picture that is not square is made square.")
     ] = "crop",
@@ -68,12 +87,13 @@ def data_import(
         ),
     ] = False,
     max_chunk: Annotated[
-        int, typer.Option(min=1, help="Largest size of a decompressed chunk of a file, in MiB.")
+        int, typer.Option(min=1, help="Largest size of a decompressed chunk of an MCAP file, in MiB.")
     ] = 1024,
+    max_memory: Annotated[int, typer.Option(min=64, help="Most memory to decode a video with, in MiB.")] = 1024,
     out: Annotated[Path | None, typer.Option(help="Folder of the data set. Default: data/imported-NAME.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a data set from MCAP recordings (foxglove, ROS 2) or LeRobot data sets.
+    """Make a data set from recordings: videos, pictures, MCAP (foxglove, ROS 2), HDF5 (robomimic) or LeRobot data sets.
 
     The command checks the times and sizes of all recordings first. If one cannot be imported, it writes nothing.
     """
@@ -98,7 +118,8 @@ def data_import(
         frames_per_episode=frames_per_episode,
         seed=seed,
         salvage=salvage,
-        limits=ImportLimits(chunk_bytes=max_chunk * MIB),
+        source_hz=source_hz,
+        limits=ImportLimits(chunk_bytes=max_chunk * MIB, reader_bytes=max_memory * MIB),
     )
     folder = out or Workspace.current().data / f"imported-{_plain(recordings[0])}"
     report = _import_with_progress(recordings, folder, options)
@@ -127,8 +148,13 @@ def _import_with_progress(recordings: list[Path], folder: Path, options: ImportO
 
 
 def _plain(path: Path) -> str:
-    """A file's name as a folder's name: letters, digits, dots, dashes."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", path.resolve().name.removesuffix(".mcap")).strip("-.") or "recording"
+    """A file's name as a folder's name: letters, digits, dots, dashes, and no suffix of a recording."""
+    from dmotion_bench.storage.imports.sources import SUFFIXES
+
+    name = path.resolve().name
+    if path.is_file():
+        name = name[: -max((len(suffix) for suffix in SUFFIXES if name.lower().endswith(suffix)), default=0) or None]
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "recording"
 
 
 def _summary(report: ImportReport, options: ImportOptions) -> str:

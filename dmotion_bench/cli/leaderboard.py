@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.options import AsJson
 
 GROUP = "dmbench.leaderboard"
@@ -77,6 +78,7 @@ def check(
         float,
         typer.Option(min=0.0, max=1.0, help="Share of samples that may differ, because processors round differently."),
     ] = 0.0,
+    cache: CacheFolder = None,
     as_json: AsJson = False,
 ) -> None:
     """Check that the figures of entries are right: score them again from their weights and data."""
@@ -84,6 +86,7 @@ def check(
     from dmotion_bench.errors import RunError, UsageError
     from dmotion_bench.workspace import Workspace
 
+    use_cache(cache)
     workspace = Workspace.current()
     built = workspace.reports / FOLDER / "entries"
     if not paths and not built.is_dir():

@@ -32,7 +32,7 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
 def environments(as_json: AsJson = False) -> None:
     """List the environments that can be recorded, and the factors that can vary in them."""
     from dmotion_bench.environment import Varied
-    from dmotion_bench.registry import environment_class, environment_names
+    from dmotion_bench.registry import environment_class, environment_names, environment_versions
 
     rows: list[dict[str, object]] = []
     for name in environment_names():
@@ -42,6 +42,8 @@ def environments(as_json: AsJson = False) -> None:
         factors: dict[str, str] = dict(kind.factors) if isinstance(kind, Varied) else {}
         varied = factors if as_json else ", ".join(factors) or "nothing"
         rows.append({"environment": name, "presets": presets, "--vary": varied, "what": summary})
+        if as_json:
+            rows[-1]["versions"] = dict(environment_versions(name)) or {1: summary}
     if as_json:
         rows = [{"factors" if key == "--vary" else key: value for key, value in row.items()} for row in rows]
     _show("environments", rows, as_json, "none is installed.")

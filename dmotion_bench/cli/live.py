@@ -76,8 +76,6 @@ def live_recording(
         window, web, save: Where it is watched; nowhere if none is given.
         linger: Whether to wait for the viewer to be closed.
     """
-    import signal
-
     from dmotion_bench.cli.progress import note
     from dmotion_bench.viewing.live import recording_to
     from dmotion_bench.viewing.viewer import open_live
@@ -87,10 +85,6 @@ def live_recording(
             yield recording
         return
 
-    def leave(_signal: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, leave)  # else Rerun would outlive this process
     with open_live(web=web) as viewer:
         if viewer.page is not None:
             typer.echo(viewer.page, err=True)

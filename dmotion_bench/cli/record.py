@@ -128,7 +128,7 @@ def record(
     hands = make_executor(
         executor,
         min(workers, shard_count(recipe)) if workers else None,
-        scratch=folder.with_name(f".{folder.name}-jobs"),
+        scratch=folder.absolute().parent / f".{folder.absolute().name}-jobs",
     )
     with following(lambda: _follower(folder, recipe), live, live_to) as poll:
         _tell(record_with_progress(folder, recipe, hands, poll), recipe.tasks, as_json)

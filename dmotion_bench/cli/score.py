@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.options import (
     DEVICES,
     METRICS,
@@ -80,6 +81,7 @@ def score(
         ),
     ] = "float32",
     device: Device = "auto",
+    cache: CacheFolder = None,
     as_json: AsJson = False,
 ) -> None:
     """Compute the figures of runs on test episodes, of their own data set or of another one."""
@@ -89,6 +91,7 @@ def score(
     require_one_of("split", split, ("test", "validation"))
     require_one_of("precision", precision, ("float32", "bf16"))
     require_one_of("device", device, DEVICES)
+    use_cache(cache)
     asked = _metrics(metrics)
     workspace = Workspace.current()
     if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):

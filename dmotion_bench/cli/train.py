@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import DEVICES, AsJson, Device, listed, require_one_of
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
@@ -80,6 +81,7 @@ def train(
     out: Annotated[Path | None, typer.Option(help="Folder of the run. Default: runs/NAME.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue an existing run; fail if there is none.")] = False,
     device: Device = "auto",
+    cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
     as_json: AsJson = False,
@@ -91,6 +93,7 @@ def train(
 
     require_one_of("split", split, ("episode", "paper"))
     require_one_of("device", device, DEVICES)
+    use_cache(cache)
     workspace = Workspace.current()
     if everything:
         own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}

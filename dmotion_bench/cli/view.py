@@ -251,15 +251,9 @@ def _animate(
 
 def _show(file: Path, web: bool) -> None:
     """Show a file until the window is closed, Ctrl-C is pressed, or the process is asked to end."""
-    import signal
-
     from dmotion_bench.cli.progress import note
     from dmotion_bench.viewing.viewer import serve_web, show_window
 
-    def leave(_signal: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, leave)  # else Rerun would outlive this process
     try:
         if not web:
             note("Rerun is open; close its window or press Ctrl-C to continue.")

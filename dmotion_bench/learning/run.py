@@ -30,7 +30,7 @@ from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConf
 from dmotion_bench.learning.settings import from_json, to_json
 from dmotion_bench.registry import model_class
 from dmotion_bench.storage.atomic import write_atomically
-from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
 
 RUN_FORMAT = "dmbench-run/1"
 
@@ -89,7 +89,9 @@ class RunSpec:
         kind = model_class(self.model)
         with torch.random.fork_rng():
             torch.manual_seed(self.seed)
-            return kind(from_json(kind.Config, self.config), self.inputs)
+            model = kind(from_json(kind.Config, self.config), self.inputs)
+        model.channels_last = self.training_config.channels_last
+        return model
 
 
 class Run:
@@ -106,13 +108,14 @@ class Run:
         self.spec = from_json(RunSpec, manifest["spec"])
 
     @classmethod
-    def open(cls, path: Path) -> Run:
+    def open(cls, path: AnyPath) -> Run:
         """A run that exists, finished or not.
 
         Raises:
             RunMissing: The folder holds no run.
             RunCorrupt: Its manifest cannot be read, or is of another version.
         """
+        path = Path(path)
         try:
             manifest = json.loads((path / RUN_MANIFEST).read_text())
         except (FileNotFoundError, NotADirectoryError):

@@ -23,9 +23,9 @@ from lightning_fabric import Fabric
 from torch import Tensor
 
 from dmotion_bench.errors import RunError
+from dmotion_bench.interrupts import stop_between_steps
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
-from dmotion_bench.learning.interrupts import stop_between_steps
 from dmotion_bench.learning.metrics_log import MetricsLog
 from dmotion_bench.learning.model import ForwardModel, TrainingConfig
 from dmotion_bench.learning.optimization import (
@@ -106,9 +106,7 @@ class _Trainer:
     def __init__(self, run: Run, data: TrainingData, fabric: Fabric) -> None:
         self.run, self.data, self.fabric = run, data, fabric
         self.config: TrainingConfig = run.spec.training_config
-        self.model: ForwardModel[Any] = run.spec.build()
-        if self.config.channels_last:
-            self.model = self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.model: ForwardModel[Any] = run.spec.build().laid_out()
         self.demonstrations = demonstrations_of(
             data, fabric.device
         )  # asked for first: what is missing is said before the work

@@ -44,6 +44,7 @@ from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import CONTROL_OF_CODE
 from dmotion_bench.scoring.samples import SampleRows
 from dmotion_bench.specs import EnvSpec
+from dmotion_bench.workspace import cache_folder
 
 METRIC: Final = "control"
 QUICK: Final = ("idle", "random", "scripted")
@@ -268,7 +269,7 @@ def _kept(name: str, dataset: TaskDataset, scoring: ControlScoring) -> Path:
 
 def _place(name: str, dataset: TaskDataset, key: Mapping[str, Any]) -> Path:
     text = json.dumps(key, sort_keys=True)
-    return dataset.path / "cache" / f"control-{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
+    return cache_folder(dataset.path) / f"control-{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
 
 
 def _codes() -> list[str]:

@@ -9,7 +9,6 @@ from typing import Any, Literal, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import torch
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
@@ -44,10 +43,11 @@ from dmotion_bench.scoring.samples import SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
 from dmotion_bench.scoring.transfer import report_folder, require_transferable
 from dmotion_bench.scoring.transitions import HeldOut
-from dmotion_bench.specs import SplitName
+from dmotion_bench.specs import VERSION, SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.versions import versions
+from dmotion_bench.workspace import AnyPath
 
 Metric = Literal["prediction", "rollout", "control"]
 METRICS: tuple[Metric, ...] = get_args(Metric)
@@ -151,7 +151,7 @@ def score_model(
     """
     settings, how = settings or ScoreSettings(), how or Execution()
     references = references or ReferenceScores()
-    model = model.to(how.device).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    model = model.to(how.device).laid_out().eval()
     if not dataset.spec.actions:
         with predicting(how.device, settings.precision):
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
@@ -188,14 +188,14 @@ def _scores(samples: pa.Table, settings: ScoreSettings) -> Scores:
 
 
 def score_run(
-    path: Path,
+    path: AnyPath,
     *,
     metrics: tuple[Metric, ...] = DEFAULT_METRICS,
     settings: ScoreSettings | None = None,
     how: Execution | None = None,
     references: ReferenceScores | None = None,
     renew: bool = True,
-    data: Path | None = None,
+    data: AnyPath | None = None,
 ) -> Report:
     """Score a run on the held-out episodes of its data set, or of another one, and write its report.
 
@@ -341,6 +341,7 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             "environment": dataset.recipe.environment,
             "fingerprint": dataset.fingerprint,
         }
+        | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
         | elsewhere,
         weights=result["weights"],
         settings=settings.to_json(metrics),

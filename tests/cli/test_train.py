@@ -184,8 +184,9 @@ def test_without_labels_one_demonstration_is_too_much(run: Command, data: Path) 
     assert run("train", "dmotion", *QUICK, "--labels", "none").code == 0
 
 
-def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
-    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_says_how_to_go_on_and_the_same_command_does(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sign: signal.Signals
 ) -> None:
     words = ("train", "dmotion", "--set", "batch_size=4", "--set", "epochs=2", "--out", str(tmp_path / "run"))
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # bits depend on the number of threads; the tests have one
@@ -194,9 +195,9 @@ def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
     deadline = time.monotonic() + 100
     while not (metrics.exists() and metrics.read_text().count("\n") > 3) and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sign)
     outcome = finish(process)
-    assert outcome.code == 130
+    assert outcome.code == 128 + sign
     assert "run the same command again" in outcome.sentence()
     stopped = Run.open(tmp_path / "run")
     assert stopped.result is None
@@ -229,3 +230,17 @@ def test_a_truncated_checkpoint_is_said(run: Command, data: Path, tmp_path: Path
     outcome = run("score", str(tmp_path / "run"))
     assert outcome.code == 1
     assert "cannot be read" in outcome.sentence()
+
+
+def test_the_frames_of_a_data_set_that_is_read_only_are_kept_elsewhere(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DMBENCH_CACHE", "")  # and put back afterwards
+    (data / "cache").touch()  # nobody can write a cache there, not even root
+    words = ("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
+    outcome = run(*words)
+    assert outcome.code == 1
+    assert "name another folder with '--cache DIR', or in the variable DMBENCH_CACHE" in outcome.sentence()
+    assert run(*words, "--cache", str(tmp_path / "elsewhere")).code == 0
+    assert run("score", str(tmp_path / "run"), "--cache", str(tmp_path / "elsewhere")).code == 0
+    assert [file.suffix for file in (tmp_path / "elsewhere").iterdir()] == [".arrow"]

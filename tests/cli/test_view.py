@@ -110,13 +110,30 @@ def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign
         with urllib.request.urlopen(url, timeout=30) as answer:
             assert answer.status == 200
         process.send_signal(sign)
-        assert process.wait(timeout=20) == 0
+        assert process.wait(timeout=20) == (0 if sign == signal.SIGINT else 143)
     finally:
         process.kill()
         process.communicate()
-    time.sleep(0.2)
+    assert_nobody_serves(url)
+
+
+def assert_nobody_serves(url: str) -> None:
+    page = f"--web-viewer-port {url.split(':')[2].split('?')[0]}"
+    deadline = time.monotonic() + 10
+    while page in subprocess.check_output(["ps", "ax"], text=True):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
     with pytest.raises(OSError, match="refused"), urllib.request.urlopen(url, timeout=5):
         pass
-    assert f"--web-viewer-port {url.split(':')[2].split('?')[0]}" not in subprocess.check_output(
-        ["ps", "ax"], text=True
-    )
+
+
+def test_a_killed_command_leaves_no_viewer_behind(workspace: Path) -> None:
+    process = start_dmbench(["view", "squares-tiny", "--web"], workspace)
+    assert process.stdout is not None
+    assert select.select([process.stdout], [], [], 60)[0]
+    url = process.stdout.readline().strip()
+    with urllib.request.urlopen(url, timeout=30) as answer:
+        assert answer.status == 200
+    process.kill()
+    finish(process)
+    assert_nobody_serves(url)

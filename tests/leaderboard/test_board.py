@@ -12,6 +12,7 @@ import pytest
 from leaderboard.board import Board, Row, make_boards
 from leaderboard.curves import assign_styles, legend
 from leaderboard.entry import Entry
+from leaderboard.page import make_page
 from leaderboard.standings import control_standings
 
 Changed = Callable[..., Entry]
@@ -49,6 +50,23 @@ def _published(model: str = "dmotion", mse: float = 14.3) -> Entry:
             "note": "somewhere",
         }
     )
+
+
+def test_versions_of_an_environment_have_boards_of_their_own(result: Callable[..., Entry]) -> None:
+    errors = np.linspace(1, 3, 40)
+    later = result("new", errors)  # the conftest records version 2
+    first = {name: value for name, value in later.content["dataset"].items() if name != "version"}
+    old = result("old", errors, dataset=first)
+
+    boards = make_boards([old, later, _published()])
+
+    assert [board.title for board in boards] == ["Grid World, version 2", "Grid World"]
+    measured = [[row.name for row in board.rows if row.kind == "measured"] for board in boards]
+    assert measured == [["new"], ["old"]]
+    page = make_page([old, later, _published()])
+    assert page.count("is of version 1 of grid_world: drawn on the 128 x 128 pixels themselves") == 1
+    assert "records version 2: drawn as the paper&#x27;s published code does" in page
+    assert "is of version" not in make_page([later, _published()])
 
 
 def _row(board: Board, name: str) -> Row:

@@ -122,6 +122,7 @@ def test_what_is_not_here_makes_an_entry_neither_sound_nor_wrong(
     [
         ("dataset", {"name": "grid_world-paper"}, "dataset.name: "),
         ("dataset", {"environment": "robot_push"}, "dataset.environment: "),
+        ("dataset", {"version": 3}, "dataset.version: the entry says 3, it is 2"),
         ("samples", {"sha256": "0" * 64}, "samples.sha256: "),
         ("samples", {"rows": 3}, "samples.rows: "),
         ("settings", {"resamples": 3}, "figures, from the samples: "),

@@ -52,7 +52,9 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def controlled(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """A run scored for control, the oracle beside it; read only."""
     workspace = Workspace(tmp_path_factory.mktemp("controlled"))
-    recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=4)
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", episodes=30, frames=32, tasks=4
+    )
     record_dataset(workspace.data / "pushed-tiny", recipe)
     dataset = Dataset.open(workspace.data / "pushed-tiny")
     with pytest.MonkeyPatch.context() as patch:

@@ -47,7 +47,9 @@ def _few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def tasks(tmp_path: Path) -> Dataset:
     """A Grid World with tasks; its cache is empty."""
-    recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=4)
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", episodes=30, frames=32, tasks=4
+    )
     record_dataset(tmp_path / "grid", recipe)
     return Dataset.open(tmp_path / "grid")
 

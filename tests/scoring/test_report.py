@@ -89,6 +89,7 @@ def test_the_report_says_how_it_was_made(make_run: MakeRun, grid: Dataset, tmp_p
         "name": "grid_world-tiny",
         "environment": "grid_world",
         "fingerprint": grid.fingerprint,
+        "version": 2,
     }
     assert report["labels"] == {"asked": "one-shot", "given": {"demonstrations": 4}, "total": 4}
     assert report["training"]["seconds"] == 1.5

@@ -75,11 +75,14 @@ def test_what_a_killed_one_leaves_is_cleaned_by_the_next(command: str, recording
 
 
 @pytest.mark.parametrize("command", ["import", "export"])
-def test_ctrl_c_leaves_nothing_and_says_so(command: str, recording: Path, workspace: Path) -> None:
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_leaves_nothing_and_says_so(
+    command: str, sign: signal.Signals, recording: Path, workspace: Path
+) -> None:
     process = caught_writing(command, recording, workspace)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sign)
     ended = finish(process)
-    assert ended.code == 130
+    assert ended.code == 128 + sign
     assert ended.sentence() == (
         f"dmbench: interrupted; the unfinished {command} was removed. Run the same command again to start over.\n"
     )

@@ -66,9 +66,9 @@ def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
     if known:
         listed = ", ".join(map(str, known[:_SHOWN])) + (" ..." if len(known) > _SHOWN else "")
         raise RunMismatch(
-            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} begin as episodes do that "
-            f"{run.name!r} was trained on (episodes {listed}: same seed, same picture); record the data set with "
-            f"another '--seed'."
+            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} have the seed and the first "
+            f"picture of episodes that {run.name!r} was trained on (episodes {listed}); record the data set with "
+            "another '--seed'."
         )
 
 

@@ -146,7 +146,7 @@ def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
         (["a", "--metrics", "predicton"], UnknownName, "did you mean 'prediction'"),
         (["a", "--metrics", ""], UsageError, "names no group"),
         (["oracle"], UsageError, "score it with '--metrics control'"),
-        (["a", "oracle", "--metrics", "control"], UsageError, "name no runs beside them"),
+        (["a", "oracle", "--metrics", "control"], UsageError, "name only references, or only runs"),
         (["a", "--data", "grid"], UnknownName, "no data set named 'grid'"),
         (["a", "--metrics", "control", "--planner", "cen"], UnknownName, "did you mean 'cem'"),
         (["a", "--split", "train"], UnknownName, "known: test, validation"),

@@ -97,7 +97,7 @@ def test_a_finished_run_whose_weights_are_damaged_is_trained_anew(run: Command, 
 
 def test_without_labels_nothing_says_what_an_action_does(run: Command, data: Path, tmp_path: Path) -> None:
     trained = run("train", "dmotion", *QUICK, "--labels", "none", "--out", str(tmp_path / "run"))
-    assert "'--labels one-shot' takes this training over" in trained.out
+    assert "with '--labels one-shot' tells it, without training again" in trained.out
     for command in (("score",), ("plan", "--json")):
         outcome = run(command[0], str(tmp_path / "run"), *command[1:])
         assert outcome.code == 1

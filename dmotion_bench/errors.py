@@ -11,6 +11,7 @@
     │   ├── DatasetIncomplete         recording was interrupted; the command that goes on is named
     │   ├── DatasetCorrupt            bytes that are not what was written
     │   ├── DatasetVersionUnknown     written by another version of the format
+    │   ├── CacheNotWritable          what is derived from a data set can be kept nowhere; another folder helps
     │   └── RecipeMismatch            the folder holds a data set made by another recipe
     ├── RecordingImportError          a foreign recording that cannot be read
     │   └── RecordingTruncated        it ends in the middle
@@ -25,7 +26,7 @@
     ├── FolderInUse                   another process writes into the folder
     ├── StorageFull                   no space left on the device
     ├── ViewerError                   Rerun could not be started or reached
-    └── Interrupted                   by Ctrl-C, in a command that does not go on where it stopped: exit with 130
+    └── Interrupted                   in a command that does not go on where it stopped: exit with 130, 143 or 129
 
 Each message says what was given, what is allowed, and the next command to type.
 """
@@ -115,6 +116,10 @@ class DatasetVersionUnknown(DatasetError):
     """The data set was written by another version of the format."""
 
 
+class CacheNotWritable(DatasetError):
+    """What is derived from a data set cannot be kept where it should be."""
+
+
 class RecipeMismatch(DatasetError):
     """The folder holds a data set that another recipe made."""
 
@@ -176,4 +181,4 @@ class ViewerError(DmbenchError):
 
 
 class Interrupted(DmbenchError):
-    """Ctrl-C in a command that starts anew when it is called again."""
+    """Ctrl-C or a signal in a command that starts anew when it is called again."""

@@ -116,5 +116,5 @@ def _against_report(check: Findings, folder: Path) -> None:
     if report is None:
         check.wrong.append(f"report: there is none of this protocol in {str(folder)!r}")
         return
-    for name in ("versions", "remarks"):
-        check.expect(name, check.entry.content[name], getattr(report, name))
+    for name in ("versions", "remarks", "planning"):
+        check.expect(name, check.entry.content.get(name, {}), getattr(report, name))

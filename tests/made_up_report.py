@@ -47,7 +47,6 @@ def write_made_up(run: Run, mse: Mapping[int, Sequence[float]], column: str = "m
         settings={"split": "test", "metrics": ["prediction", "rollout"]},
         training={},
         versions={},
-        code="",
         figures=figures,
         reference={"copy_last": {"mse": figure(99.0)}},
     )

@@ -4,15 +4,31 @@ Every command lives in a file of its own; what it needs beyond the core's light 
 runs, so that ``dmbench --help`` loads no torch.
 """
 
+import os
 import sys
+
+from dmotion_bench.interrupts import ended_like_ctrl_c, exit_code
 
 __all__ = ["main"]
 
 
 def main() -> None:
-    """Entry point of the ``dmbench`` script; also what interrupts its loading ends it without a traceback."""
-    try:
-        from dmotion_bench.cli.app import main as run
-    except KeyboardInterrupt:
-        sys.exit(130)
-    run()
+    """Entry point of the ``dmbench`` script. Ctrl-C ends it without a traceback, also while it is still loading."""
+    _open_streams()
+    with ended_like_ctrl_c():
+        try:
+            from dmotion_bench.cli.app import main as run
+        except KeyboardInterrupt:
+            sys.exit(exit_code())
+        run()
+
+
+def _open_streams() -> None:
+    """Open closed streams (``2>&-``) on /dev/null; else the next file that is opened would take the stream's number."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free: this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))

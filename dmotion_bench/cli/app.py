@@ -1,24 +1,32 @@
 """The Typer application, and the one place where errors become sentences and exit codes.
 
-Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted by Ctrl-C, 143 by SIGTERM, 129 by a closed terminal.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import importlib
+import logging
+import os
 import sys
+from collections.abc import Iterator
 from typing import NoReturn
 
 import typer
 
 from dmotion_bench import __version__
-from dmotion_bench.errors import DmbenchError, Interrupted, StorageFull, UsageError
+from dmotion_bench.errors import DmbenchError, Interrupted, UsageError
+from dmotion_bench.interrupts import exit_code, received
 from dmotion_bench.storage.atomic import FULL
+from dmotion_bench.storage.limits import LONGEST_TEXT
+from dmotion_bench.wording import sentence, shown
+from dmotion_bench.workspace import CACHE_VARIABLE
 
 app = typer.Typer(
     name="dmbench",
-    help="The benchmark for forward models learned from robot video without action labels.",
+    help="Compare models that predict the next camera image, learned from robot video without action labels.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -43,10 +51,9 @@ COMMANDS = (
 """Modules of this package, in the order of ``dmbench --help``; each has ``register(app)``."""
 
 
-IN_THE_WAY = (errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL)
-"""Error numbers of a path that cannot be what it should be."""
-
 INTERRUPTED = "interrupted; run the same command again to go on where it stopped."
+_DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
+_GONE = (errno.ENOENT, errno.ESTALE)
 
 
 def _version(value: bool) -> None:
@@ -58,10 +65,10 @@ def _version(value: bool) -> None:
 @app.callback()
 def dmbench(
     version: bool = typer.Option(
-        False, "--version", help="Print the version and leave.", callback=_version, is_eager=True
+        False, "--version", help="Print the version and exit.", callback=_version, is_eager=True
     ),
 ) -> None:
-    """The benchmark for forward models learned from robot video without action labels."""
+    """Compare models that predict the next camera image, learned from robot video without action labels."""
 
 
 def register_commands() -> None:
@@ -72,49 +79,86 @@ def register_commands() -> None:
         importlib.import_module(f"dmotion_bench.cli.{name}").register(app)
 
 
-def _short(path: object) -> str:
-    text = str(path)
-    return text if len(text) <= 100 else f"{text[:60]}...{text[-20:]}"
-
-
-def _fail(sentence: str, code: int) -> NoReturn:
-    print(f"dmbench: {sentence}", file=sys.stderr)  # noqa: T201 (the command line's own voice)
-    raise SystemExit(code)
-
-
 def main() -> None:
-    """Run the command that was typed; say in a sentence what is wrong."""
+    """Run the command that was typed; print an error as one sentence."""
     try:
-        register_commands()
-        app(prog_name="dmbench", standalone_mode=True)
+        _require_text()
+        with _log_on_stderr():
+            register_commands()
+            app(prog_name="dmbench", standalone_mode=True)
     except UsageError as error:
         _fail(str(error), 2)
     except Interrupted as error:
-        _fail(str(error), 130)
+        _fail(str(error), exit_code())
     except DmbenchError as error:
         _fail(str(error), 1)
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(1) from None
     except OSError as error:
-        if error.errno in FULL:
-            _fail(
-                str(
-                    StorageFull(
-                        f"no space left on the device while writing {error.filename or 'a file'!r}; "
-                        "free some and run the same command again: it goes on where it stopped."
-                    )
-                ),
-                1,
-            )
-        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-            _fail(f"may not write or read {error.filename!r}: {error.strerror}.", 1)
-        if error.errno in IN_THE_WAY and error.filename is not None:
-            _fail(f"cannot write or read {_short(error.filename)!r}: {error.strerror}; name another path.", 1)
-        raise
+        _fail(_refused(error), 1)
     except KeyboardInterrupt:
-        _fail(INTERRUPTED, 130)
+        _fail(INTERRUPTED, exit_code())
     except SystemExit as leaving:
-        if leaving.code == 130:  # what Typer makes of Ctrl-C, without a word
-            _fail(INTERRUPTED, 130)
+        if leaving.code == 130:  # what Typer makes of an interruption, without a word
+            _fail(INTERRUPTED, exit_code())
+        if not leaving.code and received():  # a server or a viewer, which ends when it is told to
+            _fail("ended.", exit_code())
         raise
+
+
+def _fail(said: str, code: int) -> NoReturn:
+    with contextlib.suppress(OSError):  # who closed stderr does not want to know
+        print(f"dmbench: {sentence(said)}", file=sys.stderr, flush=True)  # noqa: T201 (the command line's own voice)
+    raise SystemExit(code)
+
+
+def _require_text() -> None:
+    """See that every name can be written into a file and printed.
+
+    Raises:
+        UsageError: The working folder is gone, or a name is not UTF-8.
+    """
+    try:
+        folder = os.getcwd()  # noqa: PTH109 (as it is, not as a path)
+    except FileNotFoundError:
+        raise UsageError("the working folder was deleted; change into one that is there.") from None
+    given = [("the argument", word) for word in sys.argv[1:]]
+    given += [(name, os.environ.get(name, "")) for name in ("DMBENCH_WORKSPACE", CACHE_VARIABLE)]
+    if any(len(text) > LONGEST_TEXT for _, text in given):
+        raise UsageError(f"an argument is longer than {LONGEST_TEXT:,} characters, which no name and no path is.")
+    for what, text in (*given, ("the working folder", folder)):
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise UsageError(
+                f"{what} {shown(text)} is not UTF-8 text, which all that dmbench writes is; rename it, or reach it by "
+                "a symbolic link of another name."
+            ) from None
+
+
+@contextlib.contextmanager
+def _log_on_stderr() -> Iterator[None]:
+    """What the library logs is said in the command line's voice."""
+    log, handler = logging.getLogger("dmotion_bench"), logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("dmbench: %(message)s"))
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+
+
+def _refused(error: OSError) -> str:
+    """What the operating system would not do, in a sentence."""
+    what, why = shown(error.filename) if error.filename is not None else "a file", error.strerror or error
+    if error.errno in FULL:
+        return (
+            f"no space left on the device while writing {what}; free some and run the same command again: "
+            "it goes on where it stopped."
+        )
+    if error.errno in _DENIED:
+        return f"may not write or read {what}: {why}."
+    if error.errno in _GONE:
+        return f"{what} is not there, or was deleted meanwhile; run the same command again, or name another path."
+    return f"cannot write or read {what}: {why}; name another path."

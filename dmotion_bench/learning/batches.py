@@ -35,7 +35,7 @@ class TripletBatches:
         self._resident: Tensor | None = None
         self._first = torch.from_numpy(triplets.first_frame)
         if device.type == "cuda" and self._fits():
-            self._resident = torch.from_numpy(np.asarray(triplets.frames)).to(device)
+            self._resident = torch.from_numpy(np.asarray(triplets.cache.frames)).to(device)
             self._first = self._first.to(device)
 
     def __len__(self) -> int:
@@ -43,7 +43,7 @@ class TripletBatches:
 
     def _fits(self) -> bool:
         free, _ = torch.cuda.mem_get_info(self.device)
-        return bool(self.triplets.frames.nbytes < RESIDENT_SHARE * free)
+        return bool(self.triplets.cache.nbytes < RESIDENT_SHARE * free)
 
     def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
         """The triplets of ``index``, images in [-1, 1], channels-last in memory."""

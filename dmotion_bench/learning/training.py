@@ -23,9 +23,9 @@ from lightning_fabric import Fabric
 from torch import Tensor
 
 from dmotion_bench.errors import RunError
+from dmotion_bench.interrupts import stop_between_steps
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
-from dmotion_bench.learning.interrupts import stop_between_steps
 from dmotion_bench.learning.metrics_log import MetricsLog
 from dmotion_bench.learning.model import ForwardModel, TrainingConfig
 from dmotion_bench.learning.optimization import (

@@ -24,10 +24,15 @@ class Frames(Protocol):
     """All frames of a data set, one episode after the other (``storage.frame_cache.FrameCache``)."""
 
     @property
-    def frames(self) -> UInt8[np.ndarray, "n h w 3"]: ...
+    def offsets(self) -> Int[np.ndarray, " e"]: ...
 
     @property
-    def offsets(self) -> Int[np.ndarray, " e"]: ...
+    def nbytes(self) -> int: ...
+
+    def checked(self, first: Int[np.ndarray, " b"], length: int) -> UInt8[np.ndarray, "n h w 3"]: ...
+
+    @property
+    def frames(self) -> UInt8[np.ndarray, "n h w 3"]: ...
 
 
 @runtime_checkable
@@ -47,12 +52,13 @@ class TripletSet:
     Attributes:
         episode: The episode of each triplet.
         step: The number of its middle frame within that episode; the action taken there is ``actions[step]``.
+        cache: Where their frames are.
     """
 
     def __init__(self, cache: Frames, episode: Int[np.ndarray, " n"], step: Int[np.ndarray, " n"]) -> None:
         self.episode, self.step = episode, step
         self._first = np.asarray(cache.offsets)[episode] + step - 1
-        self._frames = cache.frames
+        self.cache = cache
 
     @classmethod
     def of(cls, cache: Frames, episodes: Int[np.ndarray, " e"]) -> TripletSet:
@@ -94,7 +100,7 @@ class TripletSet:
         """These triplets alone, sharing the frames."""
         chosen = object.__new__(TripletSet)
         chosen.episode, chosen.step = self.episode[index], self.step[index]
-        chosen._first, chosen._frames = self._first[index], self._frames
+        chosen._first, chosen.cache = self._first[index], self.cache
         return chosen
 
     @property
@@ -102,11 +108,6 @@ class TripletSet:
         """Where each triplet begins in the cache's frames."""
         first: Int[np.ndarray, " n"] = self._first
         return first
-
-    @property
-    def frames(self) -> UInt8[np.ndarray, "f h w 3"]:
-        """All frames of the cache."""
-        return self._frames
 
     def gather(
         self, index: Int[np.ndarray, " b"], out: UInt8[np.ndarray, "b 3 h w 3"] | None = None
@@ -117,10 +118,11 @@ class TripletSet:
             index: Which triplets; repeated ones are allowed.
             out: Filled and returned where given, so that a loop allocates once.
         """
+        places = self._first[index]
+        frames = self.cache.checked(places, 3)
         if out is None:
-            out = np.empty((len(index), 3, *self._frames.shape[1:]), np.uint8)
-        frames = self._frames
-        for row, first in zip(out, self._first[index].tolist(), strict=True):
+            out = np.empty((len(index), 3, *frames.shape[1:]), np.uint8)
+        for row, first in zip(out, places.tolist(), strict=True):
             row[...] = frames[first : first + 3]
         return out
 

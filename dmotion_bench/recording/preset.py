@@ -56,7 +56,7 @@ def recipe_for(
         if not varying:
             raise InvalidSetting(f"--ranges {ranges} is for factors that vary, and none does; name some with '--vary'.")
         if RANGES not in _parameters(kind):
-            raise InvalidSetting(f"{environment} draws nothing from ranges of its own choice; leave '--ranges' away.")
+            raise InvalidSetting(f"{environment} has no other ranges to choose from; leave out '--ranges'.")
         parameters[RANGES] = ranges
     return DatasetRecipe(
         environment=environment,

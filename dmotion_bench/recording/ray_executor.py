@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import socket
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
@@ -77,6 +79,13 @@ class RayExecutor:
                 ray.shutdown()
 
     def _start(self) -> None:
+        """Start Ray; it would end this process on SIGTERM without tidying up."""
+        before = signal.getsignal(signal.SIGTERM)
+        self._init()
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
+
+    def _init(self) -> None:
         quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
         if address := os.environ.get("RAY_ADDRESS"):
             try:

@@ -18,7 +18,8 @@ from dmotion_bench.recording.executor import Executor, SerialExecutor
 from dmotion_bench.recording.session import ShardJob, record_shard
 from dmotion_bench.registry import environment_names
 from dmotion_bench.storage.atomic import sync_folder
-from dmotion_bench.storage.check import CheckReport, check_dataset
+from dmotion_bench.storage.check import CheckReport, cache_damages, check_dataset
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.storage.repair import Salvaged, rebuild_tables, salvage
 from dmotion_bench.storage.shard import LABELS, VIDEO, shard_path
@@ -32,12 +33,12 @@ class Repaired:
 
     Attributes:
         how: ``"sound"``: there was nothing to do; ``"restored"``: all is as it was recorded, byte for byte;
-            ``"salvaged"``: episodes were lost.
+            ``"salvaged"``: episodes were lost; ``"cache"``: nothing but the cache was damaged, which was deleted.
         shards: Those that were recorded anew.
         salvaged: What was kept and lost, if anything was lost.
     """
 
-    how: Literal["sound", "restored", "salvaged"]
+    how: Literal["sound", "restored", "salvaged", "cache"]
     shards: tuple[int, ...] = ()
     salvaged: Salvaged | None = None
 
@@ -56,13 +57,24 @@ def repair_dataset(
     """
     report = check_dataset(path, on_progress)
     lost = report.shards if report.labels != "missing" else tuple(range(len(report.manifest.shards)))
+    if report.cache:
+        _delete_cache(path)
     if not report.damages and not lost:
         return Repaired(how="sound")
     if lost and not _record_anew(report, lost, executor or SerialExecutor()):
-        return Repaired(how="salvaged", salvaged=salvage(path)) if report.damages else Repaired(how="sound")
-    if any(damage.shard is None for damage in report.damages):
+        if report.cache or not report.damages:
+            return Repaired(how="cache" if report.cache else "sound")
+        return Repaired(how="salvaged", salvaged=salvage(path))
+    if report.tables:
         rebuild_tables(path, report.manifest)
-    return Repaired(how="restored", shards=lost)
+    if not report.cache and any(cache_damages(Dataset.open(path))):  # which shows only where all else is sound
+        _delete_cache(path)
+    return Repaired(how="cache" if report.cache and not lost else "restored", shards=lost)
+
+
+def _delete_cache(path: Path) -> None:
+    """It is made anew when it is needed."""
+    Dataset.open(path).cache_file.path.unlink(missing_ok=True)
 
 
 def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor) -> bool:
@@ -73,6 +85,7 @@ def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor)
     staging = path / _STAGING
     with held(path):
         shutil.rmtree(staging, ignore_errors=True)
+        staging.mkdir()
         try:
             jobs = [ShardJob(dataset=staging, recipe=manifest.recipe, spec=manifest.spec, index=one) for one in shards]
             for receipt in executor.map_unordered(record_shard, jobs):

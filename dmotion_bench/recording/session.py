@@ -13,7 +13,7 @@ from dmotion_bench.recording.rollout import find_policy, make_environment, recor
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
-from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.storage.writer import DatasetWriter, deleted
 from dmotion_bench.workspace import AnyPath
 
 SHARD_EPISODES = 20  # small enough that a killed recording of a slow environment loses seconds
@@ -75,11 +75,21 @@ class Recorded:
 
 
 def record_shard(job: ShardJob) -> ShardReceipt:
-    """Make one shard, in whatever process this is."""
+    """Make one shard, in whatever process this is.
+
+    Raises:
+        DatasetError: The data set's folder is not there any more; it is not made again, as what it held is lost.
+    """
     kind = environment_class(job.recipe.environment)
     episodes = record_episodes(kind, job.recipe, shard_range(job.recipe, job.index))
     with contextlib.closing(episodes):
-        return write_shard(job.dataset, job.recipe, job.spec, job.index, episodes)
+        try:
+            if job.dataset.is_dir():
+                return write_shard(job.dataset, job.recipe, job.spec, job.index, episodes)
+        except FileNotFoundError:
+            if job.dataset.is_dir():
+                raise
+    raise deleted(job.dataset)
 
 
 def environment_facts(recipe: DatasetRecipe) -> EnvSpec:

@@ -7,7 +7,6 @@ the processor stand beside those of the clock, because a busy machine stretches 
 from __future__ import annotations
 
 import itertools
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +17,7 @@ from pathlib import Path
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import ShardJob, environment_facts, record_dataset, record_shard
 from dmotion_bench.specs import DatasetRecipe, Preset
-from dmotion_bench.storage.dataset import CACHE, Dataset
+from dmotion_bench.storage.dataset import Dataset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +78,7 @@ def measure_cache(environment: str, seconds: float = 5.0) -> Speed:
     """Make the frame cache, again and again for so long, on one core."""
 
     def make() -> None:
-        shutil.rmtree(dataset.path / CACHE, ignore_errors=True)
-        dataset.cache()
+        dataset.cache_file.build(dataset.video(number) for number in range(len(dataset)))
 
     with _dataset(environment) as dataset:
         return _repeat(dataset, seconds, make)

@@ -21,6 +21,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import command
 
 _SHOWN: Final = 5
 
@@ -65,9 +66,9 @@ def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
     if known:
         listed = ", ".join(map(str, known[:_SHOWN])) + (" ..." if len(known) > _SHOWN else "")
         raise RunMismatch(
-            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} begin as episodes do that "
-            f"{run.name!r} was trained on (episodes {listed}: same seed, same picture); record the data set with "
-            f"another '--seed'."
+            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} have the seed and the first "
+            f"picture of episodes that {run.name!r} was trained on (episodes {listed}); record the data set with "
+            "another '--seed'."
         )
 
 
@@ -83,7 +84,7 @@ def require_fitting(run: Run, dataset: Dataset) -> None:
         raise RunMismatch(
             f"{run.name!r} was trained in {own.recipe.environment!r}, and {name!r} is of "
             f"{dataset.recipe.environment!r}; take data of its own environment: "
-            f"'dmbench record {own.recipe.environment} --seed 1 --out DIR'."
+            f"{command('dmbench record', own.recipe.environment, '--seed', '1', '--out', 'DIR')}."
         )
     for what, mine, theirs in (
         ("actions", spec.actions, len(dataset.spec.actions)),

@@ -138,7 +138,7 @@ class HeldOut:
         frames, actions, pushed = [], [], []
         for episode, start in pairs:
             place = int(cache.offsets[episode]) + start
-            frames.append(cache.frames[place - 1 : place + horizon + 1])
+            frames.append(cache.checked(np.array([place - 1]), horizon + 2)[place - 1 : place + horizon + 1])
             actions.append(states[episode].actions[start : start + horizon])
             pushed.append(states[episode].pushed[start : start + horizon])
         stacked = np.stack(frames)

@@ -1,4 +1,4 @@
-"""Is a data set what was recorded? Every file's hash, every chunk's checksum, the tables against the shards."""
+"""Is a data set what was recorded? Every file's hash, every chunk's checksum, tables and cache against the shards."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from dmotion_bench.errors import DatasetCorrupt
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.manifest import Manifest, ShardEntry
+from dmotion_bench.storage.manifest import TABLES, Manifest, ShardEntry
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, scan_shard, shard_path
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
+from dmotion_bench.workspace import CACHE
 
 LabelsState = Literal["present", "missing", "none"]
 
@@ -23,7 +26,7 @@ class Damage:
 
     Attributes:
         file: Relative to the data set's folder.
-        shard: The shard it belongs to; None for a table.
+        shard: The shard it belongs to; None for a table or the cache.
         what: Says what is wrong with the file: "is missing".
     """
 
@@ -47,6 +50,16 @@ class CheckReport:
     manifest: Manifest
     damages: tuple[Damage, ...]
     labels: LabelsState
+
+    @property
+    def cache(self) -> bool:
+        """Whether the cache is damaged."""
+        return any(damage.file.startswith(f"{CACHE}/") for damage in self.damages)
+
+    @property
+    def tables(self) -> bool:
+        """Whether a table is damaged."""
+        return any(damage.file in TABLES for damage in self.damages)
 
     @property
     def shards(self) -> tuple[int, ...]:
@@ -79,6 +92,8 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
         found = found or list(_content_damages(path, manifest, rows, index, entry, labels))
         damages += found
     on_progress(len(manifest.shards), len(manifest.shards))
+    if rows is not None and not damages:
+        damages += cache_damages(Dataset(path, manifest, rows))
     return CheckReport(dataset=path, manifest=manifest, damages=tuple(damages), labels=labels)
 
 
@@ -110,6 +125,27 @@ def _file_damage(path: Path, kind: str, index: int, facts: FileFacts) -> Iterato
         yield Damage(file=name, shard=index, what=f"has {file.stat().st_size} bytes instead of {facts.size}")
     elif file_facts(file) != facts:
         yield Damage(file=name, shard=index, what="has other bytes than were recorded")
+
+
+def cache_damages(dataset: Dataset) -> Iterator[Damage]:
+    """What is wrong with the frames that are used in place of the video's, where the video is sound."""
+    file = dataset.cache_file
+    name = f"{CACHE}/{file.path.name}"
+    if not file.path.is_file() or file.is_unchecked():
+        return
+    mapped = file.map()
+    if mapped is None:
+        yield Damage(file=name, shard=None, what="cannot be read")
+        return
+    first = 0
+    for episode, length in enumerate(dataset.lengths.tolist()):
+        if not np.array_equal(mapped.frames[first : first + length], dataset.video(episode)):
+            yield Damage(file=name, shard=None, what="holds other frames than the video")
+            return
+        if not all(map(mapped.is_sound, range(first, first + length))):
+            yield Damage(file=name, shard=None, what="holds wrong checksums")
+            return
+        first += length
 
 
 def _content_damages(

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int, UInt8
 
 from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable, UnknownName, UsageError
 from dmotion_bench.specs import Episode, EpisodeLabels, SplitName
-from dmotion_bench.storage.frame_cache import FrameCache, build_cache, open_cache
+from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile, read_messages
 from dmotion_bench.storage.messages import StateLabels, chunk_limit, decode_masks, decode_video
@@ -23,9 +24,7 @@ from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command, shown
-from dmotion_bench.workspace import AnyPath
-
-CACHE = "cache"
+from dmotion_bench.workspace import CACHE, AnyPath, cache_folder
 
 
 class Dataset:
@@ -46,6 +45,10 @@ class Dataset:
         self.recipe, self.spec, self.fingerprint = manifest.recipe, manifest.spec, manifest.fingerprint
         self.lengths = rows.lengths
         self._split = split_episodes(self.recipe.seed, len(rows))
+        self._cache: FrameCache | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_cache": None}
 
     @classmethod
     def open(cls, path: AnyPath) -> Dataset:
@@ -133,7 +136,7 @@ class Dataset:
         if not file.is_file():
             raise LabelsNotAvailable(
                 f"the labels of {str(self.path)!r} are not there: no {str(file)!r}; restore the folder "
-                f"{LABELS}/ or make it again with {command('dmbench', 'data', 'repair', self.path)}."
+                f"{LABELS}/ or make it again with {command('dmbench data repair', self.path)}."
             )
         return file
 
@@ -156,14 +159,32 @@ class Dataset:
             raise corrupt(self.path, self.path / TASKS, damage) from None
 
     def cache(self) -> FrameCache:
-        """All frames, memory-mapped; made on first use and whenever the data set has changed."""
-        folder, shape = self.path / CACHE, (self.spec.height, self.spec.width)
-        cache = open_cache(folder, self.fingerprint, self.lengths, *shape)
-        if cache is None:
-            build_cache(folder, self.fingerprint, self._videos(), int(self.lengths.sum()), *shape)
-            cache = open_cache(folder, self.fingerprint, self.lengths, *shape)
-        assert cache is not None, "a cache that was just written can be opened"
-        return cache
+        """All frames, memory-mapped; made on first use, and when the data set has changed or the cache is damaged.
+
+        Raises:
+            CacheNotWritable: It has to be made and its folder can take no file.
+            StorageFull: There is no space for it.
+        """
+        if self._cache is None:
+            self._cache = FrameCache(self.cache_file, self.lengths, self._make_cache)
+        return self._cache
+
+    @property
+    def cache_file(self) -> CacheFile:
+        """Where the cache is, if it has been made."""
+        return CacheFile(
+            folder=cache_folder(self.path),
+            fingerprint=self.fingerprint,
+            count=int(self.lengths.sum()),
+            height=self.spec.height,
+            width=self.spec.width,
+        )
+
+    def _make_cache(self) -> None:
+        file = self.cache_file
+        file.build(self._videos())
+        if file.folder == self.path / CACHE:
+            file.remove_others()
 
     def _videos(self) -> Iterator[UInt8[np.ndarray, "t h w 3"]]:
         for episode in range(len(self)):
@@ -172,7 +193,7 @@ class Dataset:
 
 def corrupt(dataset: Path, file: Path, damage: object) -> DatasetCorrupt:
     """The error for a damaged file of a data set, with the commands that help."""
-    check, repair = (command("dmbench", "data", verb, dataset) for verb in ("check", "repair"))
-    known = {FileNotFoundError: "is missing", MemoryError: "does not fit into memory"}
+    check, repair = (command("dmbench data", verb, dataset) for verb in ("check", "repair"))
+    known: dict[type, str] = {FileNotFoundError: "is missing", MemoryError: "does not fit into memory"}
     said = known.get(type(damage), damage)
     return DatasetCorrupt(f"{str(file)!r} is damaged: it {said}. See what else is with {check}, mend it with {repair}.")

@@ -11,6 +11,7 @@ from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.manifest import FORMAT, Manifest, record_words
 from dmotion_bench.storage.shard import LABELS, VIDEO
 from dmotion_bench.storage.split import split_episodes
+from dmotion_bench.workspace import cache_folder
 
 
 def summarize(path: Path) -> dict[str, Any]:
@@ -34,7 +35,7 @@ def summarize(path: Path) -> dict[str, Any]:
         "episodes": recipe.episodes,
         "video_bytes": _size(path / VIDEO),
         "labels_bytes": _size(path / LABELS),
-        "cache_bytes": _size(path / "cache"),
+        "cache_bytes": _size(cache_folder(path)),
         "versions": dict(manifest.versions),
     }
     if not manifest.complete:

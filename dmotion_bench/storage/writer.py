@@ -125,8 +125,21 @@ class DatasetWriter:
         return receipt
 
     def add(self, receipt: ShardReceipt) -> None:
-        """Take note of a shard that another process has written."""
+        """Take note of a shard that another process has written.
+
+        Raises:
+            DatasetError: The folder was deleted meanwhile.
+        """
+        self._require_there()
         self._receipts[receipt.index] = receipt
+
+    def _require_there(self) -> None:
+        try:
+            if self._lock < 0 or os.path.samestat(self.path.stat(), os.fstat(self._lock)):
+                return
+        except OSError:
+            pass
+        raise deleted(self.path)
 
     def finish(self, *, salvaged: bool = False, made_with: Mapping[str, str] | None = None) -> Manifest:
         """Write the tables and declare the data set complete; every shard must be there.
@@ -137,6 +150,7 @@ class DatasetWriter:
         """
         if self.missing:
             raise DatasetError(f"{len(self.missing)} shards of {str(self.path)!r} are still missing.")
+        self._require_there()
         if self._standing is not None and self._standing.complete and self._standing.recipe == self.recipe:
             return self._standing
         receipts = [self._receipts[index] for index in range(shard_count(self.recipe))]
@@ -174,6 +188,14 @@ class DatasetWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def deleted(path: Path) -> DatasetError:
+    """The error for a folder that went away while it was written into."""
+    return DatasetError(
+        f"{shown(str(path))} was deleted, moved or replaced while it was written; run the same command again to begin "
+        "anew."
+    )
 
 
 def _check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path: Path) -> None:

@@ -7,10 +7,12 @@ import resource
 import shlex
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 from dmbench_command import Outcome, dmbench, finish, start_dmbench
 from noise_world import files_of
@@ -43,7 +45,7 @@ def test_json_has_the_names_that_scripts_rely_on(run: Run, tmp_path: Path) -> No
 def test_the_same_command_completes_and_a_larger_number_extends(run: Run, tmp_path: Path) -> None:
     words = ("record", "grid_world", "--preset", "tiny", "--workers", "1")
     assert run(*words, "--episodes", "25").code == 0
-    assert "it was complete already" in run(*words, "--episodes", "25").out
+    assert "the data set was complete already" in run(*words, "--episodes", "25").out
     first = files_of(tmp_path / "data" / "grid_world-tiny")
     assert run(*words, "--episodes", "45", "--json").code == 0
     assert run(*words, "--episodes", "45", "--out", str(tmp_path / "at once")).code == 0
@@ -81,7 +83,7 @@ def test_fewer_tasks_than_asked_for_are_said(run: Run, tmp_path: Path) -> None:
     outcome = run("record", "grid_world", "--preset", "tiny", "--tasks", "100000")
     stored = len(Dataset.open(tmp_path / "data" / "grid_world-tiny").tasks())
     assert 0 < stored < 100000
-    assert f"{stored} control tasks of 100000 asked for" in outcome.out
+    assert f"{stored} control tasks of the 100000 asked for" in outcome.out
 
 
 def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) -> None:
@@ -111,7 +113,7 @@ def test_variation_has_a_folder_of_its_own_and_the_command_that_goes_on_says_it(
     assert outcome.code == 1
     command = outcome.err.split("To go on with it: ")[1].split("; for a new one")[0].strip("'\"")
     assert "--vary friction,light --set objects=2 --set shapes=square --ranges shifted" in command
-    assert "it was complete already" in run(*shlex.split(command)[1:]).out
+    assert "the data set was complete already" in run(*shlex.split(command)[1:]).out
     assert files_of(shifted) == before
 
 
@@ -196,3 +198,88 @@ def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path: Path) -> None:
     assert "no space left" in outcome.sentence()
     assert not list((tmp_path / "d").rglob("*.part"))
     assert not list((tmp_path / "d" / "video").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--frames", "9999999999999"), "recipe.frames is 9,999,999,999,999; it can be 1 to 1,000,000"),
+        (("--frames", "100000"), "an episode of 128x128 pixels can have 8,"),
+        (("--episodes", "2000000000"), "recipe.episodes is 2,000,000,000; it can be 1 to 1,000,000"),
+        (("--tasks", "2000000000"), "recipe.tasks is 2,000,000,000; it can be 0 to 100,000"),
+    ],
+)
+def test_what_cannot_be_recorded_is_said_at_once(run: Run, words: tuple[str, ...], says: str, tmp_path: Path) -> None:
+    outcome = run("record", "grid_world", *words)
+    assert outcome.code == 2
+    assert says in outcome.sentence()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("out", [".", "", "./", "/"])
+def test_a_folder_without_a_name_is_a_folder_or_a_sentence(
+    run: Run, out: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("record", "grid_world", "--preset", "tiny", "--episodes", "2", "--workers", "1", "--out", out)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    monkeypatch.chdir(empty)
+    if out == "/":
+        assert "is not empty and holds no data set; name another folder" in run(*words).sentence()
+        return
+    assert run(*words).code == 0
+    assert len(Dataset.open(empty)) == 2
+    monkeypatch.chdir(tmp_path)
+    assert "is not empty and holds no data set; name another folder" in run(*words).sentence()
+
+
+def test_a_folder_that_is_deleted_meanwhile_is_not_half_made_again(tmp_path: Path) -> None:
+    for workers in ("1", "2"):
+        recording = start_dmbench([*MANY[:-2], workers, "--out", str(tmp_path / "d")], tmp_path)
+        wait_for_shard(tmp_path / "d")
+        (tmp_path / "d").rename(tmp_path / f"moved {workers}")
+        outcome = finish(recording)
+        assert outcome.code == 1
+        assert "was deleted, moved or replaced while it was written; run the same command again" in outcome.sentence()
+        assert not (tmp_path / "d").exists()
+
+
+def test_a_working_folder_that_is_gone_is_named(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    outcome = run("record", "grid_world", "--preset", "tiny")
+    assert outcome.code == 2
+    assert "the working folder was deleted" in outcome.sentence()
+
+
+def test_a_name_that_is_not_utf_8_is_noticed_before_the_work(run: Run, tmp_path: Path) -> None:
+    outcome = run("record", "grid_world", "--preset", "tiny", "--out", f"{tmp_path}/\udcff")
+    assert outcome.code == 2
+    assert "is not UTF-8 text" in outcome.sentence()
+    assert not list(tmp_path.iterdir())
+
+
+def test_closed_streams_change_nothing(tmp_path: Path) -> None:
+    """What is opened next gets the number of a closed stream, and then all that is said goes into it."""
+    words = " ".join(["record grid_world --preset tiny --episodes 4 --workers 2 --out"])
+    for number, closed in enumerate(("2>&-", ">&-", "<&-", "<&- >&- 2>&-")):
+        command = f"{shlex.quote(sys.executable)} -c 'from dmotion_bench.cli import main; main()' {words}"
+        done = subprocess.run(["sh", "-c", f"{command} {tmp_path}/{number} {closed}"], check=False, timeout=120)
+        assert done.returncode == 0
+        assert files_of(tmp_path / str(number)) == files_of(tmp_path / "0")
+    wrong = f"{shlex.quote(sys.executable)} -c 'from dmotion_bench.cli import main; main()' record grid_wrold 2>&-"
+    assert subprocess.run(["sh", "-c", wrong], check=False, timeout=120).returncode == 2
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_like_ctrl_c(tmp_path: Path, workers: str, sign: signal.Signals) -> None:
+    recording = start_dmbench([*MANY[:-2], workers, "--out", str(tmp_path / "d")], tmp_path)
+    wait_for_shard(tmp_path / "d")
+    children = psutil.Process(recording.pid).children(recursive=True)
+    recording.send_signal(sign)
+    outcome = finish(recording)
+    assert outcome.code == 128 + sign
+    assert "run the same command again" in outcome.sentence()  # and no word of a resource_tracker
+    assert not psutil.wait_procs(children, timeout=10)[1]

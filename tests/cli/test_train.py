@@ -97,7 +97,7 @@ def test_a_finished_run_whose_weights_are_damaged_is_trained_anew(run: Command, 
 
 def test_without_labels_nothing_says_what_an_action_does(run: Command, data: Path, tmp_path: Path) -> None:
     trained = run("train", "dmotion", *QUICK, "--labels", "none", "--out", str(tmp_path / "run"))
-    assert "'--labels one-shot' takes this training over" in trained.out
+    assert "with '--labels one-shot' tells it, without training again" in trained.out
     for command in (("score",), ("plan", "--json")):
         outcome = run(command[0], str(tmp_path / "run"), *command[1:])
         assert outcome.code == 1
@@ -184,8 +184,9 @@ def test_without_labels_one_demonstration_is_too_much(run: Command, data: Path) 
     assert run("train", "dmotion", *QUICK, "--labels", "none").code == 0
 
 
-def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
-    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_says_how_to_go_on_and_the_same_command_does(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sign: signal.Signals
 ) -> None:
     words = ("train", "dmotion", "--set", "batch_size=4", "--set", "epochs=2", "--out", str(tmp_path / "run"))
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # bits depend on the number of threads; the tests have one
@@ -194,9 +195,9 @@ def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(
     deadline = time.monotonic() + 100
     while not (metrics.exists() and metrics.read_text().count("\n") > 3) and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sign)
     outcome = finish(process)
-    assert outcome.code == 130
+    assert outcome.code == 128 + sign
     assert "run the same command again" in outcome.sentence()
     stopped = Run.open(tmp_path / "run")
     assert stopped.result is None
@@ -229,3 +230,30 @@ def test_a_truncated_checkpoint_is_said(run: Command, data: Path, tmp_path: Path
     outcome = run("score", str(tmp_path / "run"))
     assert outcome.code == 1
     assert "cannot be read" in outcome.sentence()
+
+
+def test_the_frames_of_a_data_set_that_is_read_only_are_kept_elsewhere(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DMBENCH_CACHE", "")  # and put back afterwards
+    (data / "cache").touch()  # nobody can write a cache there, not even root
+    words = ("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
+    outcome = run(*words)
+    assert outcome.code == 1
+    assert "name another folder with '--cache DIR', or in the variable DMBENCH_CACHE" in outcome.sentence()
+    assert run(*words, "--cache", str(tmp_path / "elsewhere")).code == 0
+    assert run("score", str(tmp_path / "run"), "--cache", str(tmp_path / "elsewhere")).code == 0
+    assert [file.suffix for file in (tmp_path / "elsewhere").iterdir()] == [".arrow"]
+
+
+@pytest.mark.parametrize("out", ["", ".", "/"])
+def test_a_folder_of_other_things_is_left_alone(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str
+) -> None:
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "notes.txt").touch()
+    monkeypatch.chdir(tmp_path / "project")
+    outcome = run("train", "dmotion", *QUICK, "--out", out)
+    assert outcome.code == 2
+    assert "is not empty and holds no run; name another folder" in outcome.sentence()
+    assert [file.name for file in (tmp_path / "project").iterdir()] == ["notes.txt"]

@@ -18,6 +18,13 @@ class FramesInMemory:
     frames: np.ndarray
     offsets: np.ndarray
 
+    @property
+    def nbytes(self) -> int:
+        return int(self.frames.nbytes)
+
+    def checked(self, first: np.ndarray, length: int) -> np.ndarray:
+        return self.frames
+
 
 class DatasetInMemory:
     """Ten short episodes of noise with known actions; ``opened`` records whose labels were read."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 import pickle
 import shutil
 import sys
-import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,7 +25,6 @@ from dmotion_bench.errors import (
 )
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.frame_cache import build_cache, open_cache
 from dmotion_bench.storage.split import split_episodes
 from dmotion_bench.storage.writer import DatasetWriter
 
@@ -161,58 +158,3 @@ def test_most_episodes_stay_on_their_side_when_a_data_set_grows() -> None:
     stayed = np.intersect1d(small["test"], large["test"])
     assert len(stayed) > 0.6 * len(small["test"])  # by chance it would be a tenth
     assert len(np.intersect1d(split_episodes(4, 300)["test"], small["test"])) < 0.4 * 30
-
-
-def test_the_cache_holds_every_frame(tmp_path: Path) -> None:
-    dataset = write_noise(tmp_path / "d")
-    cache = dataset.cache()
-    assert cache.offsets.tolist() == [0, *np.cumsum(dataset.lengths).tolist()]
-    for number in range(len(dataset)):
-        np.testing.assert_array_equal(cache.episode(number), dataset.video(number))
-    assert not cache.frames.flags.writeable
-    assert not cache.frames.flags.owndata
-
-
-def test_any_arrow_reader_opens_the_cache(tmp_path: Path) -> None:
-    dataset = write_noise(tmp_path / "d")
-    dataset.cache()
-    (file,) = (dataset.path / "cache").iterdir()
-    table = pa.ipc.open_file(file.read_bytes()).read_all()
-    assert table.column_names == ["frame"]
-    frames = [np.frombuffer(value, np.uint8) for value in table.column("frame").to_pylist()]
-    np.testing.assert_array_equal(np.stack(frames), dataset.cache().frames.reshape(len(frames), -1))
-
-
-def test_a_stale_or_foreign_cache_is_made_anew(tmp_path: Path) -> None:
-    old = write_noise(tmp_path / "old", episodes=3)
-    new = write_noise(tmp_path / "new", episodes=5)
-    old.cache()
-    shutil.copytree(old.path / "cache", new.path / "cache")
-    assert len(new.cache().frames) == new.lengths.sum()
-    assert len(list((new.path / "cache").iterdir())) == 1  # the stale one is gone
-    (file,) = (new.path / "cache").iterdir()
-    file.write_bytes((old.path / "cache").iterdir().__next__().read_bytes())  # under the right name
-    np.testing.assert_array_equal(new.cache().episode(4), new.video(4))
-    file.write_bytes(b"ARROW1 and then nothing")
-    np.testing.assert_array_equal(new.cache().episode(4), new.video(4))
-
-
-def test_a_failed_cache_leaves_nothing(tmp_path: Path) -> None:
-    frames = np.zeros((2, 4, 4, 3), np.uint8)
-    with pytest.raises(ValueError, match="bytes of frames were given"):
-        build_cache(tmp_path, "a" * 64, [frames], 3, 4, 4)
-    assert not list(tmp_path.iterdir())
-    assert open_cache(tmp_path, "a" * 64, np.array([3]), 4, 4) is None
-
-
-def test_making_the_cache_holds_one_episode_in_memory(tmp_path: Path) -> None:
-    """64 episodes of 3 MiB, 192 MiB in all, pass through 16 MiB of memory."""
-    frames = np.arange(64 * 128 * 128 * 3, dtype=np.uint8).reshape(64, 128, 128, 3)
-    tracemalloc.start()
-    build_cache(tmp_path, "a" * 64, (frames for _ in range(64)), 64 * 64, 128, 128)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 16 * 2**20
-    cache = open_cache(tmp_path, "a" * 64, np.full(64, 64), 128, 128)
-    assert cache is not None
-    np.testing.assert_array_equal(cache.episode(63), frames)

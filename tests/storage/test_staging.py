@@ -75,13 +75,16 @@ def test_what_a_killed_one_leaves_is_cleaned_by_the_next(command: str, recording
 
 
 @pytest.mark.parametrize("command", ["import", "export"])
-def test_ctrl_c_leaves_nothing_and_says_so(command: str, recording: Path, workspace: Path) -> None:
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_leaves_nothing_and_says_so(
+    command: str, sign: signal.Signals, recording: Path, workspace: Path
+) -> None:
     process = caught_writing(command, recording, workspace)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sign)
     ended = finish(process)
-    assert ended.code == 130
+    assert ended.code == 128 + sign
     assert ended.sentence() == (
-        f"dmbench: interrupted; nothing is left of the {command}, the same command starts it anew.\n"
+        f"dmbench: interrupted; the unfinished {command} was removed. Run the same command again to start over.\n"
     )
     assert names(workspace) == []
 
@@ -179,3 +182,9 @@ def test_two_at_once_never_share_a_folder(tmp_path: Path) -> None:
         staged(tmp_path / "made", ".importing"),
     ):
         raise AssertionError("it began")
+
+
+def test_the_root_of_all_folders_cannot_be_made_anew(recording: Path, workspace: Path) -> None:
+    said = finish(start_dmbench([*words("import", recording, workspace)[:-1], "/"], workspace))
+    assert said.code == 2
+    assert "name another folder with '--out DIR'" in said.sentence()

@@ -1,0 +1,76 @@
+"""Ctrl-C, ``kill`` and a closed terminal end a command alike: it tidies up, and only the exit code differs.
+
+All of them become a ``KeyboardInterrupt``, so that whatever copes with Ctrl-C copes with every one of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any, Final
+
+ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
+"""What a process is asked to end by, beside Ctrl-C."""
+
+
+class _Received:
+    """The last signal that asked this process to end."""
+
+    number: int = 0
+
+
+def received() -> int:
+    """The signal that asked this process to end, Ctrl-C's where Python alone noticed it; 0 if none did."""
+    return _Received.number
+
+
+def exit_code() -> int:
+    """Of a process that was interrupted: 130 by Ctrl-C, 143 by ``kill``, 129 by a closed terminal."""
+    return 128 + (_Received.number or signal.SIGINT)
+
+
+@contextlib.contextmanager
+def ended_like_ctrl_c() -> Iterator[None]:
+    """Every signal that asks to end raises ``KeyboardInterrupt``, unless the process was started to ignore it."""
+    _Received.number = 0
+
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        _Received.number = number
+        raise KeyboardInterrupt
+
+    with _handled(interrupt, [number for number in ENDING if signal.getsignal(number) == signal.SIG_DFL]):
+        yield
+
+
+@contextlib.contextmanager
+def stop_between_steps() -> Iterator[Callable[[], bool]]:
+    """An interruption is noticed between two steps, never within one; a second one does not wait."""
+    asked = False
+
+    def ask(number: int, _frame: FrameType | None) -> None:
+        nonlocal asked
+        _Received.number = number
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    heeded = [number for number in (signal.SIGINT, *ENDING) if signal.getsignal(number) != signal.SIG_IGN]
+    with _handled(ask, heeded):
+        yield lambda: asked
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable[[int, FrameType | None], Any], numbers: list[signal.Signals]) -> Iterator[None]:
+    """Signals have a handler for as long as the block lasts; outside of the main thread nothing can have one."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handled in before.items():
+            signal.signal(number, handled)

@@ -11,7 +11,7 @@ import os
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import Any, Final, SupportsIndex, overload
 
 import numpy as np
 import pyarrow as pa
@@ -72,12 +72,12 @@ class EpisodeTable(Sequence[EpisodeRow]):
         return len(self.columns["frames"])
 
     @overload
-    def __getitem__(self, index: int) -> EpisodeRow: ...
+    def __getitem__(self, index: SupportsIndex) -> EpisodeRow: ...
 
     @overload
     def __getitem__(self, index: slice) -> list[EpisodeRow]: ...
 
-    def __getitem__(self, index: int | slice) -> EpisodeRow | list[EpisodeRow]:
+    def __getitem__(self, index: SupportsIndex | slice) -> EpisodeRow | list[EpisodeRow]:
         places = range(len(self))[index]
         return self._row(places) if isinstance(places, int) else [self._row(place) for place in places]
 

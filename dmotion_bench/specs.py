@@ -23,6 +23,8 @@ IMPORTED = "imported"
 VERSION = "version"
 """The parameter of an environment's constructor that says which of its versions it is; see ``Versioned``."""
 
+MOST_THREADS = 1024  # that a training computes with
+
 MASK_BACKGROUND = 0
 MASK_AGENT = 1
 MASK_FIRST_OBJECT = 2  # object k of EnvSpec.objects has the mask value 2 + k

@@ -7,10 +7,12 @@ kept in its ``cache/``, or in the folder that ``DMBENCH_CACHE`` names.
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
+from dmotion_bench.wording import command
 
 AnyPath = str | os.PathLike[str]
 """What may stand for a folder where somebody calls the library."""
@@ -89,7 +91,7 @@ class Workspace:
                 "or name one with '--data DIR'."
             )
         if len(found) > 1:
-            listed = "\n".join(f"  --data {path}" for path in found)
+            listed = "\n".join(f"  --data {shlex.quote(str(path))}" for path in found)
             raise UsageError(f"several data sets are here; choose one:\n{listed}")
         return found[0]
 
@@ -106,7 +108,7 @@ class Workspace:
         if not found:
             raise RunMissing(f"no run in {str(self.runs)!r}; train one with 'dmbench train dmotion'.")
         if len(found) > 1:
-            listed = "\n".join(f"  {path}" for path in found)
+            listed = "\n".join(f"  {shlex.quote(str(path))}" for path in found)
             raise UsageError(f"several runs are here; name one:\n{listed}")
         return found[0]
 
@@ -120,6 +122,7 @@ class Workspace:
             raise missing(f"{str(given)!r} is no {kind}: it holds no {manifest}.")
         if kind == "data set" and given.is_file():
             raise DatasetMissing(
-                f"{str(given)!r} is a file, no data set; a recording becomes one with 'dmbench data import {given}'."
+                f"{str(given)!r} is a file, no data set; a recording becomes one with "
+                f"{command('dmbench data import', given)}."
             )
         raise UnknownName(kind, str(given), [path.name for path in known], f"dmbench list {kind.replace(' ', '')}s")

@@ -25,6 +25,7 @@ from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, R
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import command
 from leaderboard.comparison import scored, sums_by_episode
 from leaderboard.control import actions_of
 from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
@@ -146,7 +147,7 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         or run.spec.fingerprint != trained_on["fingerprint"]
     ):
         raise EntryInvalid(
-            f"the report of {str(path)!r} is of an earlier training; score it with 'dmbench score {path}'."
+            f"the report of {str(path)!r} is of an earlier training; score it with {command('dmbench score', path)}."
         )
     stored = json.loads((folder / REPORT_FILE).read_text())
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}

@@ -20,6 +20,7 @@ from dmotion_bench import __version__
 from dmotion_bench.errors import DmbenchError, Interrupted, UsageError
 from dmotion_bench.interrupts import exit_code, received
 from dmotion_bench.storage.atomic import FULL
+from dmotion_bench.storage.limits import LONGEST_TEXT
 from dmotion_bench.wording import sentence, shown
 from dmotion_bench.workspace import CACHE_VARIABLE
 
@@ -124,6 +125,8 @@ def _require_text() -> None:
         raise UsageError("the working folder was deleted; change into one that is there.") from None
     given = [("the argument", word) for word in sys.argv[1:]]
     given += [(name, os.environ.get(name, "")) for name in ("DMBENCH_WORKSPACE", CACHE_VARIABLE)]
+    if any(len(text) > LONGEST_TEXT for _, text in given):
+        raise UsageError(f"an argument is longer than {LONGEST_TEXT:,} characters, which no name and no path is.")
     for what, text in (*given, ("the working folder", folder)):
         try:
             text.encode()

@@ -10,6 +10,7 @@ import typer
 
 from dmotion_bench.cli import data_export, data_import
 from dmotion_bench.cli.options import AsJson
+from dmotion_bench.wording import command
 
 group = typer.Typer(help="Inspect, check, repair, import and export data sets.", no_args_is_help=True)
 
@@ -100,7 +101,8 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
             typer.echo(f"{damage.file} {damage.what}")
     if report.damages:
         raise DatasetCorrupt(
-            f"{str(folder)!r} is damaged in {len(report.damages)} places; mend it with 'dmbench data repair {folder}'."
+            f"{str(folder)!r} is damaged in {len(report.damages)} places; mend it with "
+            f"{command('dmbench data repair', folder)}."
         )
     if not as_json:
         typer.echo(f"{folder} is sound: {recipe.episodes} episodes, {frames} frames, labels {report.labels}.")

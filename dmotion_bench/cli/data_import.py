@@ -12,6 +12,7 @@ import typer
 
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.errors import Interrupted, UnknownName
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
@@ -183,6 +184,7 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
         lines.append("  no actions: what an action leads to cannot be scored; with '--actions TOPIC' it can")
     lines += [f"  {sentence}" for sentence in report.advice]
     lines.append(
-        f"Look at it with 'dmbench view {report.path}', train on it with 'dmbench train dmotion --data {report.path}'."
+        f"Look at it with {command('dmbench view', report.path)}, "
+        f"train on it with {command('dmbench train dmotion --data', report.path)}."
     )
     return "\n".join(lines)

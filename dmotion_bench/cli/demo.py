@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from dmotion_bench.cli.options import AsJson
+from dmotion_bench.wording import command
 
 ENVIRONMENT = "grid_world"
 MODEL = "dmotion"
@@ -85,5 +86,5 @@ def demo(
     for path, report in reports.items():
         show_report(report, path)
     minutes, rest = divmod(round(seconds), 60)
-    say(f"Done in {minutes} min {rest} s. See the model's imagination with 'rerun {recording}',")
-    say(f"or in a browser with 'dmbench view {run.path} --web'.")
+    say(f"Done in {minutes} min {rest} s. See the model's imagination with {command('rerun', recording)},")
+    say(f"or in a browser with {command('dmbench view', run.path, '--web')}.")

@@ -44,7 +44,7 @@ Device = Annotated[
     str,
     typer.Option(metavar=listed(DEVICES), help="Where to compute. auto takes a GPU if there is one."),
 ]
-Planner = Annotated[
+PlannerName = Annotated[
     str | None,
     typer.Option(
         metavar=listed(PLANNERS),
@@ -52,7 +52,7 @@ Planner = Annotated[
         "and exhaustive tries every sequence. Default: cem.",
     ),
 ]
-Cost = Annotated[
+CostName = Annotated[
     str | None,
     typer.Option(
         metavar=listed(COSTS),

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmotion_bench.cli.options import COSTS, REFERENCES, Cost, Planner, require_one_of
+from dmotion_bench.cli.options import COSTS, REFERENCES, CostName, PlannerName, require_one_of
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.learning.model import ForwardModel
@@ -30,8 +31,8 @@ def plan(
         typer.Argument(help="A run, by path or name, or a reference to compare with: idle, random, oracle, scripted."),
     ],
     task: Annotated[int, typer.Option(min=0, help="Number of the control task in the data set.")] = 0,
-    planner: Planner = None,
-    cost: Cost = None,
+    planner: PlannerName = None,
+    cost: CostName = None,
     steps: Annotated[int, typer.Option(min=1, help="Number of actions to take.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the planner's random numbers.")] = 0,
     data: Annotated[
@@ -185,4 +186,4 @@ def _show(summary: dict[str, Any], save: Path | None) -> None:
         each = summary["frames"] / summary["steps"]
         typer.echo(f"  {each:.0f} frames imagined a step, {summary['planning_seconds']:.1f} s of planning in all")
     if save is not None:
-        typer.echo(f"Watch it with 'dmbench view {save}'.")
+        typer.echo(f"Watch it with {command('dmbench view', save)}.")

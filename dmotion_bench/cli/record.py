@@ -13,6 +13,7 @@ from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
 from dmotion_bench.errors import UnknownName
 from dmotion_bench.specs import Preset
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.recording.executor import Executor
@@ -173,8 +174,8 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
     else:
         typer.echo("  the data set was complete already; a larger --episodes extends it")
     typer.echo(
-        f"Look at it with 'dmbench view {recorded.dataset}', "
-        f"train on it with 'dmbench train dmotion --data {recorded.dataset}'."
+        f"Look at it with {command('dmbench view', recorded.dataset)}, "
+        f"train on it with {command('dmbench train dmotion --data', recorded.dataset)}."
     )
 
 

@@ -14,9 +14,9 @@ from dmotion_bench.cli.options import (
     METRICS,
     REFERENCES,
     AsJson,
-    Cost,
+    CostName,
     Device,
-    Planner,
+    PlannerName,
     listed,
     require_one_of,
 )
@@ -60,8 +60,8 @@ def score(
         int | None,
         typer.Option(min=1, help="For control: work on the data set's first tasks only, this many. Default: all."),
     ] = None,
-    planner: Planner = None,
-    cost: Cost = None,
+    planner: PlannerName = None,
+    cost: CostName = None,
     data: Annotated[
         Path | None,
         typer.Option(

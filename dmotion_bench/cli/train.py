@@ -13,9 +13,11 @@ from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import DEVICES, AsJson, Device, listed, require_one_of
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
-from dmotion_bench.specs import Preset
+from dmotion_bench.specs import MOST_THREADS, Preset
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
+    from dmotion_bench.learning.run import Conditions
     from dmotion_bench.viewing.follow import Follower
     from dmotion_bench.workspace import Workspace
 
@@ -80,6 +82,15 @@ def train(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the run. Default: runs/NAME.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue an existing run; fail if there is none.")] = False,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=MOST_THREADS,
+            help="Threads that compute. The weights depend on their number. Default: the run's own, or torch's number.",
+            show_default=False,
+        ),
+    ] = None,
     device: Device = "auto",
     cache: CacheFolder = None,
     live: Live = False,
@@ -100,7 +111,7 @@ def train(
         own |= {"--live": live, "--live-to": live_to}
         if extra := [name for name, value in own.items() if value]:
             raise UsageError(f"--all chooses these for every model; leave out {' and '.join(extra)}.")
-        _train_all(workspace, data, preset, seed, split, device, as_json)
+        _train_all(workspace, data, preset, seed, split, threads, device, as_json)
         return
     if model is None:
         raise UsageError(
@@ -119,11 +130,14 @@ def train(
         seed=seed,
         settings=tuple(settings or ()),
         protocol="paper" if split == "paper" else "episode",
+        threads=threads,
     )
     dataset = Dataset.open(workspace.dataset(data))
     folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
         raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave out --resume to start one.")
+    if not (folder / RUN_MANIFEST).exists() and folder.is_dir() and any(folder.iterdir()):
+        raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
     run = open_run(request, dataset, folder, workspace)
     with following(lambda: _follower(run.path), live, live_to) as poll:
         _tell(run, dataset, train_run(run, dataset, device, poll), as_json)
@@ -144,6 +158,8 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
         "triplets_per_s": result["triplets_per_s"],
         "seconds": result["seconds"],
         "labels": result["labels_total"],
+        "threads": result.get("threads"),
+        "precision": result.get("precision"),
     }
     if as_json:
         typer.echo(json.dumps(summary))
@@ -156,17 +172,32 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
     known = f" of {_transitions(dataset)} transitions in the data set" if dataset.spec.actions else ", there are none"
     typer.echo(f"  labels used: {result['labels_total']}{known}")
+    if run.conditions is not None:
+        typer.echo(f"  computed in {_conditions(run.conditions)}")
     if run.spec.labels == "none" and dataset.spec.actions:
         typer.echo(
             "The model does not know yet which action is which. "
             "The same command with '--labels one-shot' tells it, without training again."
         )
     else:
-        typer.echo(f"Score it with 'dmbench score {run.path}'.")
+        typer.echo(f"Score it with {command('dmbench score', run.path)}.")
+
+
+def _conditions(conditions: Conditions) -> str:
+    threads = f"{conditions.threads} thread{'s' if conditions.threads > 1 else ''}"
+    taken = ", ".join(f"{seconds:.3g} s in {precision}" for precision, seconds in conditions.probe.items())
+    return f"{conditions.precision} with {threads}" + (f"; before the training a step took {taken}" if taken else "")
 
 
 def _train_all(
-    workspace: Workspace, data: Path | None, preset: Preset | None, seed: int, split: str, device: str, as_json: bool
+    workspace: Workspace,
+    data: Path | None,
+    preset: Preset | None,
+    seed: int,
+    split: str,
+    threads: int | None,
+    device: str,
+    as_json: bool,
 ) -> None:
     """Train every model with each of its budgets; raises an error at the end if one of them failed."""
     from dmotion_bench.errors import RunError
@@ -175,7 +206,7 @@ def _train_all(
     from dmotion_bench.storage.dataset import Dataset
 
     protocol: Literal["paper", "episode"] = "paper" if split == "paper" else "episode"
-    request = TrainingRequest(model="", preset=preset, seed=seed, protocol=protocol)
+    request = TrainingRequest(model="", preset=preset, seed=seed, protocol=protocol, threads=threads)
     dataset = Dataset.open(workspace.dataset(data))
     rows: list[dict[str, Any]] = []
     for outcome in train_table(request, dataset, workspace, lambda run: train_run(run, dataset, device)):
@@ -203,16 +234,18 @@ def _train_all(
 def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], None] = lambda: None) -> dict[str, Any]:
     """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step."""
     from dmotion_bench.cli.progress import note, progress_bar
-    from dmotion_bench.errors import RunError
+    from dmotion_bench.errors import RunCorrupt, RunMissing
     from dmotion_bench.learning.devices import launch
     from dmotion_bench.learning.start import training_data
+    from dmotion_bench.learning.threads import shortage
     from dmotion_bench.learning.training import Report, train
     from dmotion_bench.learning.twins import take_over
+    from dmotion_bench.recording.executor import available_workers
 
     if run.result is not None:
         try:
-            run.weights()  # they can be read, and are those of the result
-        except RunError as error:
+            run.require_weights()
+        except (RunMissing, RunCorrupt) as error:
             note(f"{error}\ntraining {run.path} anew.")
             run.begin_anew()
         else:
@@ -223,6 +256,8 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
         note(f"using the training of {twin.path}, which differs only in its labels.")
     elif run.last.exists():
         note(f"going on with {run.path}.")
+    if (told := shortage(run.threads or 1, available_workers())) is not None:
+        typer.echo(told, err=True)
     fabric = launch(device)
     with progress_bar() as bar:
         task = bar.add_task(f"training {run.spec.model}", total=None, status="reading the data")

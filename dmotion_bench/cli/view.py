@@ -9,6 +9,7 @@ import typer
 
 from dmotion_bench.cli.options import listed
 from dmotion_bench.specs import SplitName
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.learning.run import Run
@@ -127,7 +128,7 @@ def view(
         write_scene(scene, file)
         if save is not None:
             typer.echo(f"{save}")
-            typer.echo(f"Open it with 'dmbench view {save}' or 'rerun {save}'.")
+            typer.echo(f"Open it with {command('dmbench view', save)} or {command('rerun', save)}.")
         if save is None or web:
             _show(file, web)
 

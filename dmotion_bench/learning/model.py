@@ -110,7 +110,8 @@ class TrainingConfig:
         optimizer: ``"adamw"``, ``"adam"`` or ``"muon"``.
         weight_decay: Decoupled, AdamW's.
         clip_norm: Largest norm of the gradient; 0 leaves it alone.
-        precision: ``"bf16"`` autocast where the hardware has it, or ``"float32"``.
+        precision: ``"bf16"`` autocast where the hardware has it, ``"float32"``, or ``"auto"``: whichever takes less
+            time here (``precision.py``).
         channels_last: Memory format of images and weights: channels last, which convolutions on a CPU like best, or
             contiguous, which a model needs that calls ``view`` on what a convolution gives.
         ema: Decay of the averaged weights that are validated and kept; 0 keeps the raw ones.
@@ -127,7 +128,7 @@ class TrainingConfig:
     optimizer: str = "adamw"
     weight_decay: float = 0.0
     clip_norm: float = 1.0
-    precision: str = "bf16"
+    precision: str = "auto"
     channels_last: bool = False
     ema: float = 0.0
     hard_share: float = 0.0
@@ -139,7 +140,7 @@ class TrainingConfig:
         for name, value, allowed in (
             ("schedule", self.schedule, ("one-cycle", "linear", "cosine", "constant")),
             ("optimizer", self.optimizer, ("adamw", "adam", "muon")),
-            ("precision", self.precision, ("bf16", "float32")),
+            ("precision", self.precision, ("auto", "bf16", "float32")),
         ):
             if value not in allowed:
                 raise InvalidSetting(f"{name} is {value!r}; it can be {', '.join(allowed)}.")

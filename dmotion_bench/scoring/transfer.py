@@ -21,6 +21,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import command
 
 _SHOWN: Final = 5
 
@@ -83,7 +84,7 @@ def require_fitting(run: Run, dataset: Dataset) -> None:
         raise RunMismatch(
             f"{run.name!r} was trained in {own.recipe.environment!r}, and {name!r} is of "
             f"{dataset.recipe.environment!r}; take data of its own environment: "
-            f"'dmbench record {own.recipe.environment} --seed 1 --out DIR'."
+            f"{command('dmbench record', own.recipe.environment, '--seed', '1', '--out', 'DIR')}."
         )
     for what, mine, theirs in (
         ("actions", spec.actions, len(dataset.spec.actions)),

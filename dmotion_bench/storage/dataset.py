@@ -136,7 +136,7 @@ class Dataset:
         if not file.is_file():
             raise LabelsNotAvailable(
                 f"the labels of {str(self.path)!r} are not there: no {str(file)!r}; restore the folder "
-                f"{LABELS}/ or make it again with {command('dmbench', 'data', 'repair', self.path)}."
+                f"{LABELS}/ or make it again with {command('dmbench data repair', self.path)}."
             )
         return file
 
@@ -193,7 +193,7 @@ class Dataset:
 
 def corrupt(dataset: Path, file: Path, damage: object) -> DatasetCorrupt:
     """The error for a damaged file of a data set, with the commands that help."""
-    check, repair = (command("dmbench", "data", verb, dataset) for verb in ("check", "repair"))
-    known = {FileNotFoundError: "is missing", MemoryError: "does not fit into memory"}
+    check, repair = (command("dmbench data", verb, dataset) for verb in ("check", "repair"))
+    known: dict[type, str] = {FileNotFoundError: "is missing", MemoryError: "does not fit into memory"}
     said = known.get(type(damage), damage)
     return DatasetCorrupt(f"{str(file)!r} is damaged: it {said}. See what else is with {check}, mend it with {repair}.")

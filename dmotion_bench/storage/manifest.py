@@ -135,7 +135,7 @@ class Manifest:
             manifest = _manifest(Fields(content, "it"))
             check_manifest(manifest, TABLES)
         except (FileNotFoundError, NotADirectoryError):
-            record = command("dmbench", "record", "grid_world", "--out", dataset)
+            record = command("dmbench record grid_world --out", dataset)
             raise DatasetMissing(
                 f"no data set in {str(dataset)!r}: there is no {DATASET_MANIFEST}; record one with {record}."
             ) from None

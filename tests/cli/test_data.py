@@ -55,7 +55,7 @@ def test_info_as_json(run: Run, folder: Path) -> None:
 def test_info_of_an_unfinished_recording_says_how_to_go_on(run: Run, folder: Path) -> None:
     manifest = folder / "dataset.json"
     content = json.loads(manifest.read_text())
-    manifest.write_text(json.dumps(content | {"complete": False, "shards": []}))
+    manifest.write_text(json.dumps(content | {"complete": False, "shards": [], "tables": {}}))
     outcome = run("info")
     assert outcome.code == 0
     assert "not finished: 3 of 3 shards are there" in outcome.out

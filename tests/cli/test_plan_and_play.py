@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from dmbench_command import dmbench
+from known_model import result_of
 from rrd_contents import curve, read
 
 from dmotion_bench.cli.keys import read_keys, single_keys
@@ -31,7 +32,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     run = open_run(TrainingRequest(model="dmotion", preset=Preset.TINY), Dataset.open(folder), None, workspace)
     weights = run.spec.build().state_dict()
     checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
-    run.finish({"weights": checkpoint.weights_hash(weights), "steps": 4, "labels_total": 4, "validation_loss": 0.8})
+    run.finish(result_of(weights))
     return workspace
 
 

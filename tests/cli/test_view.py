@@ -49,7 +49,7 @@ def test_save_writes_a_file_and_says_how_to_open_it(
     said = dmbench(["view", "squares-tiny", "--save", str(file)], capsys, monkeypatch)
     assert said.code == 0
     assert said.out.splitlines()[0] == str(file)
-    assert f"rerun {file}" in said.out
+    assert f"rerun '{file}'" in said.out
     assert tabs_of(file) == [f"Episode {number}" for number in range(3)]
 
 

@@ -40,7 +40,7 @@ Rows = list[dict[str, Any]]
 def _few_candidates(patch: pytest.MonkeyPatch) -> None:
     quick = partial(CrossEntropyPlanner, samples=4, horizon=2, iterations=1, elites=2)
     patch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": quick})
-    patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
+    patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
 
 
 @pytest.fixture(autouse=True)

@@ -83,7 +83,7 @@ def without_red(grid: Dataset) -> Oracle:
 @pytest.fixture
 def make_run(grid: Dataset, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Run]:
     """Makes finished runs of a model that predicts the current frame, brightened by ``offset``."""
-    monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
+    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
 
     def make(path: Path, **changes: Any) -> Run:
         return write_run(path, grid, **changes)

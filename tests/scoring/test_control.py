@@ -173,7 +173,7 @@ def test_a_model_that_draws_nothing_is_controlled_by_its_features(run: Run, monk
         def frame(self, state: Any) -> Tensor:
             raise AssertionError("nobody should look")
 
-    monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Blind)
+    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Blind)
     report = score(run, "prediction", "control")
     assert "mse" not in report.figures
     assert report.figures["control_distance[3]"]["n"] == 3

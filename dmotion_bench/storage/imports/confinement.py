@@ -92,7 +92,7 @@ class Confinement:
         except (Hungup, OSError, ValueError):
             raise self._gone(path) from None
         if "error" in head:
-            raise _KINDS.get(head["error"], RecordingImportError)(head["sentence"])
+            raise _KINDS.get(head["error"], RecordingImportError)(_printable(head["sentence"]))
         if "no_memory" in head:
             raise self._too_large(path)
         return head, body
@@ -154,6 +154,11 @@ class Confinement:
             f"{str(path)!r} takes more than {most:,} MiB of memory to be decoded; if you trust the file, allow more "
             f"with '--max-memory {2 * most}'."
         )
+
+
+def _printable(sentence: str) -> str:
+    """Without what would move a terminal's cursor: a library's words may hold names out of the file."""
+    return "".join(letter if letter.isprintable() or letter == "\n" else "?" for letter in sentence)
 
 
 def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:

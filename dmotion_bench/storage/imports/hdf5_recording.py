@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -153,9 +154,13 @@ class Hdf5Recording:
         pictures = self._dataset(file, demonstration, self._camera)
         if not _is_camera(pictures):
             raise self._bad(f"has no pictures in {pictures.name!r}, but {_described(pictures)}")
-        height, width = pictures.shape[1:3]
+        count, height, width = pictures.shape[:3]
         if not 0 < height * width <= self._limits.pixels:
             raise self._bad(f"declares pictures of {width}x{height} pixels in {pictures.name!r}")
+        if count > self._limits.frames:
+            raise self._bad(f"declares more than the {self._limits.frames:,} pictures that can be imported")
+        if not _is_filled(pictures):
+            raise self._bad(f"declares {count:,} pictures in {pictures.name!r} and holds fewer")
         return pictures
 
     def _dataset(self, file: h5py.File, demonstration: str, name: str) -> h5py.Dataset:
@@ -170,7 +175,7 @@ class Hdf5Recording:
                 raise self._bad(f"keeps {found.name!r} in another file")
             created = found.id.get_create_plist()
             foreign = {created.get_filter(number)[0] for number in range(created.get_nfilters())} - _BUILT_IN
-            chunk = int(np.prod(found.chunks, dtype=object)) * found.dtype.itemsize if found.chunks else 0
+            chunk = math.prod(found.chunks) * found.dtype.itemsize if found.chunks else 0
         except _ERRORS as error:
             raise self._bad(f"is damaged at {name!r} in {demonstration!r}: {str(error)[:120]}") from error
         if foreign:
@@ -237,6 +242,17 @@ def _datasets(group: h5py.Group, prefix: str = "", depth: int = 0) -> dict[str, 
 def _is_camera(dataset: h5py.Dataset) -> bool:
     try:
         return len(dataset.shape) == 4 and dataset.dtype == np.uint8 and dataset.shape[3] in (1, 3, 4)
+    except _ERRORS:
+        return False
+
+
+def _is_filled(dataset: h5py.Dataset) -> bool:
+    """Whether all was written that is declared; HDF5 makes up zeros for what was not."""
+    try:
+        if dataset.chunks is None:
+            return bool(dataset.id.get_storage_size() == dataset.size * dataset.dtype.itemsize)
+        chunks = zip(dataset.shape, dataset.chunks, strict=True)
+        return bool(dataset.id.get_num_chunks() == math.prod(-(-size // chunk) for size, chunk in chunks))
     except _ERRORS:
         return False
 

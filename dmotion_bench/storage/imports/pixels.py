@@ -207,7 +207,8 @@ def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 image.load()
-                if turn := _UPRIGHT.get(_orientation(image)):
+                turn = _UPRIGHT.get(_orientation(image))
+                if turn is not None:
                     return np.array(image.convert("RGB").transpose(turn))
                 if image.mode.startswith("I;16"):
                     return _gray((np.asarray(image) >> 8).astype(np.uint8))

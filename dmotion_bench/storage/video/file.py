@@ -82,6 +82,7 @@ class VideoFile:
             self.has_times = kind != "avi"
             self._container = opened.enter_context(self._open(file, CONTAINERS[kind]))
             self._stream = self._choose(camera)
+            self._check_pixels(self._stream.height, self._stream.width)
             self._unit = self._stream.time_base or Fraction(1, 1000)
             rate = self._stream.average_rate or self._stream.guessed_rate
             self.rate = float(rate) if rate is not None and 0.001 <= rate <= 10_000 else None
@@ -221,7 +222,14 @@ class VideoFile:
                 raise self._bad(f"is damaged after {at / 1e9:.3f} s: {error.strerror}{way_out}") from error
 
     def _timed(self, frame: VideoFrame) -> tuple[int | None, VideoFrame]:
+        self._check_pixels(frame.height, frame.width)
         return None if frame.pts is None else self._time(frame.pts), frame
+
+    def _check_pixels(self, height: int, width: int) -> None:
+        if height * width > self._pixels:
+            raise self._bad(
+                f"has pictures of {width}x{height} pixels, more than the {self._pixels:,} that one may have"
+            )
 
     def _seek(self, seconds: float) -> None:
         """Go to the key frame at or before a time."""

@@ -118,7 +118,8 @@ def shown_size(frame: VideoFrame) -> tuple[int, int]:
 def _turn(frame: VideoFrame) -> tuple[bool, bool, bool]:
     """Whether to swap the axes, and then to mirror left-right and up-down: the display matrix, to a quarter turn."""
     try:
-        matrix = frame.side_data[Type.DISPLAYMATRIX]
+        side_data: Any = frame.side_data  # PyAV's types leave out what is found by its kind
+        matrix = side_data[Type.DISPLAYMATRIX]
     except KeyError:
         return False, False, False
     a, b, _, c, d = np.frombuffer(bytes(matrix), "<i4", count=5).tolist()

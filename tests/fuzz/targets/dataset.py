@@ -108,7 +108,7 @@ class DatasetTarget(Target):
             ".json": spoil_json,
             ".parquet": spoil_parquet,
             ".mcap": partial(spoil_mcap, mend=mend),
-            ".arrow": spoil_arrow,
+            ".arrow": partial(spoil_arrow, mend=mend),
         }.get(file.suffix, spoil_bytes)
         before = file.read_bytes()
         after, told = spoil_bytes(rng, before) if case.chance(PLAIN) else spoil(rng, before)

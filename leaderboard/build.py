@@ -25,9 +25,10 @@ from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, R
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import command
 from leaderboard.comparison import scored, sums_by_episode
 from leaderboard.control import actions_of
-from leaderboard.entry import FORMAT, REPORT_FIELDS, Entry, published_entry, schema_text
+from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
 from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
 from leaderboard.layout import ENTRIES, PAGE, SCHEMA
 from leaderboard.page import make_page
@@ -146,11 +147,11 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         or run.spec.fingerprint != trained_on["fingerprint"]
     ):
         raise EntryInvalid(
-            f"the report of {str(path)!r} is of an earlier training; score it with 'dmbench score {path}'."
+            f"the report of {str(path)!r} is of an earlier training; score it with {command('dmbench score', path)}."
         )
     stored = json.loads((folder / REPORT_FILE).read_text())
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
-    content |= {name: stored[name] for name in REPORT_FIELDS}
+    content |= stored
     content |= {"by_episode": sums_by_episode(samples), "control": actions_of(samples), "pictures": []}
     entry = Entry(content)
     if not shows_pictures(run.spec.labels):

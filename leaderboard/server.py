@@ -29,7 +29,7 @@ class LeaderboardServer(LoopbackServer):
 
     def __init__(self, folder: Path, port: int = 0) -> None:
         if not (folder / PAGE).is_file():
-            build = command("dmbench", "leaderboard", "build", "--out", folder)
+            build = command("dmbench leaderboard build --out", folder)
             raise UsageError(f"no leaderboard in {str(folder)!r}; make one with {build}.")
         self.folder = folder
         try:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from dmotion_bench.cli.options import AsJson
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -14,11 +16,13 @@ def register(app: typer.Typer) -> None:
 
 
 def bench(
-    only: Annotated[str, typer.Option(help="Only speeds whose name holds this text, such as train[dmotion.")] = "",
-    seconds: Annotated[float, typer.Option(min=0.1, help="How long each speed is measured.")] = 5.0,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    only: Annotated[
+        str, typer.Option(help="Measure only the speeds whose names contain this text, such as 'train'.")
+    ] = "",
+    seconds: Annotated[float, typer.Option(min=0.1, help="Duration of each measurement.")] = 5.0,
+    as_json: AsJson = False,
 ) -> None:
-    """Measure recording, loading, training and planning on this machine, beside what bounds them."""
+    """Measure how fast this machine records, loads, trains and plans, beside its limits."""
     from dataclasses import asdict
 
     from dmotion_bench.benchmarks.speeds import measure

@@ -24,6 +24,7 @@ from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.tasks import ControlTask
+from dmotion_bench.wording import command
 
 
 @runtime_checkable
@@ -123,7 +124,7 @@ def load_problems(dataset: TaskDataset, numbers: Sequence[int] | int | None = No
     if not tasks:
         raise DatasetError(
             f"{dataset.name!r} stores no control tasks; record a data set with some: "
-            f"'dmbench record {dataset.recipe.environment} --tasks 20'."
+            f"{command('dmbench record', dataset.recipe.environment, '--tasks', '20')}."
         )
     if numbers is None or isinstance(numbers, int):
         numbers = range(len(tasks) if numbers is None else min(numbers, len(tasks)))
@@ -182,9 +183,9 @@ class World:
         self.frame = start(env, problem)
         if not np.array_equal(self.frame, problem.start_frame):
             raise DatasetError(
-                f"task {problem.number} starts at another picture than the one recorded: the simulator of this "
-                "machine does not repeat what was recorded (another version of its package?). Record the data set "
-                "again with 'dmbench record'."
+                f"task {problem.number} starts at another picture than the recorded one: the simulator of this machine "
+                "does not reproduce the recording, perhaps because its package has another version. Record the data "
+                "set again with 'dmbench record'."
             )
         self._look_for_walls()
 

@@ -141,7 +141,7 @@ class CacheFile:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise self._not_writable(error.strerror) from None
+            raise self._not_writable(str(error.strerror)) from None
         if not os.access(self.folder, os.W_OK):
             raise self._not_writable("it is read-only")
         free = shutil.disk_usage(self.folder).free

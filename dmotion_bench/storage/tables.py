@@ -9,9 +9,9 @@ from __future__ import annotations
 import io
 import os
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, SupportsIndex, overload
 
 import numpy as np
 import pyarrow as pa
@@ -46,7 +46,7 @@ _COLUMN_BYTES, _VALUE_BYTES = 4096, 24
 Columns = Mapping[str, np.ndarray]
 
 
-class EpisodeTable:
+class EpisodeTable(Sequence[EpisodeRow]):
     """The rows of ``episodes.parquet``, kept as columns: a hundred bytes an episode.
 
     Attributes:
@@ -71,15 +71,20 @@ class EpisodeTable:
     def __len__(self) -> int:
         return len(self.columns["frames"])
 
-    def __getitem__(self, index: int) -> EpisodeRow:
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        values = {name: column[index : index + 1].tolist()[0] for name, column in self.columns.items()}
-        spans = {name: Span(values.pop(f"{name}_offset"), values.pop(f"{name}_bytes")) for name in _SPANS}
-        return EpisodeRow(**values | {"ended": ended_as(values["ended"])}, **spans)
+    @overload
+    def __getitem__(self, index: SupportsIndex) -> EpisodeRow: ...
 
-    def __iter__(self) -> Iterator[EpisodeRow]:
-        return (self[index] for index in range(len(self)))
+    @overload
+    def __getitem__(self, index: slice) -> list[EpisodeRow]: ...
+
+    def __getitem__(self, index: SupportsIndex | slice) -> EpisodeRow | list[EpisodeRow]:
+        places = range(len(self))[index]
+        return self._row(places) if isinstance(places, int) else [self._row(place) for place in places]
+
+    def _row(self, place: int) -> EpisodeRow:
+        values: dict[str, Any] = {name: column[place : place + 1].tolist()[0] for name, column in self.columns.items()}
+        spans = {name: Span(values.pop(f"{name}_offset"), values.pop(f"{name}_bytes")) for name in _SPANS}
+        return EpisodeRow(**values | {"ended": ended_as(values["ended"])} | spans)
 
     def of_shard(self, shard: int) -> list[EpisodeRow]:
         """The rows of one shard."""

@@ -75,6 +75,10 @@ def test_the_contract_is_kept(name: str) -> None:
     check_model(model_class(name), size=32)
 
 
+def test_the_papers_networks_keep_the_contract_at_the_size_that_is_tried_by_default() -> None:
+    check_model(model_class("dmotion"), arch="paper")
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_what_draws_with_a_u_net_can_warp(name: str, build, step, video, batch) -> None:
     kind = model_class(name)

@@ -296,4 +296,5 @@ def _column(column: pa.ChunkedArray) -> np.ndarray:
         return numbers
     whole = column.unify_dictionaries().combine_chunks()
     words: np.ndarray = np.array(whole.dictionary.to_pylist(), object)
-    return words[whole.indices.to_numpy(zero_copy_only=False)]
+    chosen: np.ndarray = words[whole.indices.to_numpy(zero_copy_only=False)]
+    return chosen

@@ -104,17 +104,19 @@ class DMotion(ForwardModel[DMotionConfig]):
                 f"frames are {inputs.height} x {inputs.width}; "
                 "DMotion takes square ones whose side is a multiple of 16."
             )
-        networks = dmotion_paper if config.arch == "paper" else dmotion_compact
+        is_paper = config.arch == "paper"
+        networks = dmotion_paper if is_paper else dmotion_compact
+        sized = {"side": inputs.height} if is_paper else {}  # the compact networks have no layer that knows the size
         self.pack, self.unpack = networks.pack, networks.unpack
         self.image_encoder = networks.ImageEncoder(config.maps)
         self.motion_encoder = networks.MotionEncoder(
-            config.maps, self.transform.identity(), reversible=self.transform.reversible
+            config.maps, self.transform.identity(), reversible=self.transform.reversible, **sized
         )
-        self.decoder = networks.Decoder(config.maps)
+        self.decoder = networks.Decoder(config.maps, **sized)
         self.interaction_learner = networks.InteractionLearner(
             frames=2 if config.second_frame else 1,
             agent_entries=config.agent_entries,
-            **({"warps": config.warp} if config.arch == "compact" else {}),  # the paper's paints
+            **({} if is_paper else {"warps": config.warp}),  # the paper's paints
         )
         self.register_buffer("table", self.transform.identity().repeat(inputs.actions, 1))
         self.blur, self.jitter = config.blur, config.jitter
@@ -136,6 +138,7 @@ class DMotion(ForwardModel[DMotionConfig]):
                 schedule="constant",
                 optimizer="adam",
                 clip_norm=0.0,
+                channels_last=True,
             )
         return TrainingConfig(
             epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 8}[preset],
@@ -143,6 +146,7 @@ class DMotion(ForwardModel[DMotionConfig]):
             optimizer="muon",
             schedule="linear",
             clip_norm=0.0,
+            channels_last=True,
             hard_share=0.5,
         )
 
@@ -239,7 +243,10 @@ class DMotion(ForwardModel[DMotionConfig]):
         weights = motion.abs() / motion.abs().sum(-1, keepdim=True)
         place = torch.arange(motion.shape[-1], device=motion.device)
         offset = torch.stack([place % side, place // side], -1) - side // 2
-        shift: Tensor = -(weights @ offset.float()) * 2  # a map's pixel is two of the frame's
+        scale = (
+            self.inputs.width / dmotion_paper.MAP_SIZE if self.config.arch == "paper" else 2
+        )  # [px] of a map's pixel
+        shift: Tensor = -(weights @ offset.float()) * scale
         return shift
 
     def _interact(self, previous: Tensor, current: Tensor, agent: Tensor) -> Float[Tensor, "b c h w"]:

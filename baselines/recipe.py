@@ -21,5 +21,6 @@ def compact_recipe(preset: Preset, passes: float = 1.0) -> TrainingConfig:
         optimizer="muon",
         schedule="linear",
         clip_norm=0.0,
+        channels_last=True,
         hard_share=0.5,
     )

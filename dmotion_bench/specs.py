@@ -23,6 +23,8 @@ IMPORTED = "imported"
 VERSION = "version"
 """The parameter of an environment's constructor that says which of its versions it is; see ``Versioned``."""
 
+MOST_THREADS = 1024  # that a training computes with
+
 MASK_BACKGROUND = 0
 MASK_AGENT = 1
 MASK_FIRST_OBJECT = 2  # object k of EnvSpec.objects has the mask value 2 + k
@@ -166,6 +168,12 @@ class DatasetRecipe:
     tasks: int = 0
     shard_episodes: int = 50
     vary: tuple[str, ...] = ()
+
+    @property
+    def version(self) -> int:
+        """The version of the environment: its parameter ``version``, 1 where the recipe names none."""
+        version = self.parameters.get(VERSION, 1)
+        return version if isinstance(version, int) else 1
 
 
 def episode_seed(seed: int, episode: int) -> int:

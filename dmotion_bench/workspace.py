@@ -14,6 +14,9 @@ from pathlib import Path
 from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
 from dmotion_bench.wording import command
 
+AnyPath = str | os.PathLike[str]
+"""What may stand for a folder where somebody calls the library."""
+
 CACHE = "cache"
 CACHE_VARIABLE = "DMBENCH_CACHE"
 ANOTHER_CACHE = f"name another folder with '--cache DIR', or in the variable {CACHE_VARIABLE}"
@@ -33,9 +36,16 @@ def cache_folder(dataset: Path) -> Path:
 
 @dataclass(frozen=True)
 class Workspace:
-    """The folder that everything is kept in."""
+    """The folder that everything is kept in.
+
+    Args:
+        root: Kept as a ``Path``.
+    """
 
     root: Path
+
+    def __init__(self, root: AnyPath) -> None:
+        object.__setattr__(self, "root", Path(root))
 
     @classmethod
     def current(cls) -> Workspace:
@@ -65,7 +75,7 @@ class Workspace:
         """Every run's folder, sorted."""
         return sorted(path.parent for path in self.runs.glob(f"*/{RUN_MANIFEST}"))
 
-    def dataset(self, given: Path | None) -> Path:
+    def dataset(self, given: AnyPath | None) -> Path:
         """The data set asked for by path or name, or the only one there is.
 
         Raises:
@@ -73,7 +83,7 @@ class Workspace:
             UsageError: There are several and none was named.
         """
         if given is not None:
-            return self._named(given, self.data, DATASET_MANIFEST, "data set", self.datasets())
+            return self._named(Path(given), self.data, DATASET_MANIFEST, "data set", self.datasets())
         found = self.datasets()
         if not found:
             raise DatasetMissing(
@@ -85,7 +95,7 @@ class Workspace:
             raise UsageError(f"several data sets are here; choose one:\n{listed}")
         return found[0]
 
-    def run(self, given: Path | None) -> Path:
+    def run(self, given: AnyPath | None) -> Path:
         """The run asked for by path or name, or the only one there is.
 
         Raises:
@@ -93,7 +103,7 @@ class Workspace:
             UsageError: There are several and none was named.
         """
         if given is not None:
-            return self._named(given, self.runs, RUN_MANIFEST, "run", self.all_runs())
+            return self._named(Path(given), self.runs, RUN_MANIFEST, "run", self.all_runs())
         found = self.all_runs()
         if not found:
             raise RunMissing(f"no run in {str(self.runs)!r}; train one with 'dmbench train dmotion'.")

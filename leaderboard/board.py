@@ -16,7 +16,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeVar
 
-from dmotion_bench.scoring.control import planning_version
+from dmotion_bench.planning.control import CONTROL_VERSION
+from dmotion_bench.scoring.report import Version
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
@@ -57,7 +58,7 @@ class Row:
         is_best: Whether it is the one the others are compared with.
         elsewhere: Whether it was trained on another data set than the board's.
         leads: Other figures in which it is the best, or cannot be told from the best.
-        planned_by: The version of the code behind its figures of control; None where it has none.
+        planned_by: The version of control behind its figures of control; None where it has none.
         planned_otherwise: Whether that is another one than the board's.
     """
 
@@ -73,7 +74,7 @@ class Row:
     is_best: bool = False
     elsewhere: bool = False
     leads: frozenset[str] = frozenset()
-    planned_by: str | None = None
+    planned_by: Version | None = None
     planned_otherwise: bool = False
 
     @property
@@ -141,16 +142,20 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
     boards = [_board(own, published.get(key[0], [])) for key, own in groups.items()]
     lonely = set(published) - {key[0] for key in groups}
     boards += [Board(environment=name, rows=_sorted(map(_published_row, published[name]))) for name in lonely]
-    return sorted(boards, key=lambda board: (board.environment, board.protocol, board.dataset, board.fingerprint))
+    return sorted(
+        boards,
+        key=lambda board: (board.environment, -board.version, board.protocol, board.dataset, board.fingerprint),
+    )
 
 
 def _board_key(entry: Entry) -> tuple[str, ...]:
     settings, dataset = entry.content["settings"], entry.content["dataset"]
-    return entry.environment, dataset["name"], dataset["fingerprint"], str(settings["split"]), str(settings["protocol"])
+    of = entry.environment, str(entry.version), dataset["name"], dataset["fingerprint"]
+    return *of, str(settings["split"]), str(settings["protocol"])
 
 
 def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
-    environment, dataset, fingerprint, split, protocol = _board_key(entries[0])
+    environment, _, dataset, fingerprint, split, protocol = _board_key(entries[0])
     planner = _planner_of(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     twins: dict[tuple[str, ...], int] = defaultdict(int)
@@ -174,12 +179,12 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
     )
 
 
-def _planner_of(entries: Iterable[Entry]) -> str | None:
-    """Whose plans are compared, of those behind some entries; None where nobody planned."""
+def _planner_of(entries: Iterable[Entry]) -> Version | None:
+    """The version of control that is compared, of those behind some entries; None where nobody planned."""
     versions = Counter(entry.planned_by for entry in entries if entry.planned_by is not None)
-    if (own := planning_version()) in versions:
-        return own
-    return max(sorted(versions), key=versions.__getitem__, default=None)
+    if CONTROL_VERSION in versions:
+        return CONTROL_VERSION
+    return max(sorted(versions, key=str), key=versions.__getitem__, default=None)
 
 
 def _row_key(entry: Entry) -> tuple[str, ...]:
@@ -191,7 +196,7 @@ def _without_seed(entry: Entry) -> str:
     return re.sub(r"-s\d+$", "", entry.name)
 
 
-def _measured_row(entries: Sequence[Entry], planner: str | None) -> Row:
+def _measured_row(entries: Sequence[Entry], planner: Version | None) -> Row:
     first = entries[0]
     mine = planner if any(entry.planned_by == planner for entry in entries) else _planner_of(entries)
     arch, own = first.content["arch"], first.trained_on
@@ -213,7 +218,7 @@ def _measured_row(entries: Sequence[Entry], planner: str | None) -> Row:
     )
 
 
-def _compared(figures: Mapping[str, _T], entry: Entry, planner: str | None) -> dict[str, _T]:
+def _compared(figures: Mapping[str, _T], entry: Entry, planner: Version | None) -> dict[str, _T]:
     """What an entry says by figure, without those of control that another version planned."""
     return {
         name: figure
@@ -265,7 +270,7 @@ def _published_row(entry: Entry) -> Row:
     )
 
 
-def _reference_rows(entries: Sequence[Entry], planner: str | None) -> list[Row]:
+def _reference_rows(entries: Sequence[Entry], planner: Version | None) -> list[Row]:
     """What the entries say of predictors that know nothing; all of a board and a planner say the same.
 
     Of them the oracle alone plans; where nothing is known of it with the board's planner, another's is marked.

@@ -28,7 +28,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import command
 from leaderboard.comparison import scored, sums_by_episode
 from leaderboard.control import actions_of
-from leaderboard.entry import FORMAT, REPORT_FIELDS, Entry, published_entry, schema_text
+from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
 from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
 from leaderboard.layout import ENTRIES, PAGE, SCHEMA
 from leaderboard.page import make_page
@@ -151,7 +151,7 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         )
     stored = json.loads((folder / REPORT_FILE).read_text())
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
-    content |= {name: stored[name] for name in REPORT_FIELDS}
+    content |= stored
     content |= {"by_episode": sums_by_episode(samples), "control": actions_of(samples), "pictures": []}
     entry = Entry(content)
     if not shows_pictures(run.spec.labels):

@@ -32,7 +32,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
 from dmotion_bench.scoring.references import REFERENCES, published_results
-from dmotion_bench.scoring.report import SAMPLES_FILE, scoring_version
+from dmotion_bench.scoring.report import SAMPLES_FILE, SCORING_VERSION
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, column, read_samples
 from dmotion_bench.scoring.score import (
     DEFAULT_METRICS,
@@ -102,9 +102,9 @@ def check_entry(
     if not entry.is_measured:
         _against_tables(check)
         return check.verdict()
-    if entry.content["code"] != scoring_version():
+    if entry.scored_by != SCORING_VERSION:
         check.missing.append(
-            f"code: the entry was scored by {short(entry.content['code'])}, this is {scoring_version()!r}; "
+            f"version: the entry was scored by version {short(entry.scored_by)}, this is version {SCORING_VERSION}; "
             "score the run again, or check with the dmbench that scored it"
         )
     run, dataset, asked = find_run(check, workspace), find_dataset(check, workspace), _settings(check)

@@ -162,7 +162,7 @@ def _cells(one: Chosen) -> list[str]:
         one.choice.model_title,
         labels(one.row),
         trainings(one.row, one.choice.figure).partition(":")[0],
-        figure(one.value) + (f" {TUNED_MARK}" if one.tuned else ""),
+        figure(one.value) + (f"\u00a0{TUNED_MARK}" if one.tuned else ""),
         mean(one.baseline),
         mean(one.paper),
     ]

@@ -15,14 +15,13 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import torch
 
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.control import ControlProgress, ControlResult, ControlSettings, control
+from dmotion_bench.planning.control import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
 from dmotion_bench.planning.controllers import Controller, Decision, ModelController, Seen
 from dmotion_bench.planning.planner import make_planner
 from dmotion_bench.planning.problems import Moving, Problem, World, load_problems, task_environment
-from dmotion_bench.scoring.control import QUICK, ControlScoring, control_samples, planning_version, score_control
+from dmotion_bench.scoring.control import QUICK, ControlScoring, control_samples, score_control
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import column
@@ -90,6 +89,9 @@ def check_control(
     if scoring is None:
         return
     problems = load_problems(dataset, scoring.tasks)
+    if check.entry.planned_by == CONTROL_VERSION and content.get("planning"):
+        for part, own in scoring.planning(dataset.spec, needs_pixels=run.model.needs_pixels).items():
+            check.expect(f"planning.{part}", content["planning"].get(part), own)
     found = dict[str, pa.Table]()
     for name in sorted({MODEL, *content[METRIC]}):
         actions = _actions(check, name, problems, scoring.steps, len(dataset.spec.actions))
@@ -98,7 +100,7 @@ def check_control(
         repeater = _Repeater(actions)
         result = _control(repeater, problems, dataset, scoring, how, f"control by {name}, again")
         found[name] = control_samples(name, result)
-        if name == MODEL and anew and check.entry.planned_by == planning_version():
+        if name == MODEL and anew and check.entry.planned_by == CONTROL_VERSION:
             _plan_anew(check, run, dataset, problems, scoring, actions, differing, how)
     if anew:
         found |= {name: _reference(name, dataset, scoring, how) for name in _quick(dataset)}
@@ -125,10 +127,11 @@ def _scoring(check: Findings) -> ControlScoring | None:
     if wrong:
         check.wrong += [f"settings.{name} is {short(given.get(name))}, which cannot be" for name in wrong]
         return None
-    if check.entry.planned_by != planning_version():
+    if check.entry.planned_by != CONTROL_VERSION:
         check.missing.append(
-            f"code: control was planned by {short(check.entry.planned_by)}, this is {planning_version()!r}; what its "
-            "actions lead to was checked, to have them planned anew use the dmbench that scored it"
+            f"version: control was planned by version {short(check.entry.planned_by)}, this is version "
+            f"{CONTROL_VERSION}; what its actions lead to was checked, to have them planned anew use the dmbench that "
+            "scored it"
         )
     return ControlScoring.from_json(given)
 
@@ -193,9 +196,8 @@ def _plan_anew(
     groups = range(0, len(problems), scoring.group)
     first = groups[int(check.entry.content["weights"][:8], 16) % len(groups)]
     group = problems[first : first + scoring.group]
-    weights = run.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     planner = make_planner(scoring.planner)
-    model = ModelController(weights, dataset.spec, planner, cost=scoring.cost, device=how.device)
+    model = ModelController(run.model.laid_out(), dataset.spec, planner, cost=scoring.cost, device=how.device)
     witness = _Repeater(actions, model)
     few = ControlScoring(steps=min(PLANNED, scoring.steps), seed=scoring.seed, group=scoring.group)
     _control(witness, group, dataset, few, how, "control, planned anew")

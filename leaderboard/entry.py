@@ -11,7 +11,6 @@ path or for markup; their pictures are decoded and encoded anew before they are 
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import hashlib
 import json
@@ -23,12 +22,14 @@ from typing import Any, Final
 
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import PublishedResult
-from dmotion_bench.scoring.report import FigureJson, Report
+from dmotion_bench.scoring.report import CONTROL_OF_CODE, SCORING_OF_CODE, FigureJson, Version
 from dmotion_bench.specs import VERSION
 from leaderboard.json_schema import violations
 
 FORMAT: Final = "dmbench-entry/1"
-REPORT_FIELDS: Final = tuple(field.name for field in dataclasses.fields(Report))
+OWN_FIELDS: Final = ("format", "kind", "by_episode", "control", "pictures")
+"""Of a measured entry; all others are those of the run's report."""
+
 SHOWN_VIOLATIONS: Final = 3
 HASH: Final = re.compile(r"[0-9a-f]{64}")
 
@@ -120,10 +121,19 @@ class Entry:
         return count
 
     @property
-    def planned_by(self) -> str | None:
-        """The version of the code that planned; None where control was not scored."""
-        code = self.content["settings"].get("control_code") if self.is_measured else None
-        return None if code is None else str(code)
+    def scored_by(self) -> Version:
+        """The version of scoring; of measured entries."""
+        code = self.content.get("code")
+        version: Version = self.content["scoring_version"] if code is None else SCORING_OF_CODE.get(code, code)
+        return version
+
+    @property
+    def planned_by(self) -> Version | None:
+        """The version of control; None where control was not scored."""
+        settings = self.content["settings"] if self.is_measured else {}
+        code = settings.get("control_code")
+        version: Version | None = settings.get("control_version") if code is None else CONTROL_OF_CODE.get(code, code)
+        return version
 
     @property
     def figures(self) -> Mapping[str, FigureJson]:
@@ -146,7 +156,7 @@ class Entry:
     @property
     def report(self) -> Mapping[str, Any]:
         """The part of a measured entry that is the run's report."""
-        return {name: self.content[name] for name in REPORT_FIELDS}
+        return {name: value for name, value in self.content.items() if name not in OWN_FIELDS}
 
     @property
     def slug(self) -> str:

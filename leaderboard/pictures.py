@@ -87,7 +87,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
     frames = np.stack([dataset.video(one.episode)[one.step - 1 : one.step + 2] for one in steps])
     images = to_model(torch.from_numpy(frames))
     action = torch.tensor([one.action for one in steps])
-    model = run.model.to(device="cpu", memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    model = run.model.to("cpu").laid_out().eval()
     with predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
     return [

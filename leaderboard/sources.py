@@ -97,6 +97,7 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
             check.wrong.append(f"data set: {error}")
     check.expect("dataset.name", content["dataset"]["name"], dataset.name)
     check.expect("dataset.environment", check.entry.environment, dataset.recipe.environment)
+    check.expect("dataset.version", check.entry.version, dataset.recipe.version)
     published = None if elsewhere else published_for(spec.model, check.entry.environment, spec.labels)
     ours = {} if published is None else {name: one.to_json() for name, one in published.figures.items()}
     check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
@@ -115,5 +116,5 @@ def _against_report(check: Findings, folder: Path) -> None:
     if report is None:
         check.wrong.append(f"report: there is none of this protocol in {str(folder)!r}")
         return
-    for name in ("versions", "remarks"):
-        check.expect(name, check.entry.content[name], getattr(report, name))
+    for name in ("versions", "remarks", "planning"):
+        check.expect(name, check.entry.content.get(name, {}), getattr(report, name))

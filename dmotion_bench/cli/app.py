@@ -26,7 +26,7 @@ from dmotion_bench.workspace import CACHE_VARIABLE
 
 app = typer.Typer(
     name="dmbench",
-    help="The benchmark for forward models learned from robot video without action labels.",
+    help="Compare models that predict the next camera image, learned from robot video without action labels.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -65,10 +65,10 @@ def _version(value: bool) -> None:
 @app.callback()
 def dmbench(
     version: bool = typer.Option(
-        False, "--version", help="Print the version and leave.", callback=_version, is_eager=True
+        False, "--version", help="Print the version and exit.", callback=_version, is_eager=True
     ),
 ) -> None:
-    """The benchmark for forward models learned from robot video without action labels."""
+    """Compare models that predict the next camera image, learned from robot video without action labels."""
 
 
 def register_commands() -> None:
@@ -80,7 +80,7 @@ def register_commands() -> None:
 
 
 def main() -> None:
-    """Run the command that was typed; say in a sentence what is wrong."""
+    """Run the command that was typed; print an error as one sentence."""
     try:
         _require_text()
         with _log_on_stderr():

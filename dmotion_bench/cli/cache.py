@@ -1,4 +1,4 @@
-"""The option that says where decoded frames are kept, for commands that read them at random."""
+"""The option that chooses a folder for decoded frames, for commands that read frames in random order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CacheFolder = Annotated[
     typer.Option(
         "--cache",
         metavar="DIR",
-        help=f"Keep decoded frames there, not in the data set's folder; else as the variable {CACHE_VARIABLE} says.",
+        help=f"Folder for decoded frames. Default: the variable {CACHE_VARIABLE}, or else the data set's folder.",
     ),
 ]
 

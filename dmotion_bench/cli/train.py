@@ -11,11 +11,13 @@ import typer
 
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.live import Live, LiveTo, following
+from dmotion_bench.cli.options import DEVICES, AsJson, Device, listed, require_one_of
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
-from dmotion_bench.specs import Preset
+from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
+    from dmotion_bench.learning.run import Conditions
     from dmotion_bench.viewing.follow import Follower
     from dmotion_bench.workspace import Workspace
 
@@ -27,57 +29,94 @@ def register(app: typer.Typer) -> None:
 
 def train(
     model: Annotated[
-        str | None, typer.Argument(help="A model's name; 'dmbench list models' shows them.", show_default=False)
+        str | None, typer.Argument(help="The model's name; 'dmbench list models' lists them.", show_default=False)
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Every model under each of its label budgets.")] = False,
-    data: Annotated[Path | None, typer.Option(help="The data set; the only one of the workspace if left out.")] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Train every model with each of its label budgets.")
+    ] = False,
+    data: Annotated[
+        Path | None, typer.Option(help="The data set, by path or name. Default: the only one of the workspace.")
+    ] = None,
     labels: Annotated[
         str | None,
-        typer.Option(help="Label budget: none, one-shot, K-shot, 10%, 100%. One-shot for models that see video only."),
+        typer.Option(
+            metavar="[none|one-shot|K-shot|P%]",
+            help="Label budget: how many action labels the model is given. one-shot, 5-shot: this many demonstrations "
+            "of each action; 10%, 100%: the actions of this share of the episodes. Models that learn from video alone "
+            "use one-shot by default; other models need a budget.",
+        ),
     ] = None,
     preset: Annotated[
         Preset | None,
         typer.Option(
-            parser=preset_named, metavar="[tiny|small|paper]", help="How long to train; the data set's own if left out."
+            parser=preset_named,
+            metavar="[tiny|small|paper]",
+            help="Length of the training. Default: the data set's preset.",
         ),
     ] = None,
-    arch: Annotated[str | None, typer.Option(help="The model's architecture: compact or paper.")] = None,
+    arch: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[compact|paper]",
+            help="Architecture: the small, fast one, or the paper's. Default: the model's first.",
+        ),
+    ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=LARGEST_SEED, help="Of the weights, the batches and the demonstrations.")
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the weights, the batches and the demonstrations.")
     ] = 0,
     split: Annotated[
-        str, typer.Option(help="episode, or paper: the paper's shuffled triplets, which leak into the test.")
+        str,
+        typer.Option(
+            metavar=listed(("episode", "paper")),
+            help="How test data are held out. episode: whole episodes. paper: single shuffled triplets of frames, as "
+            "in the paper; training frames leak into the test.",
+        ),
     ] = "episode",
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change a setting of the model or the training, such as epochs=5. Can be repeated.",
+        ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="The run's folder; runs/NAME if left out.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Only go on with a run that is there already.")] = False,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    out: Annotated[Path | None, typer.Option(help="Folder of the run. Default: runs/NAME.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an existing run; fail if there is none.")] = False,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=MOST_THREADS,
+            help="Threads that compute. The weights depend on their number. Default: the run's own, or torch's number.",
+            show_default=False,
+        ),
+    ] = None,
+    device: Device = "auto",
     cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Train a model, or all of them. The same command again goes on where it stopped."""
-    from dmotion_bench.errors import RunMissing, UnknownName, UsageError
+    """Train a model, or all models. Run the same command again to continue an interrupted training."""
+    from dmotion_bench.errors import RunMissing, UsageError
     from dmotion_bench.registry import model_class
     from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 
-    for kind, given, allowed in (("split", split, ("episode", "paper")), ("device", device, ("auto", "cpu", "cuda"))):
-        if given not in allowed:
-            raise UnknownName(kind, given, allowed)
+    require_one_of("split", split, ("episode", "paper"))
+    require_one_of("device", device, DEVICES)
     use_cache(cache)
     workspace = Workspace.current()
     if everything:
         own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}
         own |= {"--live": live, "--live-to": live_to}
         if extra := [name for name, value in own.items() if value]:
-            raise UsageError(f"--all trains every model its own way; leave {' and '.join(extra)} away.")
-        _train_all(workspace, data, preset, seed, split, device, as_json)
+            raise UsageError(f"--all chooses these for every model; leave out {' and '.join(extra)}.")
+        _train_all(workspace, data, preset, seed, split, threads, device, as_json)
         return
     if model is None:
-        raise UsageError("no model is named; name one ('dmbench list models' shows them), or train --all of them.")
+        raise UsageError(
+            "no model is named; name one ('dmbench list models' lists them), or give --all to train every model."
+        )
     model_class(model)  # a misspelt name is said before anything is loaded
 
     from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve
@@ -91,11 +130,12 @@ def train(
         seed=seed,
         settings=tuple(settings or ()),
         protocol="paper" if split == "paper" else "episode",
+        threads=threads,
     )
     dataset = Dataset.open(workspace.dataset(data))
     folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
-        raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave --resume away to begin one.")
+        raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave out --resume to start one.")
     if not (folder / RUN_MANIFEST).exists() and folder.is_dir() and any(folder.iterdir()):
         raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
     run = open_run(request, dataset, folder, workspace)
@@ -110,7 +150,7 @@ def _follower(run: Path) -> Follower:
 
 
 def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None:
-    """Say what a training came to."""
+    """Print the result of a training."""
     summary = {
         "run": str(run.path),
         "model": run.spec.model,
@@ -118,6 +158,8 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
         "triplets_per_s": result["triplets_per_s"],
         "seconds": result["seconds"],
         "labels": result["labels_total"],
+        "threads": result.get("threads"),
+        "precision": result.get("precision"),
     }
     if as_json:
         typer.echo(json.dumps(summary))
@@ -130,23 +172,41 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
     known = f" of {_transitions(dataset)} transitions in the data set" if dataset.spec.actions else ", there are none"
     typer.echo(f"  labels used: {result['labels_total']}{known}")
+    if run.conditions is not None:
+        typer.echo(f"  computed in {_conditions(run.conditions)}")
     if run.spec.labels == "none" and dataset.spec.actions:
-        typer.echo("Its actions have no names yet; '--labels one-shot' takes this training over and names them.")
+        typer.echo(
+            "The model does not know yet which action is which. "
+            "The same command with '--labels one-shot' tells it, without training again."
+        )
     else:
         typer.echo(f"Score it with {command('dmbench score', run.path)}.")
 
 
+def _conditions(conditions: Conditions) -> str:
+    threads = f"{conditions.threads} thread{'s' if conditions.threads > 1 else ''}"
+    taken = ", ".join(f"{seconds:.3g} s in {precision}" for precision, seconds in conditions.probe.items())
+    return f"{conditions.precision} with {threads}" + (f"; before the training a step took {taken}" if taken else "")
+
+
 def _train_all(
-    workspace: Workspace, data: Path | None, preset: Preset | None, seed: int, split: str, device: str, as_json: bool
+    workspace: Workspace,
+    data: Path | None,
+    preset: Preset | None,
+    seed: int,
+    split: str,
+    threads: int | None,
+    device: str,
+    as_json: bool,
 ) -> None:
-    """Train the whole table; fails in the end if a row did."""
+    """Train every model with each of its budgets; raises an error at the end if one of them failed."""
     from dmotion_bench.errors import RunError
     from dmotion_bench.learning.start import TrainingRequest
     from dmotion_bench.learning.table import train_table
     from dmotion_bench.storage.dataset import Dataset
 
     protocol: Literal["paper", "episode"] = "paper" if split == "paper" else "episode"
-    request = TrainingRequest(model="", preset=preset, seed=seed, protocol=protocol)
+    request = TrainingRequest(model="", preset=preset, seed=seed, protocol=protocol, threads=threads)
     dataset = Dataset.open(workspace.dataset(data))
     rows: list[dict[str, Any]] = []
     for outcome in train_table(request, dataset, workspace, lambda run: train_run(run, dataset, device)):
@@ -164,7 +224,8 @@ def _train_all(
         typer.echo(json.dumps({"rows": rows}))
     if failed := [row["model"] for row in rows if row["error"]]:
         raise RunError(
-            f"{len(failed)} of {len(rows)} rows failed: {', '.join(failed)}; the same command tries them again."
+            f"{len(failed)} of {len(rows)} trainings failed: {', '.join(failed)}; "
+            "run the same command to try them again."
         )
     if not as_json:
         typer.echo("Score them with 'dmbench score --all'.")
@@ -173,16 +234,18 @@ def _train_all(
 def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], None] = lambda: None) -> dict[str, Any]:
     """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step."""
     from dmotion_bench.cli.progress import note, progress_bar
-    from dmotion_bench.errors import RunError
+    from dmotion_bench.errors import RunCorrupt, RunMissing
     from dmotion_bench.learning.devices import launch
     from dmotion_bench.learning.start import training_data
+    from dmotion_bench.learning.threads import shortage
     from dmotion_bench.learning.training import Report, train
     from dmotion_bench.learning.twins import take_over
+    from dmotion_bench.recording.executor import available_workers
 
     if run.result is not None:
         try:
-            run.weights()  # they can be read, and are those of the result
-        except RunError as error:
+            run.require_weights()
+        except (RunMissing, RunCorrupt) as error:
             note(f"{error}\ntraining {run.path} anew.")
             run.begin_anew()
         else:
@@ -190,9 +253,11 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
             finished: dict[str, Any] = run.result
             return finished
     if (twin := take_over(run)) is not None:
-        note(f"taking over the training of {twin.path}, which differs in its labels alone.")
+        note(f"using the training of {twin.path}, which differs only in its labels.")
     elif run.last.exists():
         note(f"going on with {run.path}.")
+    if (told := shortage(run.threads or 1, available_workers())) is not None:
+        typer.echo(told, err=True)
     fabric = launch(device)
     with progress_bar() as bar:
         task = bar.add_task(f"training {run.spec.model}", total=None, status="reading the data")

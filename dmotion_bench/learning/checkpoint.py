@@ -1,7 +1,12 @@
-"""Checkpoints: one safetensors file whose header carries the JSON facts. Nothing is ever unpickled.
+"""Checkpoints: one safetensors file whose header carries the JSON facts and a checksum. Nothing is ever unpickled.
 
 The file holds the model's parameters and buffers and, for resuming, the optimiser's state, in flat names:
 ``model/...``, ``average/...`` (the averaged weights), ``optimizer/<parameter>/<key>``.
+
+The checksum, which stands among the facts, is a SHA-256 over names, types, shapes and values of all tensors and over
+the other facts. A file without one was written by an earlier version and is read all the same. The weights of a
+finished run of that version are held against the hash in ``run.json``; nothing can show a flipped bit in the
+checkpoints of an unfinished one.
 """
 
 from __future__ import annotations
@@ -9,48 +14,170 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import safetensors
 import safetensors.torch
 import torch
 from torch import Tensor
 
-from dmotion_bench.errors import RunCorrupt, RunMissing
+from dmotion_bench.errors import RunCorrupt, RunError, RunMissing
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.json_file import parse_json
+from dmotion_bench.wording import shown
 
-FACTS = "dmbench"
+FACTS: Final = "dmbench"
+CHECKSUM: Final = "sha256"
+_LARGEST: Final = 2**34  # bytes of a file whose tensors are not known beforehand
+_LARGEST_FACTS: Final = 2**16  # characters
+_TOLD: Final = 3  # differences that a sentence names
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a tensor takes: its type as safetensors names it, and its shape."""
+
+    dtype: str
+    shape: tuple[int, ...]
+
+    @classmethod
+    def of(cls, tensor: Tensor) -> Form:
+        """The form of a tensor, which may lie on the meta device."""
+        return cls(_NAMES[tensor.dtype], tuple(tensor.shape))
+
+    def __str__(self) -> str:
+        return f"{self.dtype} {list(self.shape)}"
+
+
+Forms = Mapping[str, Form]
+_NAMES: Final = {
+    torch.float64: "F64",
+    torch.float32: "F32",
+    torch.float16: "F16",
+    torch.bfloat16: "BF16",
+    torch.complex64: "C64",
+    torch.int64: "I64",
+    torch.int32: "I32",
+    torch.int16: "I16",
+    torch.int8: "I8",
+    torch.uint8: "U8",
+    torch.uint16: "U16",
+    torch.uint32: "U32",
+    torch.uint64: "U64",
+    torch.bool: "BOOL",
+}
+
+
+def forms_of(tensors: Mapping[str, Tensor]) -> dict[str, Form]:
+    """The form of each tensor."""
+    return {name: Form.of(tensor) for name, tensor in tensors.items()}
 
 
 def save(path: Path, tensors: Mapping[str, Tensor], facts: Mapping[str, Any]) -> None:
     """Write a checkpoint in one step: it is whole or not there."""
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    write_atomically(path, safetensors.torch.save(plain, metadata={FACTS: json.dumps(facts)}))
+    told = json.dumps({**facts, CHECKSUM: _checksum(plain, facts)}, allow_nan=False)
+    write_atomically(path, safetensors.torch.save(plain, metadata={FACTS: told}))
 
 
-def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def load(
+    path: Path, *, required: Forms | None = None, optional: Forms | None = None
+) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The tensors and facts of a checkpoint.
+
+    Args:
+        path: The file.
+        required: Tensors that must be there. The file's header is held against them before any tensor is read, so that
+            no more memory is taken than they need. If left out, whatever the file holds is read.
+        optional: Tensors that may be there as well.
 
     Raises:
         RunMissing: There is no such file.
-        RunCorrupt: It is cut short, or no checkpoint.
+        RunCorrupt: It is cut short or changed, it is no checkpoint, or it holds other tensors.
+        RunError: The file may not be opened.
     """
+    _require_readable(path)
     try:
         with safetensors.safe_open(path, framework="pt") as opened:
-            facts = json.loads((opened.metadata() or {}).get(FACTS, "{}"))
-            return {name: opened.get_tensor(name) for name in opened.keys()}, facts  # noqa: SIM118 (no mapping)
+            found = _header(opened)
+            _require_forms(path, found, required, optional or {})
+            facts = parse_json((opened.metadata() or {}).get(FACTS, "null"), largest=_LARGEST_FACTS)
+            tensors = {name: opened.get_tensor(name) for name in found}
+    except (safetensors.SafetensorError, ValueError, OSError) as error:
+        raise damaged(path, f"cannot be read: {error}") from None
+    checksum = facts.pop(CHECKSUM, None)
+    if checksum is not None and checksum != _checksum(tensors, facts):
+        raise damaged(path, "cannot be read: its checksum is another, so it is not what was written")
+    return tensors, facts
+
+
+def count_tensors(path: Path) -> int:
+    """How many tensors a checkpoint's header names; errors as those of ``load``."""
+    _require_readable(path)
+    try:
+        with safetensors.safe_open(path, framework="pt") as opened:
+            return len(opened.keys())
+    except (safetensors.SafetensorError, OSError) as error:
+        raise damaged(path, f"cannot be read: {error}") from None
+
+
+def damaged(path: Path, what: str) -> RunCorrupt:
+    """The error of a checkpoint that ``what`` is true of."""
+    return RunCorrupt(
+        f"the checkpoint {shown(str(path))} {what}. Delete the .safetensors files of that folder, and the "
+        "'dmbench train' command that wrote them begins anew."
+    )
+
+
+def _require_readable(path: Path) -> None:
+    """Open the file once: safetensors says of a file that it may not open that there is none."""
+    try:
+        with path.open("rb"):
+            return
     except FileNotFoundError:
-        raise RunMissing(f"no checkpoint {str(path)!r}; the run has not been trained yet.") from None
-    except (safetensors.SafetensorError, json.JSONDecodeError, OSError) as error:
-        raise RunCorrupt(
-            f"the checkpoint {str(path)!r} cannot be read ({error}); delete it, and the 'dmbench train' command that "
-            "wrote it begins anew."
-        ) from error
+        raise RunMissing(
+            f"no checkpoint {shown(str(path))}: the run has not been trained yet, or the file was deleted; give the "
+            "'dmbench train' command that began the run."
+        ) from None
+    except OSError as error:
+        raise RunError(
+            f"the checkpoint {shown(str(path))} is there and cannot be opened: {error.strerror}; make it readable, "
+            "and give the same command again."
+        ) from None
 
 
-def with_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The same tensors under ``prefix/name``."""
+def _header(opened: Any) -> dict[str, Form]:
+    found = {}
+    for name in opened.keys():  # noqa: SIM118 (no mapping)
+        part = opened.get_slice(name)
+        found[name] = Form(part.get_dtype(), tuple(part.get_shape()))
+        if found[name].dtype not in _NAMES.values():
+            raise ValueError(f"the tensor {shown(name)} is of the type {found[name].dtype}, which no model has")
+    return found
+
+
+def _require_forms(path: Path, found: Forms, required: Forms | None, optional: Forms) -> None:
+    if required is None:
+        if path.stat().st_size > _LARGEST:
+            raise damaged(path, f"cannot be read: it is larger than {_LARGEST:,} bytes")
+        return
+    known = {**optional, **required}
+    wrong = [f"there is no {shown(name)}" for name in required if name not in found]
+    wrong += [f"there is {shown(name)}" for name in found if name not in known]
+    wrong += [
+        f"{shown(name)} is {shown(str(form))}, not {known[name]}"
+        for name, form in found.items()
+        if name in known and form != known[name]
+    ]
+    if wrong:
+        more = f" and {len(wrong) - _TOLD} more" if len(wrong) > _TOLD else ""
+        raise damaged(path, f"holds other tensors than the training has: {', '.join(wrong[:_TOLD])}{more}")
+
+
+def with_prefix(prefix: str, tensors: Mapping[str, Any]) -> dict[str, Any]:
+    """The same tensors, or their forms, under ``prefix/name``."""
     return {f"{prefix}/{name}": tensor for name, tensor in tensors.items()}
 
 
@@ -84,9 +211,19 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Te
 
 def weights_hash(tensors: Mapping[str, Tensor]) -> str:
     """sha256 over names, shapes, types and values: the same for the same weights, wherever they lie."""
+    return _digest(tensors).hexdigest()
+
+
+def _checksum(tensors: Mapping[str, Tensor], facts: Mapping[str, Any]) -> str:
+    digest = _digest(tensors)
+    digest.update(json.dumps(facts, sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+def _digest(tensors: Mapping[str, Tensor]) -> hashlib._Hash:
     digest = hashlib.sha256()
     for name in sorted(tensors):
         tensor = tensors[name].detach().cpu().contiguous()
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
-    return digest.hexdigest()
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest

@@ -1,4 +1,7 @@
-"""``metrics.jsonl``: a training's curves, a JSON object a line, whole again after a kill."""
+"""``metrics.jsonl``: a training's curves, a JSON object a line, whole again after a kill.
+
+A kill or a crash can leave half a row, or bytes that are no text. Such rows are no rows to any reader.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,13 @@ import contextlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO
+from typing import IO, Final
 
-import numpy as np
+from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.json_file import JsonUnreadable, parse_json
+
+LARGEST: Final = 64 * 2**20  # bytes of a log that are read
+_LONGEST: Final = 2**16  # bytes of a row
 
 
 class MetricsLog:
@@ -25,10 +32,10 @@ class MetricsLog:
     @contextlib.contextmanager
     def resumed(cls, path: Path, step: int) -> Iterator[MetricsLog]:
         """The log opened for appending, without the rows after the step resumed from."""
-        rows = path.read_text().splitlines() if path.exists() else []
-        kept = [row for row in rows if _step_of(row) <= step]
-        with path.open("w", buffering=1) as file:
-            file.writelines(f"{row}\n" for row in kept)
+        rows = _lines(path) if path.is_file() else ()
+        kept = [line + b"\n" for line in rows if (row := parse_row(line)) is not None and row[0] <= step]
+        write_atomically(path, b"".join(kept))
+        with path.open("a", buffering=1) as file:
             yield cls(file)
 
     def write(
@@ -47,9 +54,26 @@ class MetricsLog:
         self._file.write(json.dumps(row) + "\n")
 
 
-def _step_of(row: str) -> int:
-    """The step of a log's row; a row cut short by a kill counts as one to drop."""
+def read_rows(path: Path) -> Iterator[tuple[int, dict[str, float]]]:
+    """The rows of a log, in order: the step, and what was written at it. None where there is no log."""
+    for line in _lines(path) if path.is_file() else ():
+        if (row := parse_row(line)) is not None:
+            yield row
+
+
+def parse_row(line: bytes) -> tuple[int, dict[str, float]] | None:
+    """A line of a log as its step and values; None where it is no whole row."""
     try:
-        return int(json.loads(row)["step"])
-    except (json.JSONDecodeError, KeyError, TypeError):
-        return np.iinfo(np.int64).max
+        row = parse_json(line, largest=_LONGEST, nan=True)
+    except JsonUnreadable:
+        return None
+    step = row.pop("step", None)
+    if type(step) is not int or step < 0:
+        return None
+    return step, {name: float(value) for name, value in row.items() if type(value) in (int, float)}
+
+
+def _lines(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        while file.tell() < LARGEST and (line := file.readline(_LONGEST)):
+            yield line.rstrip(b"\r\n")

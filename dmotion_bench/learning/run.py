@@ -3,7 +3,7 @@
 ::
 
     runs/dmotion-grid_world-small-s0/
-      run.json            what decides the result (RunSpec), the versions, and the result once there is one
+      run.json            what decides the result (RunSpec, Conditions), the versions, and the result once there is one
       metrics.jsonl       a row every few steps: losses, learning rate, triplets/s; a row a validation
       last.safetensors    all that resuming needs
       best.safetensors    the weights that validated best, with the actions aligned once training is done
@@ -21,75 +21,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunError, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig
-from dmotion_bench.learning.settings import from_json, to_json
-from dmotion_bench.registry import model_class
+from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.precision import AUTO
+from dmotion_bench.learning.run_manifest import RUN_FORMAT, Conditions, RunSpec, read_manifest
+from dmotion_bench.learning.settings import from_json
 from dmotion_bench.storage.atomic import write_atomically
-from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST
+from dmotion_bench.wording import shown
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
 
-RUN_FORMAT = "dmbench-run/1"
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RunSpec:
-    """All that decides the result of a training.
-
-    Attributes:
-        model, arch: Registry name and architecture.
-        config, training: The configs, as JSON's types.
-        preset: Where the defaults came from.
-        labels: The label budget, as ``LabelRequest`` prints it.
-        seed: Of the weights, the order of the batches and the draw of demonstrations.
-        dataset: Its name.
-        fingerprint: The hash of its content.
-        protocol: How triplets are split.
-        height, width, actions: What the model was built for.
-    """
-
-    model: str
-    arch: str
-    config: Mapping[str, Any]
-    training: Mapping[str, Any]
-    preset: str
-    labels: str
-    seed: int
-    dataset: str
-    fingerprint: str
-    protocol: str = "episode"
-    height: int
-    width: int
-    actions: int
-
-    @property
-    def inputs(self) -> ModelInputs:
-        """The facts that the model is built for."""
-        return ModelInputs(height=self.height, width=self.width, actions=self.actions)
-
-    @property
-    def training_config(self) -> TrainingConfig:
-        """How the model is optimised."""
-        return from_json(TrainingConfig, self.training)
-
-    def completed(self) -> RunSpec:
-        """The same, settings that later versions added at their defaults: what specs are compared by.
-
-        Raises:
-            InvalidSetting: It has settings that this version does not know.
-        """
-        config: Any = from_json(model_class(self.model).Config, self.config)
-        return dataclasses.replace(self, config=to_json(config), training=to_json(self.training_config))
-
-    def build(self) -> ForwardModel[Any]:
-        """The model with weights that the seed decides, whatever random numbers were drawn before."""
-        kind = model_class(self.model)
-        with torch.random.fork_rng():
-            torch.manual_seed(self.seed)
-            return kind(from_json(kind.Config, self.config), self.inputs)
+__all__ = ["Conditions", "Run", "RunSpec"]
 
 
 class Run:
@@ -99,59 +43,61 @@ class Run:
         path: The folder.
         manifest: What ``run.json`` holds.
         spec: What was asked for.
+        threads: Threads that each process computes with: as recorded, else as asked for, else None.
     """
 
-    def __init__(self, path: Path, manifest: dict[str, Any]) -> None:
+    def __init__(self, path: Path, manifest: dict[str, Any], threads: int | None = None) -> None:
         self.path, self.manifest = path, manifest
         self.spec = from_json(RunSpec, manifest["spec"])
+        self.threads = threads if self.conditions is None else self.conditions.threads
 
     @classmethod
-    def open(cls, path: Path) -> Run:
+    def open(cls, path: AnyPath) -> Run:
         """A run that exists, finished or not.
 
         Raises:
             RunMissing: The folder holds no run.
             RunCorrupt: Its manifest cannot be read, or is of another version.
+            RunError: Its manifest may not be opened.
         """
+        path = Path(path)
+        file = path / RUN_MANIFEST
         try:
-            manifest = json.loads((path / RUN_MANIFEST).read_text())
+            return cls(path, read_manifest(file))
         except (FileNotFoundError, NotADirectoryError):
-            raise RunMissing(f"no run in {str(path)!r}; list them with 'dmbench list runs'.") from None
-        except (json.JSONDecodeError, UnicodeDecodeError) as error:
-            raise RunCorrupt(f"{str(path / RUN_MANIFEST)!r} cannot be read: {error}.") from None
-        found = manifest.get("format") if isinstance(manifest, dict) else None
-        if found != RUN_FORMAT:
-            raise RunCorrupt(f"{str(path)!r} is of the format {found!r}; this dmbench reads {RUN_FORMAT!r}.")
-        for name, kind in (("spec", dict), ("result", dict | None), ("dataset_path", str)):
-            if not isinstance(manifest.get(name, ...), kind):
-                raise RunCorrupt(
-                    f"{str(path / RUN_MANIFEST)!r} cannot be read: it has no {name}, or another thing in its place."
-                )
-        try:
-            return cls(path, manifest)
-        except InvalidSetting as error:
-            raise RunCorrupt(f"{str(path / RUN_MANIFEST)!r} cannot be read: {error}") from None
+            raise RunMissing(f"no run in {shown(str(path))}; list them with 'dmbench list runs'.") from None
+        except OSError as error:
+            raise RunError(f"{shown(str(file))} cannot be opened: {error.strerror}; make it readable.") from None
+        except (ValueError, InvalidSetting) as error:
+            raise RunCorrupt(
+                f"{shown(str(file))} cannot be read: {str(error).rstrip('.')}. Restore it from a copy, or delete the "
+                "folder and train again with 'dmbench train'."
+            ) from None
 
     @classmethod
-    def create_or_open(cls, path: Path, spec: RunSpec, *, dataset_path: Path, versions: Mapping[str, str]) -> Run:
+    def create_or_open(
+        cls, path: Path, spec: RunSpec, *, dataset_path: Path, versions: Mapping[str, str], threads: int | None = None
+    ) -> Run:
         """The run of this folder if it asks for the same, else a new one, which is on disk once training begins.
+
+        Args:
+            path: The folder.
+            spec: What is asked for.
+            dataset_path: Of the data set.
+            versions: Of the packages, for a new run.
+            threads: Asked for; None takes those of the run, or in a new one torch's own number.
 
         Raises:
             RunMismatch: The folder holds a run that asks for something else; says what differs.
         """
         if (path / RUN_MANIFEST).exists():
             run = cls.open(path)
-            there = run.spec.completed() if run.spec.model == spec.model else run.spec
-            old, new = dataclasses.asdict(there), dataclasses.asdict(spec)
-            if differing := [
-                f"{name} is {_short(old[name], new[name])} there and {_short(new[name], old[name])} here"
-                for name in new
-                if old[name] != new[name]
-            ]:
+            if differing := run.differences(spec, threads):
                 raise RunMismatch(
                     f"{str(path)!r} holds another run: {'; '.join(differing)}. "
                     "Name another folder with '--out DIR', or delete this one."
                 )
+            run.threads = run.threads or threads
             return run
         manifest = {
             "format": RUN_FORMAT,
@@ -160,7 +106,28 @@ class Run:
             "versions": dict(versions),
             "result": None,
         }
-        return cls(path, manifest)
+        return cls(path, manifest, threads)
+
+    def differences(self, spec: RunSpec, threads: int | None) -> list[str]:
+        """What another request asks for that this run does not; ``threads`` None asks for nothing.
+
+        Raises:
+            InvalidSetting: The run has settings that this version does not know.
+        """
+        there = self.spec
+        if there.model == spec.model:
+            there, spec = there.completed(), spec.completed()
+            asked = spec.training["precision"]
+            if asked == AUTO or (self.conditions is not None and asked == self.conditions.precision):
+                there = dataclasses.replace(there, training={**there.training, "precision": asked})
+        old, new = dataclasses.asdict(there), dataclasses.asdict(spec)
+        if threads is not None and self.conditions is not None:
+            old["threads"], new["threads"] = self.conditions.threads, threads
+        return [
+            f"{name} is {_short(old[name], new[name])} there and {_short(new[name], old[name])} here"
+            for name in new
+            if old[name] != new[name]
+        ]
 
     @property
     def name(self) -> str:
@@ -181,6 +148,18 @@ class Run:
         """What the training came to, or None while it is not done."""
         result: dict[str, Any] | None = self.manifest["result"]
         return result
+
+    @property
+    def conditions(self) -> Conditions | None:
+        """What the training computes with, or None before its first step and in runs that did not record it."""
+        recorded = self.manifest.get("conditions")
+        return None if recorded is None else from_json(Conditions, recorded)
+
+    def begin(self, conditions: Conditions) -> None:
+        """Record what the training computes with."""
+        self.manifest["conditions"] = dataclasses.asdict(conditions)
+        self.threads = conditions.threads
+        self.write()
 
     @property
     def last(self) -> Path:
@@ -231,37 +210,63 @@ class Run:
         self.manifest["result"] = dict(result)
         self.write()
 
-    def weights(self) -> dict[str, Tensor]:
-        """The trained model's weights, as the training wrote them.
+    def forms(self, file: Path) -> checkpoint.Forms:
+        """The tensors of the model in a checkpoint of this run, by their names there.
+
+        Args:
+            file: The checkpoint; a model of far more tensors than it has is not built to its end.
+
+        Raises:
+            RunCorrupt: No model can be built as ``run.json`` says.
+        """
+        try:
+            return checkpoint.with_prefix("model", self.spec.forms(most=100 + 2 * checkpoint.count_tensors(file)))
+        except InvalidSetting as error:
+            raise RunCorrupt(
+                f"the model of {shown(str(self.path / RUN_MANIFEST))} cannot be built: {error} Restore that file from "
+                "a copy, or delete the folder and train again with 'dmbench train'."
+            ) from None
+
+    def require_weights(self) -> None:
+        """See that the weights of a finished run can be read, and are those that the training wrote.
 
         Raises:
             RunMissing: Training is not done, or they are gone.
             RunCorrupt: They cannot be read, or are others.
+            RunError: They may not be opened.
         """
-        if self.result is None:
-            raise RunMissing(
-                f"the run {str(self.path)!r} is not finished; go on with the 'dmbench train' command that began it."
-            )
-        tensors, _ = checkpoint.load(self.best)
-        weights = checkpoint.without_prefix("model", tensors)
-        if checkpoint.weights_hash(weights) != self.result["weights"]:
-            raise RunCorrupt(f"the weights in {str(self.best)!r} are not those that the training wrote.")
-        return weights
+        self._weights(None)
 
     @cached_property
     def model(self) -> ForwardModel[Any]:
         """The trained model, in evaluation mode, its actions aligned.
 
         Raises:
-            RunMissing: Training is not done.
-            RunCorrupt: The weights do not fit the model, or are not those that the training wrote.
+            RunCorrupt: The weights do not fit the model; and what ``require_weights`` raises.
         """
-        weights, model = self.weights(), self.spec.build()
+        self._require_result()
+        weights = self._weights(self.forms(self.best))
+        model = self.spec.build()
         try:
             model.load_state_dict(weights)
         except RuntimeError as error:
             raise RunCorrupt(f"the weights in {str(self.best)!r} do not fit {self.spec.model!r}: {error}") from None
         return model.eval()
+
+    def _require_result(self) -> dict[str, Any]:
+        if self.result is None:
+            raise RunMissing(
+                f"the run {str(self.path)!r} is not finished; go on with the 'dmbench train' command that began it."
+            )
+        return self.result
+
+    def _weights(self, forms: checkpoint.Forms | None) -> dict[str, Tensor]:
+        result = self._require_result()
+        tensors, _ = checkpoint.load(self.best, required=forms)
+        weights = checkpoint.without_prefix("model", tensors)
+        if checkpoint.weights_hash(weights) != result["weights"]:
+            raise checkpoint.damaged(self.best, "holds other weights than those that the training wrote")
+        return weights
 
 
 def _short(value: Any, other: Any) -> str:

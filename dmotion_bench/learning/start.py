@@ -35,6 +35,7 @@ class TrainingRequest:
         preset: The data set's own where its name ends with one, else small.
         arch: The model's first architecture.
         settings: ``KEY=VALUE`` of the model's or the training's config.
+        threads: That each process computes with.
     """
 
     model: str
@@ -44,6 +45,7 @@ class TrainingRequest:
     seed: int = 0
     settings: Sequence[str] = ()
     protocol: SplitProtocol = "episode"
+    threads: int | None = None
 
 
 def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
@@ -101,6 +103,8 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
     if spec.protocol != "episode":
         parts.append(f"split_{spec.protocol}")
     parts += [setting.replace("=", "_").replace("/", "_") for setting in request.settings]
+    if request.threads is not None:
+        parts.append(f"threads_{request.threads}")
     return workspace.runs / "-".join([*parts, f"s{spec.seed}"])
 
 
@@ -112,7 +116,7 @@ def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, work
     """
     spec = resolve(request, dataset)
     folder = path or default_path(request, spec, workspace)
-    return Run.create_or_open(folder, spec, dataset_path=dataset.path, versions=versions())
+    return Run.create_or_open(folder, spec, dataset_path=dataset.path, versions=versions(), threads=request.threads)
 
 
 def training_data(run: Run, dataset: Dataset) -> TrainingData:

@@ -1,8 +1,8 @@
 """The training loop: one for every model, on the CPU, a GPU, or several under ``torchrun``.
 
-What a run computes is a function of its spec and its data alone. The order of the triplets and the random numbers
-of a step are functions of (seed, step), so a run that was killed and resumed ends with the same bits on the CPU as
-one that never stopped.
+What a run computes is a function of its spec, its data and its conditions (threads and precision), which are recorded
+before the first step. The order of the triplets and the random numbers of a step are functions of (seed, step), so a
+run that was killed and resumed ends with the same bits on the CPU as one that never stopped.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,10 @@ from torch import Tensor
 from dmotion_bench.errors import RunError
 from dmotion_bench.interrupts import stop_between_steps
 from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.conditions import choose_conditions
 from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
 from dmotion_bench.learning.metrics_log import MetricsLog
-from dmotion_bench.learning.model import ForwardModel, TrainingConfig
+from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.optimization import (
     AveragedWeights,
     autocast,
@@ -36,8 +37,12 @@ from dmotion_bench.learning.optimization import (
     set_learning_rate,
 )
 from dmotion_bench.learning.randomness import seeded
+from dmotion_bench.learning.resuming import BestFacts, Checkpoints, LastFacts
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.run_manifest import Conditions, RunResult
 from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets, write_sample
+from dmotion_bench.learning.step import Stepper
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.storage.lock import held
 
 CHECKPOINT_SECONDS = 60.0
@@ -93,22 +98,20 @@ def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Repor
     """
     if run.result is not None:
         return run.result
-    trainer = _Trainer(run, data, fabric)  # what is missing is said here, before anything is written
-    if not fabric.is_global_zero:
-        return trainer.fit(on_step)
-    run.path.mkdir(parents=True, exist_ok=True)
-    with held(run.path):
-        run.write()
-        return trainer.fit(on_step)
+    with using_threads(fabric.broadcast(run.threads or torch.get_num_threads())):
+        trainer = _Trainer(run, data, fabric)  # what is missing is said here, before anything is written
+        if not fabric.is_global_zero:
+            return trainer.fit(on_step)
+        run.path.mkdir(parents=True, exist_ok=True)
+        with held(run.path):
+            return trainer.fit(on_step)
 
 
 class _Trainer:
     def __init__(self, run: Run, data: TrainingData, fabric: Fabric) -> None:
         self.run, self.data, self.fabric = run, data, fabric
         self.config: TrainingConfig = run.spec.training_config
-        self.model: ForwardModel[Any] = run.spec.build()
-        if self.config.channels_last:
-            self.model = self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.model = run.spec.build().laid_out()
         self.demonstrations = demonstrations_of(
             data, fabric.device
         )  # asked for first: what is missing is said before the work
@@ -116,13 +119,42 @@ class _Trainer:
         self.steps, self.watched = self.parts[-1].stop, steps_before_labels(self.parts)
         wrapped, self.optimizer = fabric.setup(self.model, make_optimizer(self.model, self.config))
         wrapped.mark_forward_method("losses")
-        self.wrapped = wrapped
+        self.step = Stepper(
+            model=self.model,
+            losses=wrapped.losses,
+            backward=fabric.backward,
+            optimizer=self.optimizer,
+            clip_norm=self.config.clip_norm,
+            seed=run.spec.seed,
+            device=fabric.device,
+        )
         self.average = AveragedWeights(self.model, self.config.ema) if self.config.ema else None
         self.hardness = {part.phase.name: np.full(len(part.batches), np.nan, np.float32) for part in self.parts}
+        self.checkpoints = Checkpoints(
+            run=run,
+            model=self.model,
+            optimizer=self.optimizer,
+            average=self.average,
+            hardness=self.hardness,
+            config=self.config,
+            steps=self.steps,
+        )
         self.state = _State()
 
+    def _settle(self) -> Conditions:
+        """The run's conditions; those of a run that begins are recorded before its first step."""
+        fabric = self.fabric
+        conditions: Any = self.run.conditions
+        if conditions is None and fabric.is_global_zero:
+            conditions = choose_conditions(self.run.spec, self.parts, fabric.device, fabric.world_size)
+        agreed: Conditions = fabric.broadcast(conditions)
+        if fabric.is_global_zero:
+            self.run.begin(agreed)
+        return agreed
+
     def fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
-        self._resume()  # here, where nobody else trains the run
+        self.conditions = self._settle()  # here, where nobody else trains the run
+        self._resume()
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)
         sums: dict[str, float] = defaultdict(float)
@@ -137,7 +169,7 @@ class _Trainer:
                 if self.state.step == part.start:
                     self.state.best = math.inf  # losses of different phases do not compare
                 for step in range(self.state.step, part.stop):
-                    terms = self._step(part, step)
+                    terms = self._train(part, step)
                     self.state.step = step + 1
                     for name, value in terms.items():
                         sums[name] += float(value)
@@ -166,7 +198,7 @@ class _Trainer:
                         raise KeyboardInterrupt
         return self._finish()
 
-    def _step(self, part: Part, step: int) -> dict[str, Tensor]:
+    def _train(self, part: Part, step: int) -> dict[str, Tensor]:
         began = time.perf_counter()
         progress = (step - part.start) / (part.stop - part.start)
         set_learning_rate(self.optimizer, learning_rate(self.config, progress))
@@ -174,14 +206,7 @@ class _Trainer:
         chosen = part.order.mixed_batch(step - part.start, hardness, self.config.hard_share)
         index = chosen[self.fabric.global_rank :: self.fabric.world_size]
         self.model.progress(progress)
-        with seeded(self.run.spec.seed, step, self.fabric.device):
-            with autocast(self.config, self.fabric.device):
-                losses = self.wrapped.losses(part.batches(index))
-            self.fabric.backward(losses.total)
-        if self.config.clip_norm:
-            torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip_norm)
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
+        losses = self.step(part.batches(index), step, self.conditions.precision)
         if self.average is not None:
             self.average.update(self.model, step)
         if self.config.hard_share and losses.per_triplet is not None:
@@ -210,7 +235,7 @@ class _Trainer:
             self.model.eval()
             sums: dict[str, float] = defaultdict(float)
             for index in _chunks(len(part.validation), part.order.batch_size):
-                with autocast(self.config, self.fabric.device), seeded(0, 0, self.fabric.device):
+                with autocast(self.conditions.precision, self.fabric.device), seeded(0, 0, self.fabric.device):
                     losses = self.model.losses(part.validation(index))
                 for name, value in {"loss": losses.total, **losses.terms}.items():
                     sums[name] += float(value) * len(index)
@@ -232,7 +257,7 @@ class _Trainer:
         """Keep a picture of what the model predicts now."""
         if not self.fabric.is_global_zero or not self.model.needs_pixels:
             return
-        with autocast(self.config, self.fabric.device), seeded(0, 0, self.fabric.device):
+        with autocast(self.conditions.precision, self.fabric.device), seeded(0, 0, self.fabric.device):
             if self.demonstrations is not None:
                 picture = sample_of_demonstrations(self.model, self.demonstrations)
             elif labelled := [part.validation for part in self.parts if part.phase.needs_actions]:
@@ -244,8 +269,7 @@ class _Trainer:
 
     def _save_best(self) -> None:
         if self.fabric.is_global_zero:
-            weights = checkpoint.with_prefix("model", self.model.state_dict())
-            checkpoint.save(self.run.best, weights, {"step": self.state.step, "validation_loss": self.state.best})
+            self.checkpoints.save_best(BestFacts(step=self.state.step, validation_loss=self.state.best))
 
     def _save(self) -> float:
         """Write all that resuming needs."""
@@ -254,35 +278,23 @@ class _Trainer:
 
     def _write_checkpoint(self, path: Path) -> None:
         if self.fabric.is_global_zero:
-            tensors = checkpoint.with_prefix("model", self.model.state_dict())
-            tensors |= checkpoint.optimizer_tensors(self.optimizer)
-            if self.average is not None:
-                tensors |= checkpoint.with_prefix("average", self.average.tensors)
-            begun = [part.phase.name for part in self.parts if part.start < self.state.step]
-            tensors |= {f"hardness/{name}": torch.from_numpy(self.hardness[name]) for name in begun}
             state = self.state
-            facts = {
-                "step": state.step,
-                "best": state.best if math.isfinite(state.best) else None,
-                "best_step": state.best_step,
-                "seconds": state.clock.before + state.clock.sitting,
-            }
-            checkpoint.save(path, tensors, facts)
+            facts = LastFacts(
+                step=state.step,
+                best=state.best if math.isfinite(state.best) else None,
+                best_step=state.best_step,
+                seconds=state.clock.before + state.clock.sitting,
+            )
+            begun = [part.phase.name for part in self.parts if part.start < state.step]
+            self.checkpoints.save(path, facts, begun)
 
     def _resume(self) -> None:
-        if not self.run.last.exists():
-            return
-        tensors, facts = checkpoint.load(self.run.last)
-        self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
-        checkpoint.restore_optimizer(self.optimizer, tensors)
-        if self.average is not None:
-            self.average.restore(checkpoint.without_prefix("average", tensors))
-        for name, values in checkpoint.without_prefix("hardness", tensors).items():
-            self.hardness[name][:] = values.numpy()
-        self.state.step = facts["step"]
-        self.state.best = math.inf if facts["best"] is None else facts["best"]
-        self.state.best_step = facts["best_step"]
-        self.state.clock.before = facts["seconds"]
+        facts = self.checkpoints.restore()
+        if facts is not None:
+            self.state.step = facts.step
+            self.state.best = math.inf if facts.best is None else facts.best
+            self.state.best_step = facts.best_step
+            self.state.clock.before = facts.seconds
 
     def _log(self) -> contextlib.AbstractContextManager[MetricsLog]:
         if not self.fabric.is_global_zero:
@@ -300,8 +312,7 @@ class _Trainer:
 
     def _finish(self) -> dict[str, Any]:
         """Align the best weights, write them, and say what the training came to."""
-        tensors, facts = checkpoint.load(self.run.best)
-        self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
+        facts = self.checkpoints.restore_best()
         self.model.eval()
         if self.demonstrations is not None:
             with torch.no_grad():
@@ -310,25 +321,27 @@ class _Trainer:
         clock, budget = self.state.clock, self.data.budget
         seconds = clock.before + clock.sitting
         triplets = sum((part.stop - part.start) * part.order.batch_size for part in self.parts)
-        result = {
-            "weights": checkpoint.weights_hash(weights),
-            "steps": self.steps,
-            "triplets": triplets,
-            "seconds": round(seconds, 3),
-            "triplets_per_s": round(triplets / max(seconds, 1e-9), 2),
-            "parameters": sum(parameter.numel() for parameter in self.model.parameters()),
-            "best_step": self.state.best_step,
-            "validation_loss": self.state.best,
-            "labels": dict(budget.given),
-            "labels_total": budget.total,
-            "device": str(self.fabric.device),
-            "processes": self.fabric.world_size,
-        }
+        result = RunResult(
+            weights=checkpoint.weights_hash(weights),
+            steps=self.steps,
+            triplets=triplets,
+            seconds=round(seconds, 3),
+            triplets_per_s=round(triplets / max(seconds, 1e-9), 2),
+            parameters=sum(parameter.numel() for parameter in self.model.parameters()),
+            best_step=self.state.best_step,
+            validation_loss=self.state.best,
+            labels=dict(budget.given),
+            labels_total=budget.total,
+            device=str(self.fabric.device),
+            processes=self.fabric.world_size,
+            threads=self.conditions.threads,
+            precision=self.conditions.precision,
+        )
         if self.fabric.is_global_zero:
-            checkpoint.save(self.run.best, checkpoint.with_prefix("model", weights), facts)
-            self.run.finish(result)
+            self.checkpoints.save_best(facts)
+            self.run.finish(asdict(result))
         self.fabric.barrier()
-        return result
+        return asdict(result)
 
 
 def _chunks(total: int, size: int) -> Iterator[Int[np.ndarray, " b"]]:

@@ -11,6 +11,7 @@ import dataclasses
 from pathlib import Path
 
 from dmotion_bench.errors import InvalidSetting, RunError
+from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.run import Run
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Supervision
@@ -33,6 +34,8 @@ def take_over(run: Run) -> Run | None:
             for name, source in files.items():
                 write_atomically(run.path / name, source.read_bytes())
             run.manifest["trained_as"] = twin.name
+            if twin.conditions is not None:
+                run.begin(twin.conditions)
             run.write()
             return twin
     return None
@@ -43,7 +46,8 @@ def _twin(run: Run, folder: Path) -> Run | None:
         other = Run.open(folder)
         if other.spec.model != run.spec.model or other.path == run.path:
             return None
-        return other if dataclasses.replace(other.spec, labels=run.spec.labels).completed() == run.spec else None
+        wanted = dataclasses.replace(run.spec, labels=other.spec.labels)
+        return None if other.differences(wanted, run.threads) else other
     except (RunError, InvalidSetting):
         return None
 
@@ -51,10 +55,15 @@ def _twin(run: Run, folder: Path) -> Run | None:
 def _shared(run: Run) -> dict[str, Path]:
     """What of a training does not depend on its labels: files by their names in the other run, empty if there is none.
 
-    The checkpoint comes last: with it the other run has begun.
+    The checkpoint comes last: with it the other run has begun. What is damaged is not taken over.
     """
     if model_class(run.spec.model).supervision is Supervision.NONE:
-        files = {path.name: path for path in (run.metrics, run.best, run.last)}
-        return files if run.result is not None and all(path.is_file() for path in files.values()) else {}
-    files = {run.metrics.name: run.metrics, run.watched.name: run.watched, run.last.name: run.watched}
+        files = {path.name: path for path in (run.metrics, run.best, run.last)} if run.result is not None else {}
+    else:
+        files = {run.metrics.name: run.metrics, run.watched.name: run.watched, run.last.name: run.watched}
+    try:
+        for path in {*files.values()} - {run.metrics}:
+            checkpoint.load(path, required=None)
+    except RunError:
+        return {}
     return files if all(path.is_file() for path in files.values()) else {}

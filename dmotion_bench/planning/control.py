@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 import torch
@@ -25,6 +26,14 @@ from dmotion_bench.planning.journal import Journal, TaskRecord
 from dmotion_bench.planning.problems import Problem, World
 from dmotion_bench.planning.tracking import Tracker
 from dmotion_bench.specs import EnvSpec
+
+CONTROL_VERSION: Final = 1
+"""The version of control: of the loop, the planners, the costs, the references and the judged distance.
+
+Raise it when a change makes anybody take another action, or gives another distance, in any task with the same
+settings. ``tests/golden/control.json`` holds actions and distances to notice that by. Results of different versions
+are neither averaged nor compared. A planner or cost that is new and leaves the others as they are needs no new version.
+"""
 
 STEPS = 100
 GROUP = 4

@@ -51,10 +51,12 @@ class Journal:
     Args:
         path: The file; None keeps nothing.
         key: What decides the result, as JSON's types.
+        earlier: Keys of earlier releases that stand for the same result.
     """
 
-    def __init__(self, path: Path | None, key: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path | None, key: Mapping[str, Any], *, earlier: Sequence[Mapping[str, Any]] = ()) -> None:
         self._path, self._key = path, json.loads(json.dumps(key))
+        self._accepted = [self._key, *(json.loads(json.dumps(one)) for one in earlier)]
         self._records: dict[int, TaskRecord] = {}
         self._memory: dict[int, list[list[int]]] = {}
         self._written = time.monotonic()
@@ -108,7 +110,7 @@ class Journal:
     def _read(self, path: Path) -> None:
         try:
             content = json.loads(path.read_text())
-            if content["format"] != FORMAT or content["key"] != self._key:
+            if content["format"] != FORMAT or content["key"] not in self._accepted:
                 return
             records = {int(number): _record(**fields) for number, fields in content["tasks"].items()}
             memory = {int(number): own for number, own in content["memory"].items()}

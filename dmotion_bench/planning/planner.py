@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -60,7 +60,7 @@ class Planner(Protocol):
         """The plan at one moment."""
 
 
-SHOWN = 5
+SHOWN: Final = 5
 """How many of the best sequences a plan holds."""
 
 

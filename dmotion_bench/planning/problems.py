@@ -183,9 +183,9 @@ class World:
         self.frame = start(env, problem)
         if not np.array_equal(self.frame, problem.start_frame):
             raise DatasetError(
-                f"task {problem.number} starts at another picture than the one recorded: the simulator of this "
-                "machine does not repeat what was recorded (another version of its package?). Record the data set "
-                "again with 'dmbench record'."
+                f"task {problem.number} starts at another picture than the recorded one: the simulator of this machine "
+                "does not reproduce the recording, perhaps because its package has another version. Record the data "
+                "set again with 'dmbench record'."
             )
         self._look_for_walls()
 

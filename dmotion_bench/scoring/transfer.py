@@ -66,9 +66,9 @@ def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
     if known:
         listed = ", ".join(map(str, known[:_SHOWN])) + (" ..." if len(known) > _SHOWN else "")
         raise RunMismatch(
-            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} begin as episodes do that "
-            f"{run.name!r} was trained on (episodes {listed}: same seed, same picture); record the data set with "
-            f"another '--seed'."
+            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} have the seed and the first "
+            f"picture of episodes that {run.name!r} was trained on (episodes {listed}); record the data set with "
+            "another '--seed'."
         )
 
 
@@ -109,12 +109,16 @@ def _trained_on(run: Run) -> Dataset | None:
 
 
 def _known_before(own: Dataset, dataset: Dataset, split: SplitName) -> list[int]:
-    """Episodes of a split that begin with a seed and a picture of the run's training or validation."""
+    """Episodes of a split that begin with a seed and a picture of the run's training or validation.
+
+    Two versions of an environment may draw the same episode otherwise, so between them the seed alone decides.
+    """
+    redrawn = own.recipe.version != dataset.recipe.version
     trained = np.concatenate([own.split("train"), own.split("validation")])
     seen = {own.rows[episode].seed: episode for episode in trained.tolist()}
     asked = [(episode, seen.get(dataset.rows[episode].seed)) for episode in dataset.split(split).tolist()]
     return [
         episode
         for episode, same in asked
-        if same is not None and np.array_equal(dataset.video(episode)[0], own.video(same)[0])
+        if same is not None and (redrawn or np.array_equal(dataset.video(episode)[0], own.video(same)[0]))
     ]

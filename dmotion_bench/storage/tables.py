@@ -11,7 +11,7 @@ import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Final, overload
+from typing import Any, BinaryIO, Final, SupportsIndex, overload
 
 import numpy as np
 import pyarrow as pa
@@ -76,12 +76,12 @@ class EpisodeTable(Sequence[EpisodeRow]):
         return len(self.columns["frames"])
 
     @overload
-    def __getitem__(self, index: int) -> EpisodeRow: ...
+    def __getitem__(self, index: SupportsIndex) -> EpisodeRow: ...
 
     @overload
     def __getitem__(self, index: slice) -> list[EpisodeRow]: ...
 
-    def __getitem__(self, index: int | slice) -> EpisodeRow | list[EpisodeRow]:
+    def __getitem__(self, index: SupportsIndex | slice) -> EpisodeRow | list[EpisodeRow]:
         places = range(len(self))[index]
         return self._row(places) if isinstance(places, int) else [self._row(place) for place in places]
 
@@ -224,6 +224,8 @@ def _read(dataset: Path, name: str, schema: pa.Schema, manifest: Manifest, count
             _check_columns(path, file.metadata, schema)
             table = file.read(use_threads=False) if file.metadata.num_rows else schema.empty_table()
             return {name: _column(table.column(name)) for name in schema.names}
+    except KeyError:  # what should be a column of text has columns of its own
+        raise DamagedFile("has other columns, some within others") from None
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise DamagedFile(f"cannot be read: {error}") from None
 

@@ -30,8 +30,8 @@ LAST_MS: Final = 1500
 SIDE: Final = 256
 """A frame is enlarged by a whole number to about this width [px]."""
 GAP: Final = 6
-TEXT: Final = 22
-LINE: Final = 34
+TEXT: Final = 26
+LINE: Final = 38
 BACKGROUND: Final[Color] = (22, 22, 26)
 WORDS: Final[Color] = (235, 235, 235)
 FAINT: Final[Color] = (165, 165, 172)

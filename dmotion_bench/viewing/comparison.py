@@ -87,7 +87,7 @@ def comparable(runs: Sequence[Run]) -> list[Run]:
         )
     drawing = [run for run in runs if run.model.needs_pixels]
     if not drawing:
-        raise UsageError(f"{runs[0].name!r} draws no frames; there is nothing to see beside each other.")
+        raise UsageError(f"{runs[0].name!r} predicts no frames, so there is nothing to compare.")
     if len(drawing) > MOST:
         raise UsageError(f"{len(drawing)} runs are too many to see beside each other; name at most {MOST}.")
     return drawing
@@ -121,7 +121,7 @@ def told_apart(runs: Sequence[Run]) -> dict[str, Run]:
         UsageError: One is named twice.
     """
     if len({run.path.resolve() for run in runs}) < len(runs):
-        raise UsageError("a run is named twice; it would look the same beside itself.")
+        raise UsageError("a run is named twice; name different runs.")
     parts = [(run.spec.model, run.spec.labels, run.spec.arch, f"seed {run.spec.seed}") for run in runs]
     telling = [place == 0 or len(set(column)) > 1 for place, column in enumerate(zip(*parts, strict=True))]
     names = [" ".join(part for part, tells in zip(own, telling, strict=True) if tells) for own in parts]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import defaultdict
 from collections.abc import Mapping
@@ -13,6 +12,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import UInt8
 
+from dmotion_bench.learning.metrics_log import read_rows
 from dmotion_bench.learning.samples import read_sample
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, Curve, log_chart
 from dmotion_bench.viewing.labels import ACTION_COLORS
@@ -35,15 +35,10 @@ CAPTION, SPACE = 40, 12
 def read_curves(metrics: Path) -> dict[str, Curve]:
     """Every figure of a training by its name; a row cut short by a kill is left out."""
     points: dict[str, list[tuple[int, float]]] = defaultdict(list)
-    for line in metrics.read_text().splitlines() if metrics.is_file() else []:
-        try:
-            row = json.loads(line)
-            step = int(row["step"])
-        except (json.JSONDecodeError, KeyError, TypeError, ValueError):
-            continue
+    for step, row in read_rows(metrics):
         for name, value in row.items():
-            if name != "step" and isinstance(value, int | float) and math.isfinite(value):
-                points[name].append((step, float(value)))
+            if math.isfinite(value):
+                points[name].append((step, value))
     return {
         name: Curve(np.array([step for step, _ in rows]), np.array([value for _, value in rows]))
         for name, rows in points.items()

@@ -7,7 +7,7 @@ each new shard is shown, one after the other on the timeline ``frame``.
 
 from __future__ import annotations
 
-import json
+import io
 import math
 from pathlib import Path
 from typing import Protocol
@@ -17,9 +17,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dmotion_bench.errors import DatasetMissing
+from dmotion_bench.learning.metrics_log import LARGEST, parse_row
 from dmotion_bench.learning.samples import read_sample, samples_of
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import LABELS, VIDEO, scan_shard, shard_count, shard_path
 from dmotion_bench.storage.tables import EpisodeTable
@@ -99,8 +101,8 @@ class TrainingFollower:
     def done(self) -> bool:
         """Whether the training has ended."""
         try:
-            return json.loads((self.run / RUN_MANIFEST).read_text())["result"] is not None
-        except (OSError, ValueError, KeyError, TypeError):
+            return read_json(self.run / RUN_MANIFEST).get("result") is not None
+        except (OSError, JsonUnreadable):
             return False
 
     def _rows(self) -> list[tuple[int, dict[str, float]]]:
@@ -112,16 +114,10 @@ class TrainingFollower:
             self._read = 0
         with metrics.open("rb") as file:
             file.seek(self._read)
-            whole, _, _ = file.read().rpartition(b"\n")
+            whole, _, _ = file.read(LARGEST).rpartition(b"\n")
         self._read += len(whole) + bool(whole)
-        rows = [row for line in whole.splitlines() if isinstance(row := json.loads(line), dict) and "step" in row]
-        return [
-            (
-                int(row.pop("step")),
-                {name: float(one) for name, one in row.items() if isinstance(one, int | float) and math.isfinite(one)},
-            )
-            for row in rows
-        ]
+        rows = [row for line in io.BytesIO(whole) if (row := parse_row(line)) is not None]
+        return [(step, {name: one for name, one in row.items() if math.isfinite(one)}) for step, row in rows]
 
     def _line(self, name: str) -> rr.SeriesLines:
         """The look of a curve: a loss has one colour, in validation with a wider line."""

@@ -51,8 +51,8 @@ def find_target(given: Path, workspace: Workspace) -> Target:
                 raise RunMissing(f"the run {str(run)!r} has no report; score it with {score}.")
     if given.exists():
         raise UsageError(
-            f"{str(given)!r} is nothing to look at: a data set holds {DATASET_MANIFEST}, a run {RUN_MANIFEST}, "
-            f"a report {REPORT_MANIFEST}; or give an .rrd."
+            f"{str(given)!r} cannot be shown: it is no .rrd file, no data set (with {DATASET_MANIFEST}), "
+            f"no run (with {RUN_MANIFEST}) and no report (with {REPORT_MANIFEST})."
         )
     known = [path.name for path in (*workspace.datasets(), *workspace.all_runs())]
     asked = given.parent.name if given.name == REPORT else given.name

@@ -85,8 +85,8 @@ def require_display() -> None:
     """
     if not has_display():
         raise ViewerError(
-            "no display is here to open a window on; look at it in a browser with '--web', "
-            "or write it to a file with '--save FILE.rrd' and open that elsewhere."
+            "this machine has no display to open a window on; add '--web' to use a browser, or '--save FILE.rrd' to "
+            "write a file that can be opened elsewhere."
         )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from dmbench_command import dmbench
+from known_model import result_of
 from rrd_contents import curve, read
 
 from dmotion_bench.cli.keys import read_keys, single_keys
@@ -31,7 +32,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     run = open_run(TrainingRequest(model="dmotion", preset=Preset.TINY), Dataset.open(folder), None, workspace)
     weights = run.spec.build().state_dict()
     checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
-    run.finish({"weights": checkpoint.weights_hash(weights), "steps": 4, "labels_total": 4, "validation_loss": 0.8})
+    run.finish(result_of(weights))
     return workspace
 
 
@@ -99,7 +100,7 @@ def test_references_are_scored_by_name(
 @pytest.mark.parametrize(
     ("words", "code", "sentence"),
     [
-        (["plan", "idle"], 1, "no display is here"),
+        (["plan", "idle"], 1, "this machine has no display"),
         (["plan", "idle", "--save", "plan.mp4"], 2, "must end in .rrd"),
         (["plan", "idle", "--json", "--task", "3"], 2, "no task named '3'; known: 0 to 2"),
         (["plan", "idle", "--json", "--planner", "exhausting"], 2, "did you mean 'exhaustive'"),
@@ -122,7 +123,7 @@ def test_playing_needs_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatc
         monkeypatch.setattr(sys, "stdin", nothing)
         said = dmbench(["play"], capsys, monkeypatch)
     assert said.code == 2
-    assert "needs a terminal" in said.sentence()
+    assert "reads keys from a terminal" in said.sentence()
 
 
 def test_keys_drive_the_model(

@@ -37,7 +37,7 @@ def test_json_has_the_names_that_scripts_rely_on(run: Command, data: Path, tmp_p
     outcome = run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"), "--json")
     assert (outcome.code, outcome.err) == (0, "")
     result = json.loads(outcome.out)
-    assert set(result) == {"run", "model", "steps", "triplets_per_s", "seconds", "labels"}
+    assert set(result) == {"run", "model", "steps", "triplets_per_s", "seconds", "labels", "threads", "precision"}
     assert (result["model"], result["labels"]) == ("dmotion", 4)
     again = json.loads(run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"), "--json").out)
     assert again == result
@@ -97,7 +97,7 @@ def test_a_finished_run_whose_weights_are_damaged_is_trained_anew(run: Command, 
 
 def test_without_labels_nothing_says_what_an_action_does(run: Command, data: Path, tmp_path: Path) -> None:
     trained = run("train", "dmotion", *QUICK, "--labels", "none", "--out", str(tmp_path / "run"))
-    assert "'--labels one-shot' takes this training over" in trained.out
+    assert "with '--labels one-shot' tells it, without training again" in trained.out
     for command in (("score",), ("plan", "--json")):
         outcome = run(command[0], str(tmp_path / "run"), *command[1:])
         assert outcome.code == 1
@@ -137,7 +137,7 @@ def test_a_run_that_lacks_something_is_said_to_be_corrupt(
     outcome = run("score", "a")
 
     assert outcome.code == 1
-    assert f"it has no {name}" in outcome.sentence()
+    assert f"cannot be read: run.{name} is" in outcome.sentence()
     assert run("list", "runs").code == 0
 
 

@@ -39,7 +39,7 @@ def test_what_is_a_file_already_is_not_saved_again(
     (tmp_path / "a.rrd").touch()
     said = dmbench(["view", str(tmp_path / "a.rrd"), "--save", str(tmp_path / "b.rrd")], capsys, monkeypatch)
     assert said.code == 2
-    assert "is for Rerun already" in said.sentence()
+    assert "is a Rerun file already" in said.sentence()
 
 
 def test_save_writes_a_file_and_says_how_to_open_it(
@@ -69,7 +69,7 @@ def test_episodes_and_splits_can_be_chosen(
     ("words", "code", "sentence"),
     [
         (["sqares-tiny"], 2, "did you mean 'squares-tiny'"),
-        (["squares-tiny", "squares-tiny"], 2, "only runs can be seen side by side"),
+        (["squares-tiny", "squares-tiny"], 2, "only runs can be shown side by side"),
         (["squares-tiny", "--data", "squares-tiny"], 2, "--data shows one run on another data set"),
         (["squares-tiny", "--split", "tset"], 2, "did you mean 'test'"),
         (["squares-tiny", "--save", "out.mp4"], 2, "must end in .rrd"),

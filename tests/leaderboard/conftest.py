@@ -28,21 +28,21 @@ SETTINGS = ScoreSettings(horizon=3, resamples=200)
 
 @pytest.fixture(autouse=True)
 def _model(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
+    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
 
 
 @pytest.fixture(scope="session")
 def scored_workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
     """Read only; ``workspace`` is a copy."""
     workspace = Workspace(tmp_path_factory.mktemp("workspace"))
-    recipe = DatasetRecipe(environment="grid_world", policy="random", seed=3, episodes=30, frames=12)
+    recipe = DatasetRecipe(environment="grid_world", parameters={"version": 2}, seed=3, episodes=30, frames=12)
     with DatasetWriter.create_or_resume(workspace.data / "grid_world-tiny", recipe, FACTS) as writer:
         for index in writer.missing:
-            writer.write_shard(index, record_episodes(GridWorld(), recipe, writer.episodes_of(index)))
+            writer.write_shard(index, record_episodes(GridWorld, recipe, writer.episodes_of(index)))
         writer.finish()
     dataset = Dataset.open(workspace.data / "grid_world-tiny")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
+        patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
         references = ReferenceScores()
         for name, offset, changes in (
             ("dmotion-grid_world-tiny-s0", 0.0, {}),
@@ -71,7 +71,7 @@ def workspace(scored_workspace: Workspace, tmp_path: Path, monkeypatch: pytest.M
 def sound(scored_workspace: Workspace) -> Entry:
     """The entry of the first run."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dmotion_bench.learning.run.model_class", lambda name: Known)
+        patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
         return entry_of_run(scored_workspace.runs / "dmotion-grid_world-tiny-s0")
 
 

@@ -7,8 +7,11 @@ import shutil
 from pathlib import Path
 
 import pytest
+import torch
+from known_model import result_of
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch
+from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.learning.settings import to_json
@@ -92,15 +95,21 @@ def test_its_training_is_taken_over_by_another_budget(tmp_path: Path) -> None:
     spec = _asked()
     without = {name: value for name, value in spec.config.items() if name != "warp"}
     stored = _stored(tmp_path / "one", dataclasses.replace(spec, config=without))
-    for file in (stored.metrics, stored.best, stored.last):
-        file.write_bytes(b"weights")
-    stored.finish({})
+    stored.metrics.touch()
+    weights = {"a": torch.ones(3)}
+    for file in (stored.best, stored.last):
+        checkpoint.save(file, checkpoint.with_prefix("model", weights), {})
+    stored.finish(result_of(weights))
 
     def of(asked: RunSpec) -> Run | None:
         labelled = dataclasses.replace(asked, labels="one-shot")
         return take_over(Run.create_or_open(tmp_path / "two", labelled, dataset_path=Path("data/grid"), versions={}))
 
     assert of(_asked(warp=True)) is None
+    whole = stored.last.read_bytes()
+    stored.last.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    assert of(spec) is None  # a damaged checkpoint is not handed on
+    stored.last.write_bytes(whole)
     twin = of(spec)
     assert twin is not None
     assert twin.name == "one"

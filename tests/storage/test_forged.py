@@ -184,6 +184,14 @@ def test_a_table_of_other_columns_is_refused(path: Path, name: str, change: Call
     refused(path, "has other columns")
 
 
+def test_a_column_that_holds_columns_is_refused(path: Path) -> None:
+    table = pq.read_table(path / "episodes.parquet")
+    nested = pa.array([[{"word": word}] for word in table["ended"].to_pylist()])
+    place = table.column_names.index("ended")
+    replace_table(path, "episodes.parquet", table.set_column(place, "ended", nested))
+    refused(path, "has other columns")
+
+
 @pytest.mark.parametrize("name", ["episodes.parquet", "tasks.parquet"])
 @settings(deadline=None, derandomize=True, max_examples=150)
 @given(data=st.data())

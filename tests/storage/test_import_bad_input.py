@@ -123,14 +123,6 @@ def test_a_camera_that_never_sent_a_picture(tmp_path: Path) -> None:
     refused(tmp_path / "a.mcap", tmp_path, "has no pictures: there is no message on '/camera'")
 
 
-def test_video_streams_are_named(tmp_path: Path) -> None:
-    context = foxglove.Context()
-    with foxglove.open_mcap(tmp_path / "a.mcap", context=context):
-        schema = foxglove.Schema(name="foxglove.CompressedVideo", encoding="protobuf", data=b"")
-        foxglove.Channel("/v", schema=schema, message_encoding="protobuf", context=context).log(b"", log_time=START)
-    refused(tmp_path / "a.mcap", tmp_path, "a video stream; re-record it as images", ImportOptions(camera="/v"))
-
-
 def test_mixed_sizes(tmp_path: Path) -> None:
     frames = [*video(3, 32, 32), *video(3, 24, 40)]
     file = foxglove_file(tmp_path / "a.mcap", frames, steady(6))
@@ -222,22 +214,25 @@ def test_too_few_pictures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "match"),
     [
-        (b"", "it is empty"),
-        (b"no recording at all", "does not begin with MCAP's eight bytes"),
+        (b"", "is empty"),
+        (b"no recording at all", "is no recording that can be imported: MCAP .*'ffmpeg -i IN OUT.mkv'"),
+        (b"\x89MCAP9\r\n", "is no MCAP file: it does not begin with MCAP's eight bytes"),
         (b"#ROSBAG V2.0\n", "a ROS 1 bag; convert it with 'rosbags-convert"),
         (b"SQLite format 3\0", "ROS 2 bag in SQLite; convert it"),
-        (zstandard.compress(b"x" * 100), "unpack it with 'unzstd'"),
+        (zstandard.compress(b"x" * 100), "holds no MCAP file, but is compressed as a whole"),
+        (compressed(video(1)[0], "png"), "is a single picture; name the folder that it is in"),
+        (compressed(video(1)[0], "webp"), "is a single picture"),
     ],
 )
 def test_other_files(tmp_path: Path, content: bytes, match: str) -> None:
     (tmp_path / "a.mcap").write_bytes(content)
-    refused(tmp_path / "a.mcap", tmp_path, f"is no MCAP file: .*{match}")
+    refused(tmp_path / "a.mcap", tmp_path, f"a.mcap' .*{match}")
 
 
 def test_what_is_not_there(tmp_path: Path) -> None:
     refused(tmp_path / "nothing.mcap", tmp_path, "there is no .*nothing.mcap")
     (tmp_path / "empty").mkdir()
-    refused(tmp_path / "empty", tmp_path, "holds no .mcap file and is no LeRobot data set")
+    refused(tmp_path / "empty", tmp_path, "holds no recording: no MCAP .* no pictures .* no LeRobot data set")
 
 
 @given(cut=st.floats(0, 1))
@@ -246,7 +241,7 @@ def test_a_file_cut_anywhere_is_refused(good: Path, tmp_path_factory: pytest.Tem
     folder = tmp_path_factory.mktemp("cut")
     whole = good.read_bytes()
     (folder / "a.mcap").write_bytes(whole[: int(cut * (len(whole) - 30))])
-    refused(folder / "a.mcap", folder, "is cut off|no MCAP file")
+    refused(folder / "a.mcap", folder, "is cut off|no MCAP file|is empty|is no recording")
 
 
 def test_a_cut_file_can_be_salvaged(good: Path, tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_an_interruption_leaves_nothing_and_says_so(
     ended = finish(process)
     assert ended.code == 128 + sign
     assert ended.sentence() == (
-        f"dmbench: interrupted; nothing is left of the {command}, the same command starts it anew.\n"
+        f"dmbench: interrupted; the unfinished {command} was removed. Run the same command again to start over.\n"
     )
     assert names(workspace) == []
 

@@ -1,0 +1,191 @@
+"""What the checkpoints of a training hold, and whether those that are there can be gone on with."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.checkpoint import Form, Forms, damaged
+from dmotion_bench.learning.model import ForwardModel, TrainingConfig
+from dmotion_bench.learning.optimization import AveragedWeights, make_optimizer
+from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.settings import from_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class LastFacts:
+    """Beside the tensors of ``last.safetensors``.
+
+    Attributes:
+        step: Steps taken.
+        best: Lowest validation loss of the phase; None before there is one.
+        best_step: Where it was.
+        seconds: Spent in steps.
+    """
+
+    step: int
+    best: float | None
+    best_step: int
+    seconds: float
+
+    def __post_init__(self) -> None:
+        if not -1 <= self.best_step <= self.step or not 0 <= self.seconds < math.inf:
+            raise InvalidSetting("its numbers cannot be.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BestFacts:
+    """Beside the tensors of ``best.safetensors``: where the weights are from, and how good they are."""
+
+    step: int
+    validation_loss: float
+
+
+FactsT = TypeVar("FactsT", LastFacts, BestFacts)
+
+
+def _facts(kind: type[FactsT], facts: Mapping[str, Any], path: Path, steps: int) -> FactsT:
+    """The facts of a checkpoint.
+
+    Args:
+        kind: What is expected.
+        facts: As they were read.
+        path: Of the checkpoint.
+        steps: Of the whole training.
+
+    Raises:
+        RunCorrupt: They lack something or cannot be.
+    """
+    try:
+        read = from_json(kind, facts)
+    except InvalidSetting as error:
+        raise damaged(path, f"cannot be read: {str(error).rstrip('.')}") from None
+    if not 0 <= read.step <= steps:
+        raise damaged(path, f"cannot be read: it is of step {read.step}, and the training has {steps}")
+    return read
+
+
+def optimizer_forms(optimizer: torch.optim.Optimizer, model: nn.Module, config: TrainingConfig) -> dict[str, Form]:
+    """The tensors of an optimiser's state once it has taken a step.
+
+    A second optimiser of the same kind takes that step, over parameters of one number each.
+    """
+    small = nn.ParameterList(_small(parameter) for parameter in model.parameters())
+    twin = make_optimizer(small, config)
+    twin.step()
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    forms = {}
+    for index, state in twin.state_dict()["state"].items():
+        for key, value in state.items():
+            kept, shape = torch.as_tensor(value), tuple(parameters[index].shape)
+            forms[f"optimizer/{index}/{key}"] = Form(Form.of(kept).dtype, shape if kept.ndim == len(shape) else ())
+    return forms
+
+
+def _small(parameter: nn.Parameter) -> nn.Parameter:
+    """A parameter that an optimiser treats alike: of the same type, number of axes and marks."""
+    small = nn.Parameter(torch.zeros((1,) * parameter.ndim, dtype=parameter.dtype))
+    small.__dict__.update(vars(parameter))
+    small.grad = torch.zeros_like(small)
+    return small
+
+
+def _require_whole_states(found: Iterable[str], forms: Forms, path: Path) -> None:
+    """Refuse an optimiser's state that lacks a part; parameters that were never trained have none at all.
+
+    Raises:
+        RunCorrupt: A parameter has one part of its state and lacks another.
+    """
+    there = {name for name in found if name in forms}
+    begun = {name.rpartition("/")[0] for name in there}
+    for name in forms:
+        if name.rpartition("/")[0] in begun and name not in there:
+            raise damaged(path, f"holds other tensors than the training has: there is no {name!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoints:
+    """A run's checkpoints, out of what changes in its training and back into it.
+
+    Attributes:
+        run: Whose folder they are in.
+        model, optimizer, average: Of the training.
+        hardness: Latest loss of each triplet, by phase.
+        config: How the model is optimised.
+        steps: Of the whole training.
+    """
+
+    run: Run
+    model: ForwardModel[Any]
+    optimizer: torch.optim.Optimizer
+    average: AveragedWeights | None
+    hardness: Mapping[str, Float[np.ndarray, " n"]]
+    config: TrainingConfig
+    steps: int
+
+    def save_best(self, facts: BestFacts) -> None:
+        """Keep the model's weights as the best so far."""
+        weights = checkpoint.with_prefix("model", self.model.state_dict())
+        checkpoint.save(self.run.best, weights, dataclasses.asdict(facts))
+
+    def restore_best(self) -> BestFacts:
+        """Put the best weights into the model.
+
+        Raises:
+            RunMissing, RunCorrupt: They are not there, or cannot be read.
+        """
+        tensors, facts = self._load_best()
+        self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
+        return facts
+
+    def save(self, path: Path, facts: LastFacts, begun: Iterable[str]) -> None:
+        """Write all that going on needs; of the phases that have begun, what each triplet's loss was."""
+        tensors = checkpoint.with_prefix("model", self.model.state_dict())
+        tensors |= checkpoint.optimizer_tensors(self.optimizer)
+        if self.average is not None:
+            tensors |= checkpoint.with_prefix("average", self.average.tensors)
+        tensors |= {f"hardness/{name}": torch.from_numpy(self.hardness[name]) for name in begun}
+        checkpoint.save(path, tensors, dataclasses.asdict(facts))
+
+    def restore(self) -> LastFacts | None:
+        """Put the last checkpoint back, if there is one, and see that the best weights are there to end with.
+
+        Raises:
+            RunMissing, RunCorrupt: The best weights are gone, or one of the two cannot be read or is of other steps.
+        """
+        path = self.run.last
+        if not path.exists():
+            return None
+        state = optimizer_forms(self.optimizer, self.model, self.config)
+        required = self._forms("model") | (self._forms("average") if self.average else {})
+        hardness = {f"hardness/{name}": Form("F32", values.shape) for name, values in self.hardness.items()}
+        tensors, read = checkpoint.load(path, required=required, optional=state | hardness)
+        facts = _facts(LastFacts, read, path, self.steps)
+        _require_whole_states(tensors, state, path)
+        if facts.best is not None and self._load_best()[1].step < facts.best_step:
+            raise damaged(self.run.best, f"is older than step {facts.best_step}, the best that {path.name!r} knows of")
+        self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
+        checkpoint.restore_optimizer(self.optimizer, tensors)
+        if self.average is not None:
+            self.average.restore(checkpoint.without_prefix("average", tensors))
+        for name, values in checkpoint.without_prefix("hardness", tensors).items():
+            self.hardness[name][:] = values.numpy()
+        return facts
+
+    def _load_best(self) -> tuple[dict[str, Tensor], BestFacts]:
+        tensors, facts = checkpoint.load(self.run.best, required=self._forms("model"))
+        return tensors, _facts(BestFacts, facts, self.run.best, self.steps)
+
+    def _forms(self, prefix: str) -> dict[str, Form]:
+        return checkpoint.with_prefix(prefix, checkpoint.forms_of(self.model.state_dict()))

@@ -1,0 +1,246 @@
+"""``run.json``: what a run was asked for, the conditions that it is trained under, and what came of it.
+
+The file may come from anybody. Each field is held against its kind and its bounds before anybody uses it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, get_args
+
+import torch
+from torch.nn.modules.module import register_module_parameter_registration_hook
+
+from dmotion_bench.errors import DmbenchError, InvalidSetting
+from dmotion_bench.learning.checkpoint import Form, forms_of
+from dmotion_bench.learning.labels import LabelRequest
+from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig
+from dmotion_bench.learning.precision import Precision
+from dmotion_bench.learning.settings import from_json, to_json
+from dmotion_bench.learning.triplets import SplitProtocol
+from dmotion_bench.registry import model_class
+from dmotion_bench.specs import MOST_THREADS, Preset
+from dmotion_bench.storage.json_fields import Fields
+from dmotion_bench.storage.json_file import read_json
+from dmotion_bench.storage.limits import LARGEST_SIDE, LONGEST_NAME, LONGEST_TEXT, MOST_ACTIONS
+from dmotion_bench.wording import shown
+
+RUN_FORMAT: Final = "dmbench-run/1"
+_LARGEST: Final = 2**20  # bytes of a run.json that are read
+_COUNTS: Final = range(2**53)
+_SHA256: Final = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunSpec:
+    """All that decides the result of a training on given hardware, but for its ``Conditions``.
+
+    Attributes:
+        model, arch: Registry name and architecture.
+        config, training: The configs, as JSON's types.
+        preset: Where the defaults came from.
+        labels: The label budget, as ``LabelRequest`` prints it.
+        seed: Of the weights, the order of the batches and the draw of demonstrations.
+        dataset: Its name.
+        fingerprint: The hash of its content.
+        protocol: How triplets are split.
+        height, width, actions: What the model was built for.
+    """
+
+    model: str
+    arch: str
+    config: Mapping[str, Any]
+    training: Mapping[str, Any]
+    preset: str
+    labels: str
+    seed: int
+    dataset: str
+    fingerprint: str
+    protocol: str = "episode"
+    height: int
+    width: int
+    actions: int
+
+    def __post_init__(self) -> None:
+        _within("seed", self.seed, range(2**63))
+        _within("height", self.height, range(1, LARGEST_SIDE + 1))
+        _within("width", self.width, range(1, LARGEST_SIDE + 1))
+        _within("actions", self.actions, range(MOST_ACTIONS + 1))
+        for name, choices in (("preset", [one.value for one in Preset]), ("protocol", get_args(SplitProtocol))):
+            if getattr(self, name) not in choices:
+                raise InvalidSetting(f"{name} is {shown(getattr(self, name))}; it can be {', '.join(choices)}.")
+        LabelRequest.parse(self.labels)
+
+    @property
+    def inputs(self) -> ModelInputs:
+        """The facts that the model is built for."""
+        return ModelInputs(height=self.height, width=self.width, actions=self.actions)
+
+    @property
+    def training_config(self) -> TrainingConfig:
+        """How the model is optimised."""
+        return from_json(TrainingConfig, self.training)
+
+    def completed(self) -> RunSpec:
+        """The same, settings that later versions added at their defaults: what specs are compared by.
+
+        Raises:
+            InvalidSetting: It has settings that this version does not know.
+        """
+        config: Any = from_json(model_class(self.model).Config, self.config)
+        return dataclasses.replace(self, config=to_json(config), training=to_json(self.training_config))
+
+    def build(self) -> ForwardModel[Any]:
+        """The model with weights that the seed decides, whatever random numbers were drawn before."""
+        kind = model_class(self.model)
+        with torch.random.fork_rng():
+            torch.manual_seed(self.seed)
+            model = kind(from_json(kind.Config, self.config), self.inputs)
+        model.channels_last = self.training_config.channels_last
+        return model
+
+    def forms(self, most: int) -> dict[str, Form]:
+        """The tensors of the model, told without memory for any of them.
+
+        Args:
+            most: A model of more parameters is not built to its end.
+
+        Raises:
+            InvalidSetting: There is no such model.
+        """
+        kind = model_class(self.model)
+        config: Any = from_json(kind.Config, self.config)
+        try:
+            with torch.device("meta"), _at_most(most):
+                return forms_of(kind(config, self.inputs).state_dict())
+        except DmbenchError:
+            raise
+        except Exception as error:  # a stranger's model may raise anything
+            if "meta" in str(error):  # it reads numbers while it is built, and tensors without memory have none
+                return forms_of(self.build().state_dict())
+            raise InvalidSetting(f"no {self.model} can be built so: {type(error).__name__}: {error}") from None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """What decides the bits of a training beside its spec and the hardware; fixed before its first step.
+
+    Attributes:
+        threads: That each process computes with.
+        precision: In which matrices are multiplied.
+        probe: Seconds that a step took in each precision; empty where nothing had to be measured.
+    """
+
+    threads: int
+    precision: Precision
+    probe: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _within("threads", self.threads, range(1, MOST_THREADS + 1))
+        for name, seconds in self.probe.items():
+            if name not in get_args(Precision) or type(seconds) not in (int, float) or not 0 <= seconds < math.inf:
+                raise InvalidSetting(f"probe is {shown(dict(self.probe))}; it can be seconds by precision.")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunResult:
+    """What a training came to.
+
+    Attributes:
+        weights: Hash of the weights.
+        steps, triplets: Of the whole training.
+        seconds: Spent in its steps.
+        triplets_per_s: Of those seconds.
+        parameters: Of the model.
+        best_step, validation_loss: Of the weights that were kept.
+        labels, labels_total: Labels handed out by purpose, and their number.
+        device, processes: Where the last sitting ran.
+        threads, precision: As in ``Conditions``; None in a run of a version that did not record them.
+    """
+
+    weights: str
+    steps: int
+    triplets: int
+    seconds: float
+    triplets_per_s: float
+    parameters: int
+    best_step: int
+    validation_loss: float
+    labels: Mapping[str, int]
+    labels_total: int
+    device: str
+    processes: int
+    threads: int | None = None
+    precision: Precision | None = None
+
+    def __post_init__(self) -> None:
+        if not _SHA256.fullmatch(self.weights):
+            raise InvalidSetting(f"weights is {shown(self.weights)}; it must be a SHA-256.")
+        for name in ("steps", "triplets", "parameters", "best_step", "labels_total", "processes"):
+            _within(name, getattr(self, name), _COUNTS)
+        for name, number in self.labels.items():
+            _within(f"labels[{name}]", number, _COUNTS)
+        for name in ("seconds", "triplets_per_s"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InvalidSetting(f"{name} is {shown(getattr(self, name))}; it cannot be below zero.")
+        if not math.isfinite(self.validation_loss):
+            raise InvalidSetting(f"validation_loss is {self.validation_loss}; it must be a number.")
+        if len(self.device) > LONGEST_NAME:
+            raise InvalidSetting(f"device is {shown(self.device)}; it must be a name.")
+        if self.threads is not None:
+            _within("threads", self.threads, range(1, MOST_THREADS + 1))
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """What ``run.json`` holds, all of which can be true.
+
+    Raises:
+        OSError: It cannot be opened.
+        ValueError, InvalidSetting: It is no such file; says why.
+    """
+    manifest = read_json(path, largest=_LARGEST)
+    found = manifest.get("format")
+    if found != RUN_FORMAT:
+        raise ValueError(f"it is of the format {shown(found)}; this dmbench reads {RUN_FORMAT!r}")
+    fields = Fields(manifest, "run")
+    spec = from_json(RunSpec, fields.pairs("spec"))
+    words = {**fields.pairs("versions"), "dataset_path": fields.text("dataset_path"), "trained_as": ""}
+    words |= {name: getattr(spec, name) for name in ("model", "arch", "dataset", "fingerprint")}
+    if "trained_as" in manifest:
+        words["trained_as"] = fields.text("trained_as")
+    for name, word in words.items():
+        if type(word) is not str or len(word) > LONGEST_TEXT or "\0" in word:
+            raise ValueError(f"its {shown(name)} is {shown(word)}")
+    if fields.inner_or_none("result") is not None:
+        from_json(RunResult, manifest["result"])
+    if "conditions" in manifest:
+        from_json(Conditions, fields.pairs("conditions"))
+    return manifest
+
+
+def _within(name: str, value: int, allowed: range) -> None:
+    if type(value) is not int or value not in allowed:
+        raise InvalidSetting(f"{name} is {shown(value)}; it can be {allowed[0]} to {allowed[-1]}.")
+
+
+@contextlib.contextmanager
+def _at_most(parameters: int) -> Iterator[None]:
+    """Stops the building of a model that has more parameters than a file could hold."""
+    count = 0
+
+    def registered(_module: object, _name: str, _parameter: object) -> None:
+        nonlocal count
+        count += 1
+        if count > parameters:
+            raise InvalidSetting(f"the model has more than {parameters} parameters, and its checkpoint has fewer.")
+
+    hook = register_module_parameter_registration_hook(registered)
+    try:
+        yield
+    finally:
+        hook.remove()

@@ -42,7 +42,7 @@ from dmotion_bench.specs import Preset, Supervision
 
 @dataclass(frozen=True, kw_only=True)
 class DMotionConfig:
-    """The choices that the paper leaves open or argues about.
+    """The choices that the paper leaves open or compares.
 
     Attributes:
         arch: ``"paper"`` as published, ``"compact"`` for speed.
@@ -85,7 +85,7 @@ class DMotionConfig:
 
 
 class DMotion(ForwardModel[DMotionConfig]):
-    """Sees video only; the actions are named afterwards by a handful of demonstrations."""
+    """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
     supervision: ClassVar[Supervision] = Supervision.NONE
     paper: ClassVar[str] = (
@@ -151,7 +151,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         )
 
     def progress(self, share: float) -> None:
-        """Narrow the interpolation kernel and quieten the noise."""
+        """Narrow the interpolation kernel and reduce the noise as the training proceeds."""
         left = max(0.0, 1 - share / self.config.anneal)
         self.blur = 1 + (self.config.blur - 1) * left
         self.jitter = self.config.jitter_end + (self.config.jitter - self.config.jitter_end) * (1 - share)
@@ -188,7 +188,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         current: Float[Tensor, "b c h w"],
         action: Int[Tensor, " b"],
     ) -> Float[Tensor, "b c h w"]:
-        """x''_{t+1} with phi^0 out of the table."""
+        """Predict x''_{t+1} with the action's phi^0 from the table."""
         return self.predict_with_latent(previous, current, self.table[action])
 
     def predict_with_latent(
@@ -197,7 +197,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         current: Float[Tensor, "b c h w"],
         latent: Float[Tensor, "b d"],
     ) -> Float[Tensor, "b c h w"]:
-        """x''_{t+1} if ``latent`` is the agent's motion."""
+        """Predict x''_{t+1} with ``latent`` as the agent's motion."""
         previous, current = self.pack(previous), self.pack(current)
         agent = self.transform(self.image_encoder(current)[:, :1], latent[:, None])
         predicted: Tensor = self.unpack(self._interact(previous, current, agent))

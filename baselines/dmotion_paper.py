@@ -25,12 +25,12 @@ SMALL_MAP = 4
 
 
 def pack(image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
-    """These networks take frames as they are."""
+    """Return the frames unchanged: these networks do not pack them."""
     return image
 
 
 def unpack(image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
-    """And give frames as they are."""
+    """Return the frames unchanged, the inverse of ``pack``."""
     return image
 
 

@@ -1,4 +1,4 @@
-"""From a workspace's scored runs, others' entries and the paper's tables to a folder that is a leaderboard.
+"""Build the leaderboard's folder from scored runs, other people's entries and the paper's tables.
 
 ::
 
@@ -40,7 +40,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Built:
-    """What came of building.
+    """The result of building a leaderboard.
 
     Attributes:
         page: The page's file.
@@ -100,7 +100,7 @@ def build(
 
 
 def _remove_outdated(folder: Path, entries: Sequence[Entry]) -> None:
-    """Take away what an earlier building wrote of a run that has been trained or scored otherwise since."""
+    """Remove entries of runs that have been trained or scored again since an earlier build."""
     current = {entry.slug for entry in entries}
     runs = {entry.name for entry in entries if entry.is_measured}
     for path in folder.glob("*.json"):
@@ -166,7 +166,7 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
 
 
 def _dataset(run: Run, report: Report) -> Dataset | None:
-    """What a report was scored on, if it is there as it was: where the run's own is, or beside it."""
+    """The data set that a report was scored on, if it still exists unchanged."""
     own = run.dataset_path
     path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
     try:
@@ -177,7 +177,7 @@ def _dataset(run: Run, report: Report) -> Dataset | None:
 
 
 def _standing(folder: Path | None, entry: Entry) -> Entry | None:
-    """The entry that was built earlier, if it says the same."""
+    """The entry that was built earlier, if its content is the same."""
     path = None if folder is None else folder / f"{entry.slug}.json"
     if path is None or not path.is_file():
         return None

@@ -1,4 +1,4 @@
-"""Do the figures of control hold? The actions that were taken are taken again.
+"""Check the figures of control: take the entry's actions again in the simulator.
 
 An entry holds the actions of whoever planned, task by task (``actions_of``). The simulator is exact: the same actions
 from the same start give the same places, so the distances follow from the actions without any model, and the figures
@@ -42,7 +42,7 @@ ROUNDING: Final = 1e-4
 
 
 def actions_of(samples: pa.Table) -> dict[str, list[dict[str, Any]]]:
-    """What was done in each task by all who planned, as an entry holds it; the quick references can be had anew."""
+    """The actions in each task as an entry holds them; quick references are left out, as they can be repeated."""
     rows = _of(samples, METRIC, "metric")
     planned = [name for name in np.unique(rows["predictor"].to_numpy(zero_copy_only=False)) if name not in QUICK]
     return {name: list(_tasks(_of(rows, name, "predictor"))) for name in planned}
@@ -66,7 +66,7 @@ def check_control(
     differing: float,
     how: Execution,
 ) -> None:
-    """Hold everything that an entry says of control against the simulator, and against its model if so asked.
+    """Compare everything that an entry says about control with the simulator and, if asked, with its model.
 
     Args:
         check: Takes down what is found.
@@ -113,7 +113,7 @@ def check_control(
 
 
 def _scoring(check: Findings) -> ControlScoring | None:
-    """How control was scored; None where what the entry says of it cannot be."""
+    """The settings of control; None if the entry's settings are not possible."""
     given = check.entry.content["settings"]
     allowed: dict[str, Callable[[Any], bool]] = {
         "tasks": lambda value: value is None or (type(value) is int and value >= 1),
@@ -139,7 +139,7 @@ def _scoring(check: Findings) -> ControlScoring | None:
 def _actions(
     check: Findings, name: str, problems: Sequence[Problem], steps: int, known: int
 ) -> dict[int, list[int]] | None:
-    """The entry's actions by task; None where they cannot be those of the tasks."""
+    """The entry's actions by task; None if they do not fit the tasks."""
     said = {one["task"]: one["actions"].split() for one in check.entry.content[METRIC].get(name, ())}
     if list(said) != [problem.number for problem in problems]:
         check.wrong.append(f"control of {name}: the actions are those of other tasks than the first {len(problems)}")
@@ -165,7 +165,7 @@ def _same_figures(check: Findings, name: str, table: pa.Table) -> None:
 
 
 def _same_rows(check: Findings, name: str, stored: pa.Table, found: pa.Table) -> None:
-    """Moment by moment: the actions, and how things stood."""
+    """Compare actions, distances and lost objects step by step."""
     stored, found = (table.sort_by([("task", "ascending"), ("ahead", "ascending")]) for table in (stored, found))
     keys, others = (np.stack([column(table, key) for key in ("task", "ahead")], axis=1) for table in (stored, found))
     if not np.array_equal(keys, others):
@@ -192,7 +192,7 @@ def _plan_anew(
     differing: float,
     how: Execution,
 ) -> None:
-    """Ask the model for the first actions of a group; the weights decide which, so that nobody chooses it."""
+    """Plan the first actions of one group again; the weights' hash decides which group, so nobody can choose it."""
     groups = range(0, len(problems), scoring.group)
     first = groups[int(check.entry.content["weights"][:8], 16) % len(groups)]
     group = problems[first : first + scoring.group]
@@ -211,7 +211,7 @@ def _plan_anew(
 
 
 class _Repeater:
-    """Takes the actions that were taken before, and may ask a controller at each step what it would do.
+    """Repeats recorded actions, and can ask a controller at each step which action it would take.
 
     Args:
         actions: By task.
@@ -228,11 +228,11 @@ class _Repeater:
         self.asked, self.otherwise = 0, list[str]()
 
     def act(self, seen: Seen) -> Decision:
-        """Not without knowing which task it is."""
+        """Raises TypeError: the actions depend on the task, see ``act_in``."""
         raise TypeError("which actions were taken depends on the task")
 
     def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
-        """What was done at this step."""
+        """The recorded actions of this step."""
         taken = np.array([self._actions[world.problem.number][seen.step] for world in worlds])
         if self._controller is None:
             return Decision(action=taken)
@@ -261,7 +261,7 @@ def _control(
 
 
 def _reference(name: str, dataset: Dataset, scoring: ControlScoring, how: Execution) -> pa.Table:
-    """A quick reference, scored anew: what is kept of it in the data set's cache is nobody's word."""
+    """Score a quick reference again, without trusting the results in the data set's cache."""
     return control_samples(
         name, score_control(name, dataset, scoring, progress=_told(f"control by {name}", how), checkpoint=None)
     )

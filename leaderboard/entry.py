@@ -78,12 +78,12 @@ class Entry:
 
     @property
     def is_measured(self) -> bool:
-        """Whether a run is behind it, and not a printed table."""
+        """Whether the entry is of a run, and not of a published table."""
         return bool(self.content["kind"] == "measured")
 
     @property
     def name(self) -> str:
-        """What people know it by: the run's name, or the model and budget of a published row."""
+        """The run's name, or the model and budget of a published row."""
         if self.is_measured:
             return str(self.content["run"])
         return f"{self.model} {self.labels} {self.environment}"
@@ -116,7 +116,7 @@ class Entry:
 
     @property
     def label_count(self) -> int | None:
-        """How many labels that came to; None where it was not said."""
+        """The number of labels that were handed out; None if it is unknown."""
         count: int | None = self.content["labels"]["total"]
         return count
 
@@ -137,7 +137,7 @@ class Entry:
 
     @property
     def figures(self) -> Mapping[str, FigureJson]:
-        """By their fixed names."""
+        """The figures by their fixed names."""
         figures: Mapping[str, FigureJson] = self.content["figures"]
         return figures
 
@@ -160,7 +160,7 @@ class Entry:
 
     @property
     def slug(self) -> str:
-        """A file's and an anchor's name: plain letters, and unique by what the entry is of."""
+        """The entry's name in files and links: plain letters, and different for every result."""
         plain = re.sub(r"[^A-Za-z0-9_]+", "-", self.name).strip("-")[:80]
         identity = [self.content.get(key) for key in ("run", "weights", "source", "environment")]
         identity += [self.content.get("dataset"), self.content.get("settings"), self.labels, self.model]

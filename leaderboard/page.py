@@ -166,7 +166,7 @@ def _notes(board: Board) -> list[str]:
 
 
 def _on_version(board: Board) -> list[str]:
-    """What to know of a board whose environment has a later version than the one that its data set is of."""
+    """A note on a board whose environment has a newer version than the board's data set."""
     versions = environment_versions(board.environment)
     newest = max(versions, default=board.version)
     if not board.fingerprint or board.version >= newest:

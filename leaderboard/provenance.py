@@ -1,4 +1,4 @@
-"""What is behind a row: how each of its entries came about, and every figure that it has."""
+"""The provenance of a row: how each of its entries was made, and every figure of the entry."""
 
 from __future__ import annotations
 

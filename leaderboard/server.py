@@ -1,4 +1,4 @@
-"""The leaderboard's folder over HTTP, for this machine alone: only the files that ``build`` writes, read only."""
+"""An HTTP server of the leaderboard's folder for this machine alone; it serves only the files that ``build`` writes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class LeaderboardServer(LoopbackServer):
         return f"http://{LOOPBACK}:{self.port}/"
 
     def find(self, path: str, origin: str) -> Served | None:
-        """The page, the schema or an entry; what is not in the folder itself is not given."""
+        """Find the page, the schema or an entry; nothing outside of the folder is served."""
         name, kind = self._name(path.partition("?")[0])
         file = self.folder / name
         if not name or not file.resolve().is_relative_to(self.folder.resolve()):

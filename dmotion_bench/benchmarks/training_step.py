@@ -54,7 +54,7 @@ class TrainingStep:
         """Floating-point operations of a triplet, in matrix products and convolutions; a step is taken to count."""
         with FlopCounterMode(display=False) as counter:
             self()
-        return counter.get_total_flops() / self.config.batch_size
+        return float(counter.get_total_flops() / self.config.batch_size)
 
 
 def untrained(name: str, arch: str) -> ForwardModel[Any]:

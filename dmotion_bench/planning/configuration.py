@@ -74,7 +74,7 @@ def _all(*modules: ModuleType) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON gives it back."""
+    """A value with lists in place of tuples, as it reads back from JSON."""
     if isinstance(value, Mapping):
         return {str(name): _plain(one) for name, one in value.items()}
     return [_plain(one) for one in value] if isinstance(value, tuple | list) else value

@@ -42,7 +42,7 @@ GROUP = 4
 
 @dataclass(frozen=True, kw_only=True)
 class ControlSettings:
-    """What decides the result beside the controller and the data.
+    """The settings that decide the result, besides the controller and the data.
 
     Attributes:
         steps: Actions a task.
@@ -63,7 +63,7 @@ class ControlSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlProgress:
-    """How far the loop is.
+    """The progress of the control loop.
 
     Attributes:
         steps, total: Control steps done, of all tasks together.
@@ -77,7 +77,7 @@ class ControlProgress:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """One control step as a watcher sees it, before its actions are taken."""
+    """One control step as ``watch`` is given it, before the actions are taken."""
 
     seen: Seen
     decision: Decision
@@ -87,7 +87,7 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlResult:
-    """What became of the tasks.
+    """The results of all tasks.
 
     Attributes:
         tasks: Their numbers.
@@ -113,7 +113,7 @@ class ControlResult:
 
 @dataclass(kw_only=True)
 class _Loop:
-    """What the groups have in common."""
+    """The state that all groups of tasks share."""
 
     controller: Controller
     settings: ControlSettings
@@ -181,7 +181,7 @@ def control(
 
 
 def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
-    """Work on one group from where the journal left it to the end."""
+    """Solve one group of tasks, starting from the step that the journal has reached."""
     records = loop.journal.records(problems)
     loop.records.update(records)
     if all(len(record.actions) >= loop.settings.steps for record in records.values()):
@@ -216,7 +216,7 @@ def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
 
 
 def _decide(controller: Controller, seen: Seen, worlds: Sequence[World]) -> Decision:
-    """Only the references that are made for it are handed the simulator."""
+    """Ask the controller for its actions; only references that declare it are given the simulator."""
     if isinstance(controller, KnowsSimulator):
         return controller.act_in(seen, worlds)
     return controller.act(seen)
@@ -229,7 +229,7 @@ def _act(worlds: Sequence[World], actions: Int[np.ndarray, " b"]) -> None:
 
 
 class _Gaze:
-    """What has been seen of a group's tasks, from pictures alone."""
+    """The observations of a group of tasks, from images alone."""
 
     def __init__(self, worlds: Sequence[World], actions: int, spec: EnvSpec) -> None:
         self._current: UInt8[np.ndarray, "b h w 3"] = np.stack([world.frame for world in worlds])
@@ -243,7 +243,7 @@ class _Gaze:
             self._known, self._wanted = self._tracker.meet(*images)
 
     def after(self, worlds: Sequence[World], actions: Int[np.ndarray, " b"]) -> None:
-        """Look at what the actions did."""
+        """Update the observations with the images after the actions."""
         frames = np.stack([world.frame for world in worlds])
         changed = (frames != self._current).any(axis=(1, 2, 3))
         self._blocked[changed] = False
@@ -257,7 +257,7 @@ class _Gaze:
             self._known = self._tracker.follow(self._known, torch.from_numpy(frames))
 
     def seen(self, worlds: Sequence[World], step: int, seed: int, memory: Int[np.ndarray, "b n t"] | None) -> Seen:
-        """What a controller is told."""
+        """The observation that a controller is given."""
         return Seen(
             previous=self._previous,
             current=self._current,
@@ -272,7 +272,7 @@ class _Gaze:
 
 
 def task_generator(seed: int, problem: Problem, step: int) -> np.random.Generator:
-    """The random numbers of one task at one step, whatever other tasks there are."""
+    """The random number generator of one task at one step; it does not depend on the other tasks."""
     return np.random.default_rng([seed, problem.task.episode, problem.task.start, step])
 
 

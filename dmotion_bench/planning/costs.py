@@ -34,18 +34,18 @@ COSTS = ("followed", "tracked", "position", "pixel", "feature")
 
 @runtime_checkable
 class FeatureModel(Protocol):
-    """A model that knows what matters of its states."""
+    """A model that describes its states by feature vectors."""
 
     def features(self, state: State) -> Float[Tensor, "b d"]:
-        """Vectors whose distance says how different two states are."""
+        """Feature vectors; the distance between two vectors measures how different the states are."""
 
 
 @runtime_checkable
 class Cost(Protocol):
-    """The cost of some futures, each of one task."""
+    """Computes the cost of predicted states; each state belongs to one task."""
 
     def __call__(self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """Zero where the goal is reached."""
+        """The cost of each state; zero at the goal."""
 
 
 class PositionCost:
@@ -87,7 +87,7 @@ class PositionCost:
 
 
 class TrackedCost:
-    """The same distances with objects that are hidden where they are believed to be (``tracking.py``) [px^2].
+    """The same squared distances, with each hidden object at its estimated place (``tracking.py``) [px^2].
 
     An object that is seen now and not in the prediction costs as in ``PositionCost``: it may have been lost.
 
@@ -125,7 +125,7 @@ class PixelCost:
 
 
 class FeatureCost:
-    """Squared distance between a state's features and those of the goal, seen twice; the agent counts.
+    """Squared distance between the features of a state and of the goal image, given twice; the agent counts.
 
     A model that is no ``FeatureModel`` has its states compared number by number.
     """

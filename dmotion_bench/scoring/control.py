@@ -1,4 +1,4 @@
-"""Control: how near a model, a planner and a hundred steps bring the objects to where they should be.
+"""Control: how near to their goals a model and a planner bring the objects in a hundred steps.
 
 A task's figure is its normalised distance: 1 at the start, 0 at the goal, from the simulator's positions, whatever
 the model saw (``planning/problems.py``). What becomes of the samples of it stands in ``figures.py``.
@@ -55,7 +55,7 @@ Advance = Callable[[ControlProgress], None]
 
 @dataclass(frozen=True, kw_only=True)
 class ControlScoring:
-    """What decides the figures of control beside the weights and the data.
+    """The settings that decide the figures of control, besides the weights and the data.
 
     Attributes:
         tasks: So many of the data set's first tasks; None for all.
@@ -81,7 +81,7 @@ class ControlScoring:
             raise UnknownName("cost", self.cost, COSTS)
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands among a report's settings, flat, with the version of control."""
+        """The settings as a report stores them: with a prefix, and with the version of control."""
         return {f"{METRIC}_{name}": value for name, value in (asdict(self) | {"version": CONTROL_VERSION}).items()}
 
     def planning(self, spec: EnvSpec, *, needs_pixels: bool | None) -> dict[str, Any]:
@@ -90,7 +90,7 @@ class ControlScoring:
 
     @classmethod
     def from_json(cls, settings: Mapping[str, Any]) -> ControlScoring:
-        """What ``to_json`` made, among others."""
+        """Read the settings back from those of a report."""
         return cls(**{one.name: settings[f"{METRIC}_{one.name}"] for one in fields(cls)})
 
 
@@ -103,7 +103,7 @@ def score_control(
     progress: Advance = lambda _: None,
     checkpoint: Path | None = None,
 ) -> ControlResult:
-    """Let a model, or a reference, work on the data set's stored tasks.
+    """Let a model or a reference work on the tasks that the data set stores.
 
     Args:
         model: Aligned, or the name of a reference.
@@ -136,7 +136,7 @@ def score_control(
 def score_reference(
     name: str, dataset: TaskDataset, scoring: ControlScoring | None = None, *, progress: Advance = lambda _: None
 ) -> ControlResult:
-    """What a reference does; it is kept in the data set's cache, and interrupted it goes on from there.
+    """The results of a reference; they are kept in the data set's cache, also when the work is interrupted.
 
     Raises:
         UnknownName: There is no such reference; else as ``score_control``.
@@ -146,7 +146,7 @@ def score_reference(
 
 
 def require_tasks(dataset: TaskDataset) -> None:
-    """Say what is missing where control cannot be scored.
+    """Raise an error if control cannot be scored on a data set.
 
     Raises:
         DatasetError: The data set stores no tasks.
@@ -184,7 +184,7 @@ def control_tables(
 
 
 def known_references(dataset: TaskDataset, scoring: ControlScoring) -> tuple[str, ...]:
-    """The references that can stand beside a model at once: those that take seconds, and what has been scored."""
+    """The references that can be shown beside a model without delay: quick ones, and ones scored before."""
     problems = load_problems(dataset, scoring.tasks)
 
     def is_done(name: str) -> bool:
@@ -197,7 +197,7 @@ def known_references(dataset: TaskDataset, scoring: ControlScoring) -> tuple[str
 
 
 def control_samples(predictor: str, result: ControlResult) -> pa.Table:
-    """One row for each task and moment, the start among them."""
+    """The samples of control: one row for each task and step, including the start."""
     moments = result.distance.shape[1]
     rows = SampleRows(METRIC, predictor)
     for place, (task, episode) in enumerate(zip(result.tasks, result.episodes, strict=True)):
@@ -231,7 +231,7 @@ def _journal(
     scoring: ControlScoring,
     device: torch.device | None,
 ) -> Journal:
-    """The journal of some control, in which results that name this version by a hash of its code are taken for ours."""
+    """The journal of a control run; it also accepts results that name this version by a hash of the code."""
     earlier = (_earlier_key(code, model, dataset, scoring, device) for code in _codes())
     return Journal(path, _key(model, dataset, scoring, device), earlier=tuple(earlier))
 
@@ -239,7 +239,7 @@ def _journal(
 def _key(
     model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None
 ) -> dict[str, Any]:
-    """All that decides what becomes of a task."""
+    """Everything that decides the result of a task."""
     needs_pixels = None if isinstance(model, str) else model.needs_pixels
     return {
         "version": CONTROL_VERSION,

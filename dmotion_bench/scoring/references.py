@@ -1,4 +1,4 @@
-"""What stands beside a model's figures: predictors that know nothing of learning, and published results.
+"""References beside a model's figures: simple predictors that learn nothing, and published results.
 
 ``copy_last`` says that nothing changes. ``agent_moves`` says that the agent moves and nothing else does: it is the
 current frame with every pixel that shows the agent before or after the step taken from the true next frame. Where
@@ -77,7 +77,7 @@ class PublishedResult:
 
 
 def published_results() -> list[PublishedResult]:
-    """All that installed packages have to tell."""
+    """The published results that installed packages provide."""
     results: list[PublishedResult] = []
     for point in sorted(entry_points(group=PUBLISHED), key=lambda point: point.name):
         try:

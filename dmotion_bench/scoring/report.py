@@ -68,7 +68,7 @@ FigureJson = Mapping[str, float | int | None]
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What scoring says of one run; the fields are those of the file."""
+    """The report of one run; its fields are those of the file."""
 
     run: str
     model: str
@@ -97,7 +97,7 @@ class Report:
 
     @property
     def place(self) -> Path:
-        """Where it lies in the run's folder."""
+        """The report's path within the run's folder."""
         own = Path(REPORT_FOLDER)
         return own if self.trained_on is None else own / TRANSFERS / Path(self.dataset["name"]).name
 
@@ -117,7 +117,7 @@ class Report:
 
 
 def write_report(folder: Path, report: Report, samples: pa.Table) -> Report:
-    """Write the samples, then the report that vouches for them; each is whole or not there."""
+    """Write the samples, then the report with their hash; each file is complete or absent."""
     path = folder / SAMPLES_FILE
     folder.mkdir(parents=True, exist_ok=True)
     write_samples(path, samples)
@@ -153,7 +153,7 @@ def read_report(folder: Path) -> Report | None:
 
 
 def read_report_samples(folder: Path, report: Report) -> pa.Table | None:
-    """The samples that a report vouches for; None if they are gone or are others."""
+    """The samples that belong to a report; None if they are missing or have another hash."""
     path = folder / SAMPLES_FILE
     if not path.is_file() or _sha256(path) != report.samples.get("sha256"):
         return None

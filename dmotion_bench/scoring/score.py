@@ -1,4 +1,4 @@
-"""From a trained model to its figures, and from a run to its report."""
+"""Compute the figures of a trained model, and write the report of a run."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ REMARKS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreSettings:
-    """What decides a report's figures beside the weights and the data.
+    """The settings that decide a report's figures, besides the weights and the data.
 
     Attributes:
         split: The episodes that are scored.
@@ -93,14 +93,14 @@ class ScoreSettings:
             raise InvalidSetting(f"the horizon is {self.horizon}; a rollout has at least 1 step.")
 
     def to_json(self, metrics: tuple[str, ...]) -> dict[str, Any]:
-        """As they stand in a report in which these groups of figures are; flat."""
+        """The settings as a report with these groups of figures stores them."""
         plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "control"}
         return plain | (self.control.to_json() if "control" in metrics else {}) | {"metrics": list(metrics)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """What scoring a model came to.
+    """The results of scoring a model.
 
     Attributes:
         samples: As ``scoring/samples.py`` lays them out.
@@ -114,13 +114,13 @@ class Scores:
 
 
 class ReferenceScores:
-    """The references' samples, which depend on the data alone: scored once for all runs of a process."""
+    """The samples of references, which depend on the data alone, so that all runs of a process share them."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], pa.Table] = {}
 
     def get(self, key: tuple[object, ...], score: Callable[[], pa.Table]) -> pa.Table:
-        """What is known under a key, or what ``score`` finds."""
+        """The samples stored under a key; computed by ``score`` the first time."""
         if key not in self._known:
             self._known[key] = score()
         return self._known[key]
@@ -274,7 +274,7 @@ def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa
 
 
 def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ...]) -> ScoreSettings:
-    """Settings of groups that are not asked for are the report's."""
+    """Take the settings of groups that are not asked for from the report."""
     if "rollout" not in metrics:
         settings = replace(settings, horizon=report.settings["horizon"])
     if "control" not in metrics and "control" in report.settings["metrics"]:
@@ -287,7 +287,7 @@ def _planning(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, 
 
 
 def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Mapping[str, Any]) -> bool:
-    """Whether scoring the same model on the same data now would come to a report's figures of one group."""
+    """Whether a report's figures of one group are those that scoring now would give."""
     said = settings.to_json(METRICS)
     others = {"metrics", *(() if metric == "rollout" else ("horizon",))}
     decisive = [name for name in said if name.startswith(CONTROL) == (metric == "control") and name not in others]

@@ -28,7 +28,7 @@ _SHOWN: Final = 5
 
 @runtime_checkable
 class Identified(Protocol):
-    """What is asked of a data set to find reports on it."""
+    """What finding a report needs to know of a data set."""
 
     @property
     def name(self) -> str: ...
@@ -38,7 +38,7 @@ class Identified(Protocol):
 
 
 def report_folder(run: Path, trained_on: str, dataset: Identified) -> Path:
-    """Where a run's report on a data set lies.
+    """The folder of a run's report on a data set.
 
     Args:
         run: The run's folder.
@@ -55,7 +55,7 @@ def transfer_folders(run: Path) -> list[Path]:
 
 
 def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
-    """See that a run can be scored on another data set, and that it has not been trained on what it is asked.
+    """Raise an error if a run cannot be scored on another data set, or was trained on its episodes.
 
     Raises:
         RunMismatch: It is of another environment, or holds episodes that the run was trained on.
@@ -73,7 +73,7 @@ def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
 
 
 def require_fitting(run: Run, dataset: Dataset) -> None:
-    """See that a run's model can be shown a data set: the same environment, actions and size of the pictures.
+    """Raise an error unless a data set has the environment, actions and image size of a run's model.
 
     Raises:
         RunMismatch: It cannot.
@@ -100,7 +100,7 @@ def require_fitting(run: Run, dataset: Dataset) -> None:
 
 
 def _trained_on(run: Run) -> Dataset | None:
-    """The run's own data set, if it is still there as it was."""
+    """The data set that the run was trained on, if it still exists unchanged."""
     try:
         dataset = Dataset.open(run.dataset_path)
     except DatasetError:
@@ -109,7 +109,7 @@ def _trained_on(run: Run) -> Dataset | None:
 
 
 def _known_before(own: Dataset, dataset: Dataset, split: SplitName) -> list[int]:
-    """Episodes of a split that begin with a seed and a picture of the run's training or validation.
+    """Episodes of a split with the seed and first image of one of the run's training or validation episodes.
 
     Two versions of an environment may draw the same episode otherwise, so between them the seed alone decides.
     """

@@ -1,4 +1,4 @@
-"""One file over HTTP, to this machine alone: what Rerun's web page fetches its data from.
+"""An HTTP server of one file for this machine alone, from which Rerun's web page loads its data.
 
 Rerun 0.41's own data server keeps a processor busy for as long as it runs once it has loaded a file (a third of a
 core, measured, with nobody connected), and lets every program on the machine write into what is shown.
@@ -15,7 +15,7 @@ from dmotion_bench.loopback_server import LOOPBACK, NAMES, LoopbackServer, Serve
 
 
 class FileServer(LoopbackServer):
-    """Answers for one path.
+    """Serves one path.
 
     Attributes:
         file: What it gives.
@@ -32,7 +32,7 @@ class FileServer(LoopbackServer):
         return f"http://{LOOPBACK}:{self.port}/scene.rrd"
 
     def find(self, path: str, origin: str) -> Served | None:
-        """The file, under its one name."""
+        """The file, if the path is its name."""
         if path != "/scene.rrd":
             return None
         pages = {f"http://{name}:{self.page_port}" for name in NAMES}

@@ -1,4 +1,4 @@
-"""Runs Rerun's command line, and ends it as soon as the program that asked for it is gone, however that ended.
+"""Runs Rerun's command line and stops it as soon as the program that started it has ended.
 
 Standard input is a pipe that the asking program holds open and never writes to: when that program ends, killed or not,
 the system closes the pipe. Everything in this process's group is then killed.

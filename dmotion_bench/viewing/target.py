@@ -1,4 +1,4 @@
-"""What a path is: a data set, a run, a run's report, or an .rrd that was saved before."""
+"""Finds what a path stands for: a data set, a run, a run's report, or a saved .rrd file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REPORT_MANIFEST = "report.json"
 
 @dataclass(frozen=True)
 class Target:
-    """What is to be shown.
+    """Something to show, and its kind.
 
     Attributes:
         kind: What it is; a report is shown with its run.
@@ -28,7 +28,7 @@ class Target:
 
 
 def find_target(given: Path, workspace: Workspace) -> Target:
-    """What stands at a path, or under a name in the workspace.
+    """Find what a path, or a name in the workspace, stands for.
 
     Raises:
         UnknownName: Nothing does; the closest name is said.

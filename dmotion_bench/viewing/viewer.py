@@ -78,7 +78,7 @@ def has_display() -> bool:
 
 
 def require_display() -> None:
-    """See that a window can be opened.
+    """Raise an error if no window can be opened.
 
     Raises:
         ViewerError: It cannot; the other ways are named.

@@ -224,6 +224,8 @@ def _read(dataset: Path, name: str, schema: pa.Schema, manifest: Manifest, count
             _check_columns(path, file.metadata, schema)
             table = file.read(use_threads=False) if file.metadata.num_rows else schema.empty_table()
             return {name: _column(table.column(name)) for name in schema.names}
+    except KeyError:  # what should be a column of text has columns of its own
+        raise DamagedFile("has other columns, some within others") from None
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise DamagedFile(f"cannot be read: {error}") from None
 

@@ -47,7 +47,7 @@ def write_run(path: Path, dataset: Dataset, /, *, offset: float = 0.0, finished:
         "model": "dmotion",
         "arch": "compact",
         "config": {},
-        "training": {},
+        "training": {"epochs": 1},
         "preset": "tiny",
         "labels": "one-shot",
         "seed": 0,

@@ -5,7 +5,8 @@ Where no precision is asked for, a model and an optimiser that are thrown away a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import cast
 
 import torch
 
@@ -30,7 +31,7 @@ def choose_conditions(spec: RunSpec, parts: Sequence[Part], device: torch.device
     if precision is not None:
         return Conditions(threads=threads, precision=precision)
     seconds = timed(_trial(spec, parts, device, processes), device)
-    return Conditions(threads=threads, precision=faster(seconds), probe={**seconds})
+    return Conditions(threads=threads, precision=faster(seconds), probe=cast("Mapping[str, float]", seconds))
 
 
 def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int) -> Callable[[Precision], object]:

@@ -82,15 +82,22 @@ class Fault(Exception):
         self.kind, self.detail = kind, detail
 
 
-LONGEST_SENTENCE = 4000  # characters
+LONGEST_SENTENCE = 4100  # characters; dmbench cuts at 4,000 and says what it left out
 
 
 def answer_of(ask: Ask) -> Answer:
-    """A value or a sentence; whatever else comes out is raised."""
+    """A value or a sentence; whatever else comes out is raised.
+
+    What the operating system refuses is an ``OSError`` in Python, of which the command line makes a sentence.
+    """
     try:
         return Answer(value=digest(ask()))
     except DmbenchError as error:
         return Answer(sentence=checked_sentence(str(error)))
+    except OSError as error:
+        if error.errno is None or error.filename is None:
+            raise
+        return Answer(sentence=str(error))
 
 
 def checked_sentence(text: str) -> str:

@@ -7,6 +7,7 @@ import struct
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import foxglove
@@ -290,6 +291,50 @@ def test_a_chunk_that_inflates_to_more_than_it_declares(tmp_path: Path) -> None:
     bomb = zstandard.compress(unknown + b"\0" * 50 * MIB)
     file = by_hand(tmp_path / "a.mcap", chunk(bomb, declared=len(unknown)))
     assert peak_of(lambda: refused(file, tmp_path, "inflates to more than it declares")) < 8 * MIB
+
+
+def test_a_compressed_file_that_is_cut_off_or_damaged(tmp_path: Path) -> None:
+    packed = zstandard.compress(foxglove_file(tmp_path / "a.mcap", video(12, 128, 128), steady(12)).read_bytes())
+    (tmp_path / "short.mcap.zst").write_bytes(packed[:50])
+    refused(tmp_path / "short.mcap.zst", tmp_path, "short.mcap.zst' is cut off")
+    (tmp_path / "a.mcap.zst").write_bytes(packed[: len(packed) * 2 // 3])
+    refused(tmp_path / "a.mcap.zst", tmp_path, "is cut off|holds less than it declares; .*'--salvage'")
+    salvaged = import_recordings([tmp_path / "a.mcap.zst"], tmp_path / "out", ImportOptions(size=32, salvage=True))
+    assert 4 <= salvaged.frames < 12
+    damaged = bytearray(packed)
+    damaged[len(packed) // 2 :] = bytes(len(packed) - len(packed) // 2)
+    (tmp_path / "b.mcap.zst").write_bytes(damaged)
+    refused(tmp_path / "b.mcap.zst", tmp_path, "is cut off|is damaged near byte")
+
+
+def test_a_compressed_file_that_inflates_without_end(tmp_path: Path) -> None:
+    compressor = zstandard.ZstdCompressor().compressobj()
+    unknown = record(0x7F, bytes(MIB))
+    packed = b"".join(compressor.compress(unknown) for _ in range(300)) + compressor.flush()
+    content = zstandard.compress(by_hand(tmp_path / "b.mcap").read_bytes()[:-50])  # up to the end of its data
+    (tmp_path / "a.mcap.zst").write_bytes(content + packed)
+    tight = ImportOptions(limits=ImportLimits(chunk_bytes=MIB))
+    match = "it inflates to more than 1,000 times its size"
+    assert peak_of(lambda: refused(tmp_path / "a.mcap.zst", tmp_path, match, tight)) < 16 * MIB
+
+
+def test_a_compressed_message_that_inflates_without_end(tmp_path: Path) -> None:
+    bomb, wrong = zstandard.compress(bytes(50 * MIB)), zstandard.compress(b"x" * 500)[:-5] + b"12345"
+    for name, data, match in (
+        ("bomb", bomb, "inflates to more than the 10 MiB"),
+        ("wrong", wrong, "cannot be inflated"),
+    ):
+        with (tmp_path / f"{name}.mcap").open("wb") as opened:
+            writer = OfficialWriter(opened)
+            writer.start()
+            channel = writer.register_channel(
+                "/c", "cdr", writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"")
+            )
+            writer.add_message(channel, START, data, START)
+            writer.finish()
+        options = ImportOptions(limits=ImportLimits(message_bytes=10 * MIB))
+        run = partial(refused, tmp_path / f"{name}.mcap", tmp_path, match, options)
+        assert peak_of(run) < 32 * MIB
 
 
 def test_a_chunk_that_inflates_to_less_than_it_declares(tmp_path: Path) -> None:

@@ -124,6 +124,8 @@ class McapFile:
                     start = _inflating(file).read(len(MAGIC))
         except (OSError, zstandard.ZstdError) as error:
             raise RecordingImportError(f"cannot read {str(path)!r}: {error}.") from error
+        if self._packed and len(start) < len(MAGIC):
+            raise RecordingTruncated(f"{str(path)!r} is cut off: nothing can be inflated of what it holds.")
         if start != MAGIC:
             where = "holds no MCAP file, but is compressed as a whole" if self._packed else "is no MCAP file"
             raise RecordingImportError(f"{str(path)!r} {where}: it does not begin with MCAP's eight bytes.")
@@ -153,13 +155,16 @@ class McapFile:
             if self._packed:
                 most = max(self.limits.chunk_bytes, MOST_INFLATED * size)
                 source = BufferedReader(cast("RawIOBase", _inflating(file)), MIB)
-                whole: Span = Inflated(source, most, "the file", f"{MOST_INFLATED:,} times its size")
+                whole: Span = Inflated(source, most, "the file")
             else:
                 whole = Span(file, size, lambda distance: file.seek(distance, 1))
             try:
                 whole.exactly(len(MAGIC))
                 yield from self._walk(whole, topics, known)
             except Cut:
+                if isinstance(whole, Inflated) and whole.goes_on():
+                    self._damaged(file.tell(), Broken(f"it inflates to more than {MOST_INFLATED:,} times its size"))
+                    return
                 if self.salvage:
                     return
                 raise RecordingTruncated(

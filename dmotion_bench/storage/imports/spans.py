@@ -86,12 +86,12 @@ class Inflated(Span):
     Args:
         source: What inflates it.
         declared: Its size, or the largest that it may have.
-        what, most: What it is and how that size is called, for the error.
+        what: It is, for the error.
     """
 
-    def __init__(self, source: Readable, declared: int, what: str = "a chunk", most: str = "it declares") -> None:
+    def __init__(self, source: Readable, declared: int, what: str = "a chunk") -> None:
         super().__init__(source, declared)
-        self._beyond, self._what, self._most = source, what, most
+        self._beyond, self._what = source, what
         self._checked = False
 
     def read(self, size: int = -1, /) -> bytes:
@@ -103,5 +103,12 @@ class Inflated(Span):
         except (zstandard.ZstdError, RuntimeError, EOFError, ValueError) as error:  # RuntimeError: all that lz4 raises
             raise Broken(f"{self._what} cannot be inflated ({error})") from error
         if beyond:
-            raise Broken(f"{self._what} inflates to more than {self._most}")
+            raise Broken(f"{self._what} inflates to more than it declares")
         return data
+
+    def goes_on(self) -> bool:
+        """Whether there is more, beyond what may be read."""
+        try:
+            return bool(self._beyond.read(1))
+        except (zstandard.ZstdError, RuntimeError, EOFError, ValueError):
+            return False

@@ -1,4 +1,4 @@
-"""What recording and control need of an environment, beyond Gymnasium.
+"""The interface that recording and control need of an environment, beyond Gymnasium.
 
 An environment is a ``gymnasium.Env`` (registered under ``dmbench/...``, passing ``check_env``) that also
 answers the questions below. It is named by an entry point of the group ``dmbench.environments`` whose value
@@ -22,7 +22,7 @@ from dmotion_bench.specs import EnvSpec, Episode, ObjectStates, Preset
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingPreset:
-    """How much is recorded at a preset.
+    """The size of a recording at a preset.
 
     Attributes:
         episodes: Number of episodes.
@@ -70,7 +70,7 @@ class Environment(Protocol):
 
 @runtime_checkable
 class Varied(Protocol):
-    """An environment class whose episodes may differ in more than their actions: ``dmbench record --vary``."""
+    """An environment class with factors that can vary between episodes (``dmbench record --vary``)."""
 
     factors: ClassVar[Mapping[str, str]]
     """Factors of variation by their names, each with what it is and what it is drawn from, in a line."""
@@ -99,7 +99,7 @@ class Restorable(Protocol):
         """The present state; fit for every environment with the same parameters that was reset with the same seed."""
 
     def restore(self, snapshot: Any) -> None:
-        """Be in this state, with ``agent``, ``objects`` and the next ``step`` as there."""
+        """Return to this state, so that ``agent``, ``objects`` and the next ``step`` are as they were there."""
 
 
 @runtime_checkable

@@ -56,7 +56,7 @@ class DmbenchError(Exception):
 
 
 def _again(kind: type[DmbenchError], args: tuple[Any, ...], attributes: dict[str, Any]) -> DmbenchError:
-    """An error out of what it became, not out of what its constructor takes."""
+    """Rebuild an error from its attributes after unpickling, without calling its constructor."""
     error = kind.__new__(kind)
     error.args = args
     error.__dict__.update(attributes)
@@ -109,7 +109,7 @@ class DatasetIncomplete(DatasetError):
 
 
 class DatasetCorrupt(DatasetError):
-    """Bytes that are not what was written."""
+    """Files that do not hold what was written."""
 
 
 class DatasetVersionUnknown(DatasetError):

@@ -17,7 +17,7 @@ ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 
 
 class _Received:
-    """The last signal that asked this process to end."""
+    """The last signal that asked this process to end, if any."""
 
     number: int = 0
 
@@ -28,7 +28,7 @@ def received() -> int:
 
 
 def exit_code() -> int:
-    """Of a process that was interrupted: 130 by Ctrl-C, 143 by ``kill``, 129 by a closed terminal."""
+    """The exit code of an interrupted process: 130 after Ctrl-C, 143 after ``kill``, 129 after a closed terminal."""
     return 128 + (_Received.number or signal.SIGINT)
 
 
@@ -47,7 +47,7 @@ def ended_like_ctrl_c() -> Iterator[None]:
 
 @contextlib.contextmanager
 def stop_between_steps() -> Iterator[Callable[[], bool]]:
-    """An interruption is noticed between two steps, never within one; a second one does not wait."""
+    """Delay an interruption to the end of the present step; a second interruption takes effect at once."""
     asked = False
 
     def ask(number: int, _frame: FrameType | None) -> None:
@@ -64,7 +64,7 @@ def stop_between_steps() -> Iterator[Callable[[], bool]]:
 
 @contextlib.contextmanager
 def _handled(handler: Callable[[int, FrameType | None], Any], numbers: list[signal.Signals]) -> Iterator[None]:
-    """Signals have a handler for as long as the block lasts; outside of the main thread nothing can have one."""
+    """Install signal handlers for the block; outside of the main thread Python allows none."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

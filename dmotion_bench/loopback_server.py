@@ -1,4 +1,4 @@
-"""Files over HTTP to this machine alone, whatever the other side does.
+"""An HTTP server for this machine alone, safe with misbehaving clients.
 
 It listens on 127.0.0.1 and answers nobody who asks for it under another name, so that a page of the web which had its
 name point here could not read it. Connections that say nothing, or speak slowly, are closed: each after a while, the
@@ -28,7 +28,7 @@ MOST_CONNECTIONS: Final = 32
 
 @dataclass(frozen=True, kw_only=True)
 class Served:
-    """A file to be given.
+    """A file to send.
 
     Attributes:
         file: The file.
@@ -42,7 +42,7 @@ class Served:
 
 
 class LoopbackServer(ThreadingHTTPServer):
-    """Gives the files that ``find`` names.
+    """Serves the files that ``find`` returns.
 
     Args:
         port: 0 for a free one.
@@ -60,7 +60,7 @@ class LoopbackServer(ThreadingHTTPServer):
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port that the server listens on."""
         return int(self.server_address[1])
 
     def find(self, path: str, origin: str) -> Served | None:
@@ -73,7 +73,7 @@ class LoopbackServer(ThreadingHTTPServer):
         raise NotImplementedError
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Make room for a connection, and answer it in a thread of its own."""
+        """Answer a connection in a thread of its own; close the oldest connection if there are too many."""
         with self._changing:
             self._open[request] = None
             excess = [*self._open][:-MOST_CONNECTIONS]
@@ -91,7 +91,7 @@ class LoopbackServer(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Whoever goes away in the middle is no error."""
+        """Ignore clients that disconnect early."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -126,4 +126,4 @@ class _Handler(BaseHTTPRequestHandler):
         return found
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 (http.server's naming)
-        """Nobody reads a log of these requests."""
+        """Write no log of requests."""

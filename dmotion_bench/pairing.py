@@ -1,4 +1,4 @@
-"""Is one model better than another? Only paired differences tell: the same triplets, the same tasks, two predictions.
+"""Comparisons of two models by paired differences: both predict the same triplets and work on the same tasks.
 
 Most of the spread of an error is that of the frames, which are the same for both models; in the difference it
 cancels. The interval is a bootstrap over episodes (``scoring/statistics.py``), and "better" is said only where it
@@ -37,7 +37,7 @@ _TASK_KEY: Final = ("task", "ahead")
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """How two models differ in one figure.
+    """The difference of two models in one figure.
 
     Attributes:
         figure: By its fixed name.
@@ -52,12 +52,12 @@ class Difference:
 
     @property
     def better(self) -> Better | None:
-        """Which of the two is better; None where the interval does not say so."""
+        """Which of the two models is better; None if the interval contains zero."""
         return better(self.figure, self.difference.low, self.difference.high)
 
 
 def better(figure: str, low: float | None, high: float | None) -> Better | None:
-    """Which of two models is better by the interval of first - second; None where it reaches zero."""
+    """Which of two models is better, by the interval of first - second; None if the interval contains zero."""
     if low is None or high is None or low <= 0 <= high:
         return None
     base = figure.removeprefix("rollout_").partition("[")[0].removesuffix(PUSH)
@@ -126,7 +126,7 @@ def compare_runs(first: Path, second: Path, dataset: str | None = None) -> list[
 
 
 def behind(samples: pa.Table, best: pa.Table, figure: str = "mse") -> Estimate | None:
-    """How much higher a figure of single steps is than the best's, paired; None where no sample is of both."""
+    """The paired difference of a single-step figure from the best; None if the runs share no sample."""
     one, other = (_single_steps(_of_model(table)) for table in (samples, best))
     one, other = _aligned(one, other, _KEY)
     if not len(one):
@@ -136,14 +136,14 @@ def behind(samples: pa.Table, best: pa.Table, figure: str = "mse") -> Estimate |
 
 
 def standing(difference: Estimate) -> Standing:
-    """Whether what differs so from the best is behind it or ties with it; unknown of samples of one episode alone."""
+    """Whether a run with this difference is behind the best or tied with it; unknown with one episode only."""
     if difference.low is None or difference.high is None:
         return "unknown"
     return "tie" if difference.low <= 0 <= difference.high else "behind"
 
 
 def standing_words(difference: Estimate, above: str, between: str) -> str:
-    """How it stands to the best: ``above`` is how much it is behind, ``between`` the interval, as they are written."""
+    """A run's standing in words; ``above`` is its difference from the best as text, ``between`` the interval."""
     words = {"behind": f"{above} ({between})", "tie": f"a tie ({between})", "unknown": "cannot be told"}
     return words[standing(difference)]
 

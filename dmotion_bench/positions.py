@@ -49,7 +49,7 @@ NOTHING: Final = 255
 
 @dataclass(frozen=True, kw_only=True)
 class Positions:
-    """Where the objects of some frames are.
+    """The positions of the objects in some frames.
 
     Attributes:
         centre: (x, y) [px], pixel (0, 0)'s centre at (0, 0); NaN for an object that was not found.
@@ -154,7 +154,7 @@ class PositionFinder:
         return _looked_up(frames, self._labels)
 
     def _counts(self, frames: UInt8[Tensor, "n h w 3"]) -> tuple[Int[Tensor, "n k h"], Int[Tensor, "n k w"]]:
-        """How many pixels of each label stand in each row and each column."""
+        """The number of pixels of each label in each row and in each column."""
         sums = [
             _sums_on_cpu(frames, word) if frames.device.type == "cpu" else _sums_on_device(frames, word)
             for word in self._words
@@ -189,7 +189,7 @@ def _sums_on_cpu(
 
 
 def _looked_up(frames: UInt8[Tensor, "n h w 3"], table: Tensor) -> Tensor:
-    """What a table says of each pixel's colour."""
+    """Look each pixel's colour up in a table."""
     if frames.device.type != "cpu":
         red, green, blue = (frames >> (8 - BITS)).int().unbind(-1)
         return table.to(frames.device)[(red << (2 * BITS)) | (green << BITS) | blue]

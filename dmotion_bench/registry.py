@@ -1,4 +1,4 @@
-"""Names -> classes, through entry points that are resolved on use.
+"""Registered environments and models: names to classes, through entry points that are loaded on use.
 
 Nothing is imported until a name is asked for, so listing names costs no torch and no simulator.
 """

@@ -1,4 +1,4 @@
-"""Frozen facts that travel between the parts: what an environment is, what an episode holds.
+"""Data classes that all parts share: facts of an environment, an episode's content, a recipe.
 
 Numpy only: the recorders, the storage and the planner share these without loading torch.
 Axis letters: ``t`` time, ``k`` objects, ``h w`` image rows and columns.
@@ -31,14 +31,14 @@ MASK_FIRST_OBJECT = 2  # object k of EnvSpec.objects has the mask value 2 + k
 
 
 class Supervision(StrEnum):
-    """What a model sees of the actions while it learns."""
+    """Which action labels a model is given while it learns."""
 
     NONE = "none"  # video only; actions are aligned afterwards from demonstrations
     ACTIONS = "actions"  # asks the label budget for the actions of its training triplets
 
 
 class Preset(StrEnum):
-    """How large everything is made: seconds, minutes on a laptop, the paper's numbers."""
+    """The size of recordings and trainings: seconds (tiny), minutes on a laptop (small), or as in the paper."""
 
     TINY = "tiny"
     SMALL = "small"
@@ -62,7 +62,7 @@ class ObjectSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class EnvSpec:
-    """What is always true of an environment.
+    """The facts of an environment that never change.
 
     Attributes:
         id: The registry's name of it.
@@ -108,7 +108,7 @@ class ObjectStates:
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeLabels:
-    """What is held out of an episode of ``t`` frames.
+    """The labels of an episode of ``t`` frames, which are kept apart from its video.
 
     Attributes:
         actions: ``actions[i]`` is the action taken at frame i, so frame i+1 = step(frame i, actions[i]).
@@ -145,7 +145,7 @@ class Episode:
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetRecipe:
-    """All that decides the bytes of a data set; the same recipe makes the same bytes.
+    """Everything that decides the bytes of a data set; the same recipe makes the same bytes.
 
     Attributes:
         environment: Registry name; ``IMPORTED`` for foreign recordings.

@@ -211,7 +211,7 @@ def _losses(subject: ModelTrial, model: ForwardModel[Any], batch: TripletBatch, 
 
 
 def _check_losses(subject: ModelTrial, phase: Phase) -> None:
-    """In training: finite, differentiable, in bfloat16 too, and blind to what was not paid for."""
+    """Check losses in training: finite, differentiable, also in bfloat16, and independent of unpaid labels."""
     batch = subject.batch(BATCH, actions=phase.needs_actions)
     model = _entered(subject, phase, training=True)
     for share in (0.0, 0.5, 0.999):
@@ -248,7 +248,7 @@ def _check_losses(subject: ModelTrial, phase: Phase) -> None:
 
 
 def _check_validation(subject: ModelTrial, phase: Phase) -> None:
-    """In evaluation: repeatable, for any batch, and without a trace."""
+    """Check losses in evaluation: repeatable, for any batch, and without side effects."""
     model = _entered(subject, phase, training=False).eval()
     state = {name: tensor.clone() for name, tensor in model.state_dict().items()}
     batch = subject.batch(BATCH, actions=phase.needs_actions)
@@ -261,7 +261,7 @@ def _check_validation(subject: ModelTrial, phase: Phase) -> None:
 
 
 def _check_alignment(subject: ModelTrial) -> None:
-    """What ``align`` learns is kept by the checkpoint, and comes from the demonstrations' actions."""
+    """Check that ``align`` learns from the demonstrations' actions, and that a checkpoint keeps the result."""
     model, other = _aligned(subject, steps=0)
     if subject.kind.supervision is not Supervision.NONE:
         return

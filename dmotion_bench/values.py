@@ -1,4 +1,4 @@
-"""Values out of a command line's text, each read as the type that its place wants; nothing is guessed."""
+"""Values from the text of a command line, each parsed as the type of its field, without guessing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which releases of the packages that decide results are at work; stands in data sets, runs and reports."""
+"""The versions of the packages that decide results, as recorded in data sets, runs and reports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ PACKAGES = ("dmbench", "torch", "numpy", "mcap", "pyarrow", "pybullet", "pymunk"
 
 
 def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:
-    """Release by name, Python's among them; a package that is not installed is left out."""
+    """The version of each package and of Python; packages that are not installed are left out."""
     found = {"python": platform.python_version()}
     for name in packages:
         try:

@@ -1,4 +1,4 @@
-"""How names, values and commands are put into sentences: shortened, printable, ready to be pasted into a shell."""
+"""Names, values and commands for use in messages: shortened, printable, ready to paste into a shell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where data sets, runs and reports live: the folders ``data/``, ``runs/`` and ``reports/`` of a workspace.
+"""The workspace: its folders ``data/``, ``runs/`` and ``reports/``, and the search for data sets and runs in them.
 
 The workspace is the current folder, or the one that ``DMBENCH_WORKSPACE`` names. What is derived from a data set is
 kept in its ``cache/``, or in the folder that ``DMBENCH_CACHE`` names.
@@ -36,7 +36,7 @@ def cache_folder(dataset: Path) -> Path:
 
 @dataclass(frozen=True)
 class Workspace:
-    """The folder that everything is kept in.
+    """A folder with data sets, runs and reports.
 
     Args:
         root: Kept as a ``Path``.
@@ -54,17 +54,17 @@ class Workspace:
 
     @property
     def data(self) -> Path:
-        """Holds one folder a data set."""
+        """The folder of all data sets."""
         return self.root / "data"
 
     @property
     def runs(self) -> Path:
-        """Holds one folder a training run."""
+        """The folder of all training runs."""
         return self.root / "runs"
 
     @property
     def reports(self) -> Path:
-        """Holds one folder a comparison of runs."""
+        """The folder of all reports that compare runs."""
         return self.root / "reports"
 
     def datasets(self) -> list[Path]:

@@ -1,4 +1,4 @@
-"""What a caller hands to a model, brought into the form that the contract of ``model.py`` names, or refused.
+"""Checks and converts the arguments of a model's methods to the form that the contract in ``model.py`` asks for.
 
 Every method of the contract is wrapped once, when its class is defined (``ForwardModel.__init_subclass__``). So a model
 sees images in [-1, 1] in the memory format that its training asks for, and whole numbers of actions, one a row,
@@ -46,7 +46,7 @@ BATCHES: Final = ("losses", "align")
 
 
 def guarded(method: MethodT, name: str | None = None) -> MethodT:
-    """A method of the contract that is given what the contract says; any other method as it is.
+    """Wrap a method of the contract so that its arguments are checked; leave any other method unchanged.
 
     Args:
         method: A function in a class's body.

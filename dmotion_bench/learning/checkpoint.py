@@ -37,7 +37,7 @@ _TOLD: Final = 3  # differences that a sentence names
 
 @dataclass(frozen=True)
 class Form:
-    """What a tensor takes: its type as safetensors names it, and its shape."""
+    """The type of a tensor, as safetensors names it, and its shape."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -76,7 +76,7 @@ def forms_of(tensors: Mapping[str, Tensor]) -> dict[str, Form]:
 
 
 def save(path: Path, tensors: Mapping[str, Tensor], facts: Mapping[str, Any]) -> None:
-    """Write a checkpoint in one step: it is whole or not there."""
+    """Write a checkpoint in one step, so that it is complete or absent."""
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     told = json.dumps({**facts, CHECKSUM: _checksum(plain, facts)}, allow_nan=False)
     write_atomically(path, safetensors.torch.save(plain, metadata={FACTS: told}))
@@ -124,7 +124,7 @@ def count_tensors(path: Path) -> int:
 
 
 def damaged(path: Path, what: str) -> RunCorrupt:
-    """The error of a checkpoint that ``what`` is true of."""
+    """The error for a damaged checkpoint; ``what`` says what is wrong."""
     return RunCorrupt(
         f"the checkpoint {shown(str(path))} {what}. Delete the .safetensors files of that folder, and the "
         "'dmbench train' command that wrote them begins anew."

@@ -1,4 +1,4 @@
-"""What a training learns from: its triplets, phase by phase, and the labels that were paid for."""
+"""The data of a training: its triplets, phase by phase, and the labels that its budget gives."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ VALIDATION_TRIPLETS = 1024
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingData:
-    """What a run learns from.
+    """The data that a run learns from.
 
     Attributes:
         train, validation: Triplets whose frames may be seen.
@@ -99,7 +99,7 @@ def parts_of(
 
 
 def steps_before_labels(parts: Sequence[Part]) -> int | None:
-    """How many steps are the same under every label budget; None where all are, or none."""
+    """The number of first steps that do not depend on the label budget; None if that is all steps, or none."""
     first = next((part.start for part in parts if part.phase.needs_actions), 0)
     return first or None
 

@@ -1,4 +1,4 @@
-"""Between stored pixels (uint8, channels last) and what models see (floating point in [-1, 1], channels first)."""
+"""Conversion between stored pixels (uint8, channels last) and models' images (in [-1, 1], channels first)."""
 
 from __future__ import annotations
 

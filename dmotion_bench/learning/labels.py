@@ -94,7 +94,7 @@ class LabelledDataset(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class LabelledTriplets:
-    """Triplets whose actions were paid for; row i of ``triplets`` has ``actions[i]``."""
+    """Triplets with labels from the budget; row i of ``triplets`` has ``actions[i]``."""
 
     triplets: TripletSet
     actions: Int[np.ndarray, " n"]
@@ -109,7 +109,7 @@ class DemonstrationFrames:
 
 
 class LabelBudget:
-    """Hands out what a run asked for, and counts it.
+    """Hands out the labels that a run's budget allows, and counts them.
 
     Attributes:
         given: Number of labels handed out so far, by purpose.

@@ -19,7 +19,7 @@ _LONGEST: Final = 2**16  # bytes of a row
 
 
 class MetricsLog:
-    """Where a training's rows go.
+    """Writes the rows of a training.
 
     Args:
         file: None where another process writes them.
@@ -41,7 +41,7 @@ class MetricsLog:
     def write(
         self, *, step: int, seconds: float, triplets_per_s: float, learning_rate: float, values: Mapping[str, float]
     ) -> None:
-        """Add a row; ``seconds`` are those spent in training steps, over all sittings."""
+        """Append a row; ``seconds`` is the time spent in training steps, including earlier sessions."""
         if self._file is None:
             return
         row = {

@@ -200,7 +200,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
-        """How this model is trained at a preset."""
+        """The training settings of this model at a preset."""
         return TrainingConfig(epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 50}[preset])
 
     def laid_out(self, *, channels_last: bool | None = None) -> ForwardModel[ConfigT]:
@@ -257,7 +257,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         return current, self.predict(previous, current, action)
 
     def frame(self, state: State) -> Float[Tensor, "b c h w"]:
-        """What a state looks like, in [-1, 1]."""
+        """The frame of a state, in [-1, 1]."""
         frame: Tensor = state[1]
         return frame
 

@@ -1,4 +1,4 @@
-"""A model under test: builds it, feeds it, and turns what goes wrong into ``ModelContractBroken``."""
+"""Builds and calls a model under test, and turns every failure into ``ModelContractBroken``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInpu
 
 
 class ModelTrial:
-    """A class of models under test, and all that it is tried on.
+    """A model class under test, with the inputs that it is tried on.
 
     Args:
         kind: The class.
@@ -46,7 +46,7 @@ class ModelTrial:
         return images.contiguous(memory_format=torch.channels_last) if self.channels_last else images
 
     def actions(self, count: int, shift: int = 0) -> Int[Tensor, " n"]:
-        """All in turn."""
+        """A batch of actions that contains every action in turn."""
         return (torch.arange(count) + shift) % self.inputs.actions
 
     def batch(self, count: int, *, actions: bool) -> TripletBatch:
@@ -71,7 +71,7 @@ class ModelTrial:
 
     @contextlib.contextmanager
     def calling(self, method: str) -> Iterator[None]:
-        """What the model raises is said with the method that raised it."""
+        """Turn an error of the model into one that names the method."""
         try:
             yield
         except ModelContractBroken:
@@ -80,7 +80,7 @@ class ModelTrial:
             raise self.broken(f"{method} raised {type(error).__name__}: {error}") from error
 
     def require(self, holds: bool, sentence: str) -> None:
-        """Say what is broken unless it holds."""
+        """Raise an error that says what is broken, unless the condition holds."""
         if not holds:
             raise self.broken(sentence)
 

@@ -87,7 +87,7 @@ class AveragedWeights:
 
     @torch.no_grad()
     def update(self, model: nn.Module, step: int) -> None:
-        """Take in the weights after a step."""
+        """Update the average with the weights after a step."""
         decay = min(self.decay, (1 + step) / (10 + step))
         averaged: list[Tensor] = []
         latest: list[Tensor] = []
@@ -102,7 +102,7 @@ class AveragedWeights:
 
     @contextlib.contextmanager
     def swapped_into(self, model: nn.Module) -> Iterator[None]:
-        """The model with the averaged weights, within the block."""
+        """Give the model its averaged weights within the block."""
         own = {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
         model.load_state_dict(self.tensors)
         try:
@@ -111,6 +111,6 @@ class AveragedWeights:
             model.load_state_dict(own)
 
     def restore(self, tensors: Mapping[str, Tensor]) -> None:
-        """Put back an average that a checkpoint kept."""
+        """Restore an average from a checkpoint."""
         for name, tensor in tensors.items():
             self.tensors[name].copy_(tensor)

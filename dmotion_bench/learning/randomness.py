@@ -1,4 +1,4 @@
-"""Random numbers that are a function of where a training is, so that resuming needs no saved generator."""
+"""Random numbers that depend on the training step alone, so that resuming needs no saved generator."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 
 @contextlib.contextmanager
 def seeded(seed: int, step: int, device: torch.device) -> Iterator[None]:
-    """Random numbers inside the block depend on (seed, step); outside nothing changes."""
+    """Seed the random numbers within the block by (seed, step); restore the generators afterwards."""
     with torch.random.fork_rng([device.index or 0] if device.type == "cuda" else []):
         torch.manual_seed(int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> 1))
         yield

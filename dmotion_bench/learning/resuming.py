@@ -1,4 +1,4 @@
-"""What the checkpoints of a training hold, and whether those that are there can be gone on with."""
+"""The content of a training's checkpoints, and the checks before resuming from them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from dmotion_bench.learning.settings import from_json
 
 @dataclass(frozen=True, kw_only=True)
 class LastFacts:
-    """Beside the tensors of ``last.safetensors``.
+    """The facts beside the tensors of ``last.safetensors``.
 
     Attributes:
         step: Steps taken.
@@ -94,7 +94,7 @@ def optimizer_forms(optimizer: torch.optim.Optimizer, model: nn.Module, config: 
 
 
 def _small(parameter: nn.Parameter) -> nn.Parameter:
-    """A parameter that an optimiser treats alike: of the same type, number of axes and marks."""
+    """A small stand-in for a parameter, which an optimiser treats alike: same type, number of axes and marks."""
     small = nn.Parameter(torch.zeros((1,) * parameter.ndim, dtype=parameter.dtype))
     small.__dict__.update(vars(parameter))
     small.grad = torch.zeros_like(small)
@@ -116,7 +116,7 @@ def _require_whole_states(found: Iterable[str], forms: Forms, path: Path) -> Non
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoints:
-    """A run's checkpoints, out of what changes in its training and back into it.
+    """Saves the changing state of a training in checkpoints, and restores it.
 
     Attributes:
         run: Whose folder they are in.
@@ -159,7 +159,7 @@ class Checkpoints:
         checkpoint.save(path, tensors, dataclasses.asdict(facts))
 
     def restore(self) -> LastFacts | None:
-        """Put the last checkpoint back, if there is one, and see that the best weights are there to end with.
+        """Restore the last checkpoint, if there is one, and check that the best weights exist.
 
         Raises:
             RunMissing, RunCorrupt: The best weights are gone, or one of the two cannot be read or is of other steps.

@@ -1,4 +1,4 @@
-"""A training run on disk: what was asked for, how far it came, and the model that came of it.
+"""A training run on disk: its request, its progress and its trained model.
 
 ::
 
@@ -109,7 +109,7 @@ class Run:
         return cls(path, manifest, threads)
 
     def differences(self, spec: RunSpec, threads: int | None) -> list[str]:
-        """What another request asks for that this run does not; ``threads`` None asks for nothing.
+        """The settings in which another request differs from this run; ``threads`` None stands for any number.
 
         Raises:
             InvalidSetting: The run has settings that this version does not know.
@@ -145,18 +145,18 @@ class Run:
 
     @property
     def result(self) -> dict[str, Any] | None:
-        """What the training came to, or None while it is not done."""
+        """The result of the training; None until it is finished."""
         result: dict[str, Any] | None = self.manifest["result"]
         return result
 
     @property
     def conditions(self) -> Conditions | None:
-        """What the training computes with, or None before its first step and in runs that did not record it."""
+        """The threads and precision of the training; None before its first step and in older runs."""
         recorded = self.manifest.get("conditions")
         return None if recorded is None else from_json(Conditions, recorded)
 
     def begin(self, conditions: Conditions) -> None:
-        """Record what the training computes with."""
+        """Record the threads and precision of the training."""
         self.manifest["conditions"] = dataclasses.asdict(conditions)
         self.threads = conditions.threads
         self.write()
@@ -182,7 +182,7 @@ class Run:
         return self.path / "metrics.jsonl"
 
     def require_aligned(self) -> None:
-        """Refuse a model that was never told which of its latent actions is which action.
+        """Raise an error if the model was never told which latent action each action is.
 
         Raises:
             LabelsNotAvailable: It was trained without labels, on a data set whose actions have names.
@@ -194,7 +194,7 @@ class Run:
             )
 
     def begin_anew(self) -> None:
-        """Forget the result and all that the training wrote, so that it starts from the beginning."""
+        """Delete the result and everything that the training wrote, so that it starts again."""
         for file in (self.last, self.best, self.watched, self.metrics):
             file.unlink(missing_ok=True)
         self.manifest["result"] = None
@@ -270,7 +270,7 @@ class Run:
 
 
 def _short(value: Any, other: Any) -> str:
-    """Of two mappings only what differs."""
+    """The entries in which two mappings differ."""
     if isinstance(value, Mapping) and isinstance(other, Mapping):
         return "{" + ", ".join(f"{key}: {value[key]!r}" for key in value if value[key] != other.get(key)) + "}"
     return repr(value)

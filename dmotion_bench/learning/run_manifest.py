@@ -1,4 +1,4 @@
-"""``run.json``: what a run was asked for, the conditions that it is trained under, and what came of it.
+"""``run.json``: a run's request, the conditions of its training, and its result.
 
 The file may come from anybody. Each field is held against its kind and its bounds before anybody uses it.
 """
@@ -38,7 +38,7 @@ _SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunSpec:
-    """All that decides the result of a training on given hardware, but for its ``Conditions``.
+    """Everything that decides the result of a training on given hardware, besides its ``Conditions``.
 
     Attributes:
         model, arch: Registry name and architecture.
@@ -128,7 +128,7 @@ class RunSpec:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """What decides the bits of a training beside its spec and the hardware; fixed before its first step.
+    """Threads and precision, which also decide a training's exact result; fixed before its first step.
 
     Attributes:
         threads: That each process computes with.
@@ -149,7 +149,7 @@ class Conditions:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunResult:
-    """What a training came to.
+    """The result of a training.
 
     Attributes:
         weights: Hash of the weights.
@@ -197,7 +197,7 @@ class RunResult:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """What ``run.json`` holds, all of which can be true.
+    """Read and validate ``run.json``.
 
     Raises:
         OSError: It cannot be opened.

@@ -31,7 +31,7 @@ GAP, GREY = 3, 90
 
 
 def sample_of_demonstrations(model: ForwardModel[Any], given: Demonstrations) -> UInt8[np.ndarray, "h w 3"]:
-    """What the model, aligned with the demonstrations as they are now, makes of a few of them; it stays as it is."""
+    """A picture of predictions of a few demonstrations, by a copy of the model that is aligned with them."""
     aligned = copy.deepcopy(model).eval()
     aligned.align(given)
     few = _evenly(len(given.action))
@@ -39,14 +39,14 @@ def sample_of_demonstrations(model: ForwardModel[Any], given: Demonstrations) ->
 
 
 def sample_of_triplets(model: ForwardModel[Any], batch: TripletBatch) -> UInt8[np.ndarray, "h w 3"]:
-    """What the model makes of a few labelled triplets."""
+    """A picture of the model's predictions of a few labelled triplets."""
     assert batch.action is not None, "only phases with labels have their pictures made of triplets"
     few = _evenly(len(batch.action))
     return _sheet(model, batch.previous[few], batch.current[few], batch.next[few], batch.action[few])
 
 
 def write_sample(run: Path, step: int, picture: UInt8[np.ndarray, "h w 3"]) -> Path:
-    """Keep a picture in a run's folder."""
+    """Write a picture to a run's folder."""
     path = run / FOLDER / f"{step:08d}.png"
     path.parent.mkdir(exist_ok=True)
     with atomic_file(path) as file:

@@ -1,4 +1,4 @@
-"""From what a user asks for to a run that can be trained: defaults, names, checks."""
+"""Turn a user's request into a run: fill in defaults, choose names, check values."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class TrainingRequest:
 
 
 def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
-    """Every default filled in and every name checked.
+    """Fill in every default and check every name.
 
     Raises:
         UnknownName: Of the model or its architecture.
@@ -120,7 +120,7 @@ def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, work
 
 
 def training_data(run: Run, dataset: Dataset) -> TrainingData:
-    """What the run learns from; ``labels/`` is opened only by the budget, only for what it hands out.
+    """The data of a run; only the label budget opens ``labels/``, and only for the labels that it hands out.
 
     Raises:
         UsageError: There are too few episodes to train and validate.

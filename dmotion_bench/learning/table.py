@@ -1,4 +1,4 @@
-"""The whole table: every registered model under each of its label budgets, one run a row.
+"""The training of all registered models with each of their label budgets: one run per row of the table.
 
 Rows are independent. A row that is trained already is taken as it is, one that was interrupted goes on, one that fails
 is noted with its sentence, and the next is trained.
@@ -40,7 +40,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of a row.
+    """The result of training a row.
 
     Attributes:
         row: Which one.

@@ -37,7 +37,7 @@ def using_threads(count: int) -> Iterator[None]:
 
 
 def shortage(threads: int, cores: int) -> str | None:
-    """What to tell a user whose run has more threads than there are cores; None where there are enough."""
+    """A warning for a run with more threads than there are cores; None if there are enough."""
     if threads <= cores:
         return None
     free = "1 core is" if cores == 1 else f"{cores} cores are"

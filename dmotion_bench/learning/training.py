@@ -51,7 +51,7 @@ LOG_ROWS = 200  # rows of metrics.jsonl in a training
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Where a training stands; given to the progress callback after every step."""
+    """The progress of a training; given to the progress callback after every step."""
 
     step: int
     steps: int
@@ -62,7 +62,7 @@ class Report:
 
 @dataclass
 class _Clock:
-    """Seconds spent in training steps, over all sittings, and in this one alone."""
+    """The time spent in training steps: in total, and since this process began."""
 
     before: float = 0.0
     sitting: float = 0.0
@@ -71,7 +71,7 @@ class _Clock:
 
 @dataclass
 class _State:
-    """What changes from step to step, beside the tensors."""
+    """The state that changes from step to step, besides the tensors."""
 
     step: int = 0
     best: float = math.inf
@@ -80,7 +80,7 @@ class _State:
 
 
 def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Report], None]) -> dict[str, Any]:
-    """Train a run from where it stands to its end, align it, and write its result.
+    """Train a run from its last checkpoint to the end, align it, and write its result.
 
     Args:
         run: Its folder may hold a checkpoint; training goes on from there.
@@ -311,7 +311,7 @@ class _Trainer:
         )
 
     def _finish(self) -> dict[str, Any]:
-        """Align the best weights, write them, and say what the training came to."""
+        """Align the best weights, write them, and record the result of the training."""
         facts = self.checkpoints.restore_best()
         self.model.eval()
         if self.demonstrations is not None:
@@ -345,7 +345,7 @@ class _Trainer:
 
 
 def _chunks(total: int, size: int) -> Iterator[Int[np.ndarray, " b"]]:
-    """Batches that each span the whole set: losses that compare a batch's members must not get neighbours alone."""
+    """Batches of triplets from all over the set, for losses that compare the triplets of a batch."""
     count = math.ceil(total / size)
     for start in range(count):
         yield np.arange(start, total, count)

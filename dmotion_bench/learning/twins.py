@@ -1,4 +1,4 @@
-"""Trainings that differ in their labels alone: what needs no labels is trained once for all budgets.
+"""Training shared between label budgets: the part that needs no labels is trained once for all of them.
 
 What an unsupervised model learns does not depend on the budget (the tests compare the bits), only the alignment after
 the training does. So the 5-shot run takes over the one-shot run's last checkpoint and is aligned for itself. Of a
@@ -19,7 +19,7 @@ from dmotion_bench.storage.atomic import write_atomically
 
 
 def take_over(run: Run) -> Run | None:
-    """Give a run that has not begun what one beside it, which differs in its labels alone, learned without them.
+    """Start a new run from the part of another run that needed no labels; the two differ only in their labels.
 
     Returns:
         Whose training it was; None where there is none, or the run has one of its own.
@@ -53,7 +53,7 @@ def _twin(run: Run, folder: Path) -> Run | None:
 
 
 def _shared(run: Run) -> dict[str, Path]:
-    """What of a training does not depend on its labels: files by their names in the other run, empty if there is none.
+    """The files of a training that do not depend on its labels, by name; empty if there are none.
 
     The checkpoint comes last: with it the other run has begun. What is damaged is not taken over.
     """

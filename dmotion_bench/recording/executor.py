@@ -1,4 +1,4 @@
-"""Where the shards of a recording are made: in this process, in a pool of processes, on a cluster.
+"""Executors, which make the shards of a recording: in this process, in a pool of processes, or on a cluster.
 
 A job is a shard, given by plain values, and its result is a receipt: whoever runs it needs nothing but the
 recipe and a folder that all machines share. A shard appears whole or not at all and is the same whoever makes it,
@@ -39,7 +39,7 @@ class Executor(Protocol):
 
 
 def killed_too_often(who: str) -> DmbenchError:
-    """What to raise when a job was tried ``ATTEMPTS`` times and nobody came back."""
+    """The error for a job whose worker was killed ``ATTEMPTS`` times."""
     return DmbenchError(
         f"{who} was killed at the same shard {ATTEMPTS} times, perhaps for want of memory; run the same command again, "
         "with fewer '--workers': it goes on where it stopped."
@@ -59,7 +59,7 @@ class JobQueue(Generic[Job]):
         return self._again.pop() if self._again else next(self._waiting, None)
 
     def lost(self, number: int, job: Job) -> None:
-        """Start this one again: the worker that had it is gone.
+        """Put a job back into the queue because its worker has died.
 
         Raises:
             DmbenchError: For the last time.
@@ -71,7 +71,7 @@ class JobQueue(Generic[Job]):
 
 
 class SerialExecutor:
-    """Here, one after the other."""
+    """Runs the jobs in this process, one after the other."""
 
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
         """The results, in the order of the jobs."""
@@ -129,7 +129,7 @@ class LocalExecutor:
         queue: JobQueue[Job],
         running: dict[Future[Result], tuple[int, Job]],
     ) -> bool:
-        """Give the pool work; whether it turned out to be broken."""
+        """Submit jobs to the pool; returns whether the pool is broken."""
         while len(running) <= self._workers:  # one more than can run, so that nobody waits
             job = queue.next()
             if job is None:
@@ -143,7 +143,7 @@ class LocalExecutor:
 
 
 def _stop(pool: ProcessPoolExecutor) -> None:
-    """End the workers at once: what they have not renamed was never there."""
+    """Stop the workers at once; files that they have not renamed yet are lost without harm."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 
@@ -164,7 +164,7 @@ def _become_worker(parent: int) -> None:
 
 
 def local_executor(workers: int) -> Executor:
-    """One process or several."""
+    """An executor with one process or several."""
     return SerialExecutor() if workers <= 1 else LocalExecutor(workers)
 
 

@@ -1,4 +1,4 @@
-"""From what a person asks for to a recipe: an environment, how large, what to change, what varies."""
+"""Turn a user's request into a recipe: environment, size, parameters and varying factors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mending a data set by the road that loses least.
+"""Repair of a data set in the way that loses least.
 
 A shard is a function of the recipe, so a damaged one is recorded anew and put in its place if it has the very
 bytes that ``dataset.json`` says it had. Where that cannot be done (an imported recording, an environment that is
@@ -73,7 +73,7 @@ def repair_dataset(
 
 
 def _delete_cache(path: Path) -> None:
-    """It is made anew when it is needed."""
+    """Delete the frame cache; the next use makes a new one."""
     Dataset.open(path).cache_file.path.unlink(missing_ok=True)
 
 

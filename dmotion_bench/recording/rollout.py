@@ -37,7 +37,7 @@ def make_environment(kind: type[Environment], recipe: DatasetRecipe) -> Environm
 
 
 def find_policy(kind: type[Environment], recipe: DatasetRecipe) -> Callable[[], Policy]:
-    """What makes the recipe's policy.
+    """The function that makes the recipe's policy.
 
     Raises:
         UnknownName: The environment has no such policy.
@@ -102,7 +102,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
 
 
 class _Film:
-    """Pictures in one array that doubles when it is full: each is copied while it is still in the cache."""
+    """A growing array of frames: it doubles when it is full, and copies each frame while it is in the cache."""
 
     def __init__(self, first: UInt8[np.ndarray, "h w *c"]) -> None:
         self._pictures, self._count = np.empty((64, *first.shape), np.uint8), 0

@@ -1,4 +1,4 @@
-"""A recording from beginning to end: what is missing is made, shard by shard, by whoever executes it."""
+"""A complete recording: an executor makes the missing shards, one by one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ShardJob:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """How far a recording is.
+    """The progress of a recording.
 
     Attributes:
         episodes: Done of ``total``, with those of earlier runs.
@@ -53,7 +53,7 @@ class Progress:
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What a recording gave.
+    """The result of a recording.
 
     Attributes:
         dataset: The folder.
@@ -75,7 +75,7 @@ class Recorded:
 
 
 def record_shard(job: ShardJob) -> ShardReceipt:
-    """Make one shard, in whatever process this is.
+    """Make one shard in the present process.
 
     Raises:
         DatasetError: The data set's folder is not there any more; it is not made again, as what it held is lost.

@@ -101,7 +101,7 @@ class SlurmExecutor:
         return outcome
 
     def _cancel(self, running: list[_Submitted[Job]]) -> None:
-        """End what still runs; what it has not renamed was never there."""
+        """Cancel the running jobs; files that they have not renamed yet are lost without harm."""
         if not running:
             return
         if self._cluster == "slurm":
@@ -116,7 +116,7 @@ class SlurmExecutor:
 
 
 class _Submitted(Generic[Job]):
-    """A job that Slurm has."""
+    """A job that was submitted to Slurm."""
 
     def __init__(self, number: int, job: Job, handle: Any) -> None:
         self.number, self.job, self.handle = number, job, handle

@@ -38,12 +38,12 @@ class Speed:
 
     @property
     def frames_per_s(self) -> float:
-        """By the clock."""
+        """Frames per second of elapsed time."""
         return self.frames / self.seconds
 
     @property
     def frames_per_cpu_s(self) -> float:
-        """What an undisturbed processor would do."""
+        """Frames per second of processor time, which other programs do not disturb."""
         return self.frames / self.cpu_seconds
 
     @property

@@ -1,4 +1,4 @@
-"""Is a data set what was recorded? Every file's hash, every chunk's checksum, tables and cache against the shards."""
+"""Check a data set: every file's hash, every chunk's checksum, and the tables and the cache against the shards."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LabelsState = Literal["present", "missing", "none"]
 
 @dataclass(frozen=True, kw_only=True)
 class Damage:
-    """Something that is not as it was recorded.
+    """A damage: something that differs from what was recorded.
 
     Attributes:
         file: Relative to the data set's folder.
@@ -128,7 +128,7 @@ def _file_damage(path: Path, kind: str, index: int, facts: FileFacts) -> Iterato
 
 
 def cache_damages(dataset: Dataset) -> Iterator[Damage]:
-    """What is wrong with the frames that are used in place of the video's, where the video is sound."""
+    """Damages of the frame cache where the video itself is sound."""
     file = dataset.cache_file
     name = f"{CACHE}/{file.path.name}"
     if not file.path.is_file() or file.is_unchecked():

@@ -108,7 +108,7 @@ class Dataset:
             raise corrupt(self.path, file, damage) from None
 
     def labels(self, episode: int) -> EpisodeLabels:
-        """All that is held out of an episode.
+        """The labels of an episode.
 
         Raises:
             LabelsNotAvailable: ``labels/`` is not there.
@@ -171,7 +171,7 @@ class Dataset:
 
     @property
     def cache_file(self) -> CacheFile:
-        """Where the cache is, if it has been made."""
+        """The file of the frame cache, if it exists."""
         return CacheFile(
             folder=cache_folder(self.path),
             fingerprint=self.fingerprint,

@@ -1,4 +1,4 @@
-"""One writer a folder: a lock that the system lets go of however the process ends."""
+"""Locks for folders with one writer; the operating system releases them when a process ends, however it ends."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def lock_folder(path: Path, way_out: str = "") -> int:
 
 @contextlib.contextmanager
 def held(path: Path) -> Iterator[None]:
-    """Nobody else writes into the folder meanwhile.
+    """Hold an exclusive lock on the folder within the block.
 
     Raises:
         FolderInUse: Somebody else does.

@@ -66,7 +66,7 @@ class Message(NamedTuple):
 
 
 class Span(NamedTuple):
-    """Where something stands in a file: first byte, number of bytes."""
+    """A position in a file: first byte and number of bytes."""
 
     offset: int
     size: int
@@ -74,10 +74,10 @@ class Span(NamedTuple):
 
 @runtime_checkable
 class Sink(Protocol):
-    """Where bytes go: an open file, or something that stands in front of one."""
+    """Something to write bytes to: an open file, or a wrapper around one."""
 
     def write(self, data: bytes, /) -> int:
-        """Take all of ``data``."""
+        """Write all of ``data``."""
 
 
 class McapWriter:

@@ -1,4 +1,4 @@
-"""Mending a data set from what is left of it; the original stays until the new one is whole.
+"""Repair of a data set from its remains; the original stays until the new one is complete.
 
 ``rebuild_tables`` makes the tables again from sound shards. ``salvage`` keeps every episode that can be read to
 its last frame: of a truncated file each complete chunk is read, in the order of the file, which is what the
@@ -43,7 +43,7 @@ _ORIGINAL = "damaged"
 
 @dataclass(frozen=True, kw_only=True)
 class Salvaged:
-    """What a salvage gave.
+    """The result of a salvage.
 
     Attributes:
         kept: The episodes that could be read, by their old numbers.
@@ -68,7 +68,7 @@ def rebuild_tables(path: Path, manifest: Manifest) -> None:
 
 
 def salvage(path: Path) -> Salvaged:
-    """Put what can be read into a new data set in the old one's place, and the old one beside it.
+    """Replace a data set by a new one with everything that can still be read, and keep the old one beside it.
 
     Raises:
         DatasetCorrupt: Nothing can be read, or an earlier repair's original is still there.
@@ -113,7 +113,7 @@ def salvage(path: Path) -> Salvaged:
 
 
 def _listed_episodes(path: Path, manifest: Manifest) -> Iterator[EpisodeRow]:
-    """Where episodes should be: as the table says, or, without it, as the shards say of themselves."""
+    """The expected places of the episodes: from the table or, without it, from the shards."""
     try:
         yield from read_episodes(path, manifest)
     except DamagedFile:

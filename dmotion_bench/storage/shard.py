@@ -42,7 +42,7 @@ Ended = Literal["truncated", "terminated"]
 
 @dataclass(frozen=True, kw_only=True)
 class Footage:
-    """An episode that was not made here, so that its labels may be missing.
+    """An imported episode, whose labels may be missing.
 
     Attributes:
         frames: RGB, 0-255.
@@ -94,7 +94,7 @@ class FileFacts(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ShardReceipt:
-    """All that a data set's tables need to know of a shard.
+    """The facts of a shard that the data set's tables need.
 
     Attributes:
         index: Its number.
@@ -218,7 +218,7 @@ def write_shard(
 
 
 def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
-    """The receipt of a shard that stands on disk, made from its own bytes.
+    """The receipt of an existing shard, read from its files.
 
     Raises:
         DamagedFile: The files are not whole or do not belong together.
@@ -257,7 +257,7 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
 
 
 def episode_row(section: Section, index: int, spec: EnvSpec) -> EpisodeRow:
-    """What a section of a video file says of its episode; where its labels are, it does not know."""
+    """The table row of an episode from its section of the video file, without the place of its labels."""
     values: Mapping[str, str] = section.values
     if section.kind != "episode":
         raise DamagedFile(f"holds a section {section.name!r} where an episode was expected")
@@ -289,7 +289,7 @@ def episode_row(section: Section, index: int, spec: EnvSpec) -> EpisodeRow:
 
 
 def ended_as(word: str) -> Ended:
-    """The word, if it says why an episode ended."""
+    """The word, if it is a reason why an episode ended."""
     for known in get_args(Ended):
         if word == known:
             ended: Ended = known

@@ -1,4 +1,4 @@
-"""Which episode is for training, which for validation, which for the test: by episode, never by triplet."""
+"""The split into training, validation and test episodes; it is by episode, never by triplet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all: filled beside their place, and moved there at the end.
+"""Folders that appear complete or not at all: written under a temporary name and renamed at the end.
 
 What is not finished stands in ``NAME.importing/`` with a marker beside it, and is locked by the process that fills
 it. So what a killed process left can be told from anything else of that name, and from what another process is
@@ -69,7 +69,7 @@ def sweep(out: Path, suffix: str) -> None:
 
 
 def _beside(out: Path, suffix: str) -> Path:
-    """Where a folder is filled."""
+    """The temporary folder beside ``out``."""
     whole = out.resolve()  # '.' has no name to put a suffix on
     if not whole.name:
         raise UsageError(f"{str(out)!r} cannot be made anew; name another folder with '--out DIR'.")

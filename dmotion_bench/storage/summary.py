@@ -1,4 +1,4 @@
-"""What a data set is, in figures: for ``dmbench data info``, complete or not."""
+"""The facts of a complete or unfinished data set for ``dmbench data info``."""
 
 from __future__ import annotations
 

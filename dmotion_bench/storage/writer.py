@@ -43,7 +43,7 @@ _GROWS = ("episodes", "tasks")  # what a second recording into the same folder m
 
 
 class DatasetWriter:
-    """The one writer of a data set's folder; leave its ``with`` block and another may write.
+    """Writes a data set; holds the folder's lock until its ``with`` block ends.
 
     Attributes:
         path, recipe, spec: Of the data set.
@@ -60,7 +60,7 @@ class DatasetWriter:
 
     @classmethod
     def create_or_resume(cls, path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> DatasetWriter:
-        """Start a data set, or go on with the one that stands there.
+        """Start a new data set, or continue the one in the folder.
 
         Raises:
             RecipeMismatch: What stands there was made by another recipe, or is larger.
@@ -125,7 +125,7 @@ class DatasetWriter:
         return receipt
 
     def add(self, receipt: ShardReceipt) -> None:
-        """Take note of a shard that another process has written.
+        """Register a shard that another process has written.
 
         Raises:
             DatasetError: The folder was deleted meanwhile.
@@ -176,7 +176,7 @@ class DatasetWriter:
         return manifest
 
     def close(self) -> None:
-        """Let others write here."""
+        """Release the folder's lock."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
@@ -223,7 +223,7 @@ def _check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path
 
 
 def _standing_shards(path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> Iterator[ShardReceipt]:
-    """The shards that are there, whole, and have all the episodes that the recipe wants in them."""
+    """The complete shards in the folder that hold all episodes of the recipe's shards."""
     for index in range(shard_count(recipe)):
         if not shard_path(path, VIDEO, index).is_file():
             continue

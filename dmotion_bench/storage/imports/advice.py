@@ -1,4 +1,4 @@
-"""What to do about an import that gives no episode, or a data set that will disappoint."""
+"""Advice for imports that give no episode, or a data set that is unlikely to be useful."""
 
 from __future__ import annotations
 

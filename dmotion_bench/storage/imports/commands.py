@@ -44,7 +44,7 @@ class Commands:
 
 
 def command_decoder(topic: TopicInfo) -> Callable[[bytes], str]:
-    """What turns the topic's messages into the names of actions; it raises ``BadPicture`` (of a single message).
+    """The function that turns a topic's messages into names of actions; it raises ``BadPicture`` for a bad message.
 
     Raises:
         RecordingImportError: The messages cannot be discrete actions.

@@ -29,7 +29,7 @@ Open = Callable[[Path, str, ImportOptions], Recording]
 
 
 class Reader:
-    """One end of the pipes.
+    """Answers the requests that arrive through the pipes.
 
     Args:
         requests, answers: The pipes.
@@ -43,7 +43,7 @@ class Reader:
         self._said = 0.0
 
     def serve(self) -> None:
-        """Answer until nobody asks any more."""
+        """Answer requests until the pipe is closed."""
         limits = self._options.limits
         confine(limits)
         while True:
@@ -94,7 +94,7 @@ class Reader:
 
 
 def confine(limits: ImportLimits) -> None:
-    """Give up for good what reading does not need."""
+    """Limit what this process can do: memory as far as reading needs it, no file writing, no core dump."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the import, which ends this process
     resource.setrlimit(resource.RLIMIT_DATA, (limits.reader_bytes, limits.reader_bytes))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))

@@ -15,7 +15,7 @@ from jaxtyping import Int64, Integer, UInt8
 
 
 class Fit(StrEnum):
-    """What becomes of a picture that is not square."""
+    """How a picture that is not square becomes square."""
 
     CROP = "crop"  # the largest square in its middle
     PAD = "pad"  # all of it, with black bars

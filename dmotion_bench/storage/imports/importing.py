@@ -41,7 +41,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, kw_only=True)
 class _Planned:
-    """An episode to be."""
+    """A planned episode."""
 
     recording: int
     segment: int
@@ -252,7 +252,7 @@ def _footage(
 
 
 def _labels(actions: Int64[np.ndarray, " t-1"], shape: tuple[int, ...]) -> EpisodeLabels:
-    """Actions, and nothing else known: no object, an agent that is nowhere."""
+    """Labels with actions alone: no objects, and an agent at an unknown place."""
     return EpisodeLabels(
         actions=actions,
         pushed=np.zeros(len(actions), bool),

@@ -1,4 +1,4 @@
-"""What an import is asked for, and what it answers."""
+"""The options of an import, and its report."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def options_from(fields: Mapping[str, Any]) -> ImportOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportReport:
-    """What came of it.
+    """The result of an import.
 
     Attributes:
         path: The data set.

@@ -1,4 +1,4 @@
-"""What the import asks of a foreign recording, whatever its container."""
+"""The interface of foreign recordings, whatever their container."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """What a recording holds, found out without unpacking its pictures.
+    """The content of a recording, found without decoding its pictures.
 
     Attributes:
         camera: The topic or key that the pictures are from.

@@ -24,7 +24,7 @@ MOST_TICKS = 20.0  # of the new clock: a longer gap is no gap of a slow camera, 
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """An episode to be: which frames it shows and when.
+    """A planned episode: the frames that it shows, and their times.
 
     Attributes:
         frames: Number of the source frame at each tick, ascending; a frame may stand at several ticks.

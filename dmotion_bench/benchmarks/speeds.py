@@ -18,7 +18,9 @@ from dmotion_bench.benchmarks import machine
 from dmotion_bench.errors import UnknownName
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ModelInputs, TrainingConfig, TripletBatch
-from dmotion_bench.learning.optimization import autocast, has_bf16, make_optimizer
+from dmotion_bench.learning.optimization import has_bf16, make_optimizer
+from dmotion_bench.learning.precision import FEWEST_STEPS, settled, timed
+from dmotion_bench.learning.step import Stepper
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.planning.speed import measure_one_by_one, measure_planning
 from dmotion_bench.positions import PositionFinder
@@ -115,7 +117,10 @@ def loading(seconds: float) -> Result:
 
 
 def training(name: str, arch: str, config: TrainingConfig | None, seconds: float) -> Result:
-    """Triplets a second of a model's training step, on all cores; with its own training config unless one is given."""
+    """Triplets a second of a model's training step, on all cores; with its own training config unless one is given.
+
+    In the precision that a training would choose.
+    """
     kind = model_class(name)
     label = f"train[{name}-{arch}{'' if config is None else '-reference'}]"
     config = config or kind.training_defaults(Preset.SMALL, arch)
@@ -133,26 +138,30 @@ def training(name: str, arch: str, config: TrainingConfig | None, seconds: float
     if not config.channels_last:
         batch = replace(batch, **{name: getattr(batch, name).contiguous() for name in ("previous", "current", "next")})
 
-    def step() -> None:
-        with autocast(config, device):
-            losses = model.losses(batch)
-        torch.autograd.backward(losses.total)
-        optimizer.step()
-        optimizer.zero_grad(set_to_none=True)
-
+    step = Stepper(
+        model=model,
+        losses=model.losses,
+        backward=torch.autograd.backward,
+        optimizer=optimizer,
+        clip_norm=config.clip_norm,
+        seed=0,
+        device=device,
+    )
+    precision = settled(config.precision, FEWEST_STEPS, device)
+    precision = precision or timed(lambda precision: step(batch, 0, precision), device).faster
     with FlopCounterMode(display=False) as counter:
-        step()
+        step(batch, 0, precision)
     flops = counter.get_total_flops() / config.batch_size
     began, steps = time.perf_counter(), 0
     while steps == 0 or time.perf_counter() - began < seconds:
-        step()
+        step(batch, steps, precision)
         steps += 1
     value = steps * config.batch_size / (time.perf_counter() - began)
     return Result(
         name=label,
         value=value,
         unit="triplets/s",
-        limit=machine.matrix_products(config.precision) / flops if flops else None,
+        limit=machine.matrix_products(precision) / flops if flops else None,
         limit_name="matrix products alone, all cores",
     )
 

@@ -11,7 +11,7 @@ import torch
 
 from dmotion_bench.learning.curriculum import Part
 from dmotion_bench.learning.optimization import learning_rate, make_optimizer, set_learning_rate
-from dmotion_bench.learning.precision import Precision, faster, settled, timed
+from dmotion_bench.learning.precision import Precision, settled, timed
 from dmotion_bench.learning.run_manifest import Conditions, RunSpec
 from dmotion_bench.learning.step import Stepper
 
@@ -25,9 +25,12 @@ def choose_conditions(spec: RunSpec, parts: Sequence[Part], device: torch.device
         device: Where it runs.
         processes: How many share a batch.
     """
+    threads = torch.get_num_threads()
     precision = settled(spec.training_config.precision, parts[-1].stop, device)
-    seconds = {} if precision else timed(_trial(spec, parts, device, processes), device)
-    return Conditions(threads=torch.get_num_threads(), precision=precision or faster(seconds), probe=dict(seconds))
+    if precision is not None:
+        return Conditions(threads=threads, precision=precision)
+    rounds = timed(_trial(spec, parts, device, processes), device)
+    return Conditions(threads=threads, precision=rounds.faster, probe=rounds.medians)
 
 
 def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int) -> Callable[[Precision], object]:

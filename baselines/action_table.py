@@ -1,4 +1,4 @@
-"""Which latent action each named action is: a row for each, the mean over its demonstrations.
+"""The table from named actions to latent actions: each row is the mean over an action's demonstrations.
 
 For discrete actions this mean is the least-squares optimum of any network from the action to the latent action, such as
 CLASP's, so nothing is gained by training one.
@@ -27,7 +27,7 @@ class ActionTable(nn.Module):
 
     @torch.no_grad()
     def fill(self, latent: Float[Tensor, "n d"], action: Int[Tensor, " n"]) -> None:
-        """Take in demonstrations; an action without any keeps its row."""
+        """Fill the table from demonstrations; an action without demonstrations keeps its row."""
         for number in range(len(self.rows)):
             if (of_action := latent[action == number]).numel():
                 self.rows[number] = of_action.float().mean(0)

@@ -73,7 +73,7 @@ class ClaspConfig:
 
 
 class Clasp(ForwardModel[ClaspConfig]):
-    """Sees video only; the actions are named afterwards by a handful of demonstrations."""
+    """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
     supervision: ClassVar[Supervision] = Supervision.NONE
     paper: ClassVar[str] = (
@@ -99,7 +99,7 @@ class Clasp(ForwardModel[ClaspConfig]):
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
-        """As DMotion's; a triplet takes 1.5 times its time."""
+        """DMotion's settings; a triplet takes 1.5 times as long as with DMotion."""
         return compact_recipe(preset, passes=0.7)
 
     def losses(self, batch: TripletBatch) -> Losses:
@@ -125,7 +125,7 @@ class Clasp(ForwardModel[ClaspConfig]):
         )
 
     def compose(self, earlier: Float[Tensor, "b d"], later: Float[Tensor, "b d"]) -> Gaussian:
-        """nu: one latent action that does what two do, one after the other."""
+        """nu: the latent action that has the effect of two latent actions in a row."""
         return Gaussian.of(self.composition(torch.cat([earlier, later], dim=1)))
 
     def latent_action(
@@ -157,7 +157,7 @@ class Clasp(ForwardModel[ClaspConfig]):
     def begin(
         self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]]:
-        """x_t, and the predictor's memory of how it came about."""
+        """The state: x_t, and the memory of the recurrent predictor."""
         latent = self._infer(pack(previous), pack(current)).mean
         return (current, *self._remember(pack(previous), latent, None))
 

@@ -53,7 +53,7 @@ DECODER = Phase(name="decoder", fraction=0.4)
 
 @dataclass(frozen=True, kw_only=True)
 class ContrastiveConfig:
-    """The original's choices, but for the slots.
+    """The original's choices, except for the number of slots.
 
     Attributes:
         slots: K, at least as many as there are objects.
@@ -79,7 +79,7 @@ class ContrastiveConfig:
 
 
 class SlotEncoder(nn.Module):
-    """Two packed frames to the states of K slots.
+    """Encodes two packed frames into the states of K slots.
 
     As the authors' for larger pictures: one convolution with a wide stride to small maps (10 x 10 there, 8 x 8 here),
     their values between 0 and 1. The MLP's initial weights keep the scale, so that different frames get different
@@ -105,7 +105,7 @@ class SlotEncoder(nn.Module):
 
 
 class GraphTransition(nn.Module):
-    """How an action changes all slots: every pair of slots has a message, every slot sums those it gets."""
+    """Predicts how an action changes all slots: each pair of slots exchanges messages, which each slot adds up."""
 
     def __init__(self, config: ContrastiveConfig, actions: int) -> None:
         super().__init__()
@@ -135,7 +135,7 @@ def _mlp(inputs: int, hidden: int, outputs: int, gain: float = 1.0) -> nn.Sequen
 
 
 class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
-    """Predicts the states of slots; a decoder, trained afterwards, shows them."""
+    """Predicts the states of slots; a decoder that is trained afterwards draws them as frames."""
 
     supervision: ClassVar[Supervision] = Supervision.ACTIONS
     paper: ClassVar[str] = "Kipf, van der Pol, Welling: Contrastive Learning of Structured World Models, ICLR 2020"
@@ -160,7 +160,7 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
         return CONTRAST, DECODER
 
     def enter(self, phase: Phase) -> None:
-        """What the other phase learns is frozen."""
+        """Freeze the parameters that the other phase trains."""
         self.phase = phase
         self.encoder.requires_grad_(phase == CONTRAST)
         self.transition.requires_grad_(phase == CONTRAST)
@@ -184,7 +184,7 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
         )
 
     def negatives(self, batch: TripletBatch) -> Int[Tensor, " b"]:
-        """For each state another of the batch: a share of the same episode, the rest of others, where there are any."""
+        """Another state of the batch for each state: a share of the same episode, the rest of other episodes."""
         count, device = len(batch.current), batch.current.device
         near = torch.rand(count, 1, device=device) < self.config.near
         wanted = torch.zeros_like(near) if batch.episode is None else (batch.episode[:, None] == batch.episode) == near
@@ -192,7 +192,7 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
         return torch.where(wanted, drawn, drawn - 1).fill_diagonal_(-2.0).argmax(1)
 
     def energy(self, state: Float[Tensor, "b k d"], other: Float[Tensor, "b k d"]) -> Float[Tensor, " b"]:
-        """d(z, z'): how far two states are from each other."""
+        """d(z, z'): the distance of two states."""
         return (state - other).square().sum(2).mean(1) * (0.5 / self.config.sigma**2)
 
     def states(self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k d"]:

@@ -42,7 +42,7 @@ from dmotion_bench.specs import Preset, Supervision
 
 @dataclass(frozen=True, kw_only=True)
 class DMotionConfig:
-    """The choices that the paper leaves open or argues about.
+    """The choices that the paper leaves open or compares.
 
     Attributes:
         arch: ``"paper"`` as published, ``"compact"`` for speed.
@@ -85,7 +85,7 @@ class DMotionConfig:
 
 
 class DMotion(ForwardModel[DMotionConfig]):
-    """Sees video only; the actions are named afterwards by a handful of demonstrations."""
+    """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
     supervision: ClassVar[Supervision] = Supervision.NONE
     paper: ClassVar[str] = (
@@ -104,17 +104,19 @@ class DMotion(ForwardModel[DMotionConfig]):
                 f"frames are {inputs.height} x {inputs.width}; "
                 "DMotion takes square ones whose side is a multiple of 16."
             )
-        networks = dmotion_paper if config.arch == "paper" else dmotion_compact
+        is_paper = config.arch == "paper"
+        networks = dmotion_paper if is_paper else dmotion_compact
+        sized = {"side": inputs.height} if is_paper else {}  # the compact networks have no layer that knows the size
         self.pack, self.unpack = networks.pack, networks.unpack
         self.image_encoder = networks.ImageEncoder(config.maps)
         self.motion_encoder = networks.MotionEncoder(
-            config.maps, self.transform.identity(), reversible=self.transform.reversible
+            config.maps, self.transform.identity(), reversible=self.transform.reversible, **sized
         )
-        self.decoder = networks.Decoder(config.maps)
+        self.decoder = networks.Decoder(config.maps, **sized)
         self.interaction_learner = networks.InteractionLearner(
             frames=2 if config.second_frame else 1,
             agent_entries=config.agent_entries,
-            **({"warps": config.warp} if config.arch == "compact" else {}),  # the paper's paints
+            **({} if is_paper else {"warps": config.warp}),  # the paper's paints
         )
         self.register_buffer("table", self.transform.identity().repeat(inputs.actions, 1))
         self.blur, self.jitter = config.blur, config.jitter
@@ -136,6 +138,7 @@ class DMotion(ForwardModel[DMotionConfig]):
                 schedule="constant",
                 optimizer="adam",
                 clip_norm=0.0,
+                channels_last=True,
             )
         return TrainingConfig(
             epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 8}[preset],
@@ -143,11 +146,12 @@ class DMotion(ForwardModel[DMotionConfig]):
             optimizer="muon",
             schedule="linear",
             clip_norm=0.0,
+            channels_last=True,
             hard_share=0.5,
         )
 
     def progress(self, share: float) -> None:
-        """Narrow the interpolation kernel and quieten the noise."""
+        """Narrow the interpolation kernel and reduce the noise as the training proceeds."""
         left = max(0.0, 1 - share / self.config.anneal)
         self.blur = 1 + (self.config.blur - 1) * left
         self.jitter = self.config.jitter_end + (self.config.jitter - self.config.jitter_end) * (1 - share)
@@ -184,7 +188,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         current: Float[Tensor, "b c h w"],
         action: Int[Tensor, " b"],
     ) -> Float[Tensor, "b c h w"]:
-        """x''_{t+1} with phi^0 out of the table."""
+        """Predict x''_{t+1} with the action's phi^0 from the table."""
         return self.predict_with_latent(previous, current, self.table[action])
 
     def predict_with_latent(
@@ -193,7 +197,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         current: Float[Tensor, "b c h w"],
         latent: Float[Tensor, "b d"],
     ) -> Float[Tensor, "b c h w"]:
-        """x''_{t+1} if ``latent`` is the agent's motion."""
+        """Predict x''_{t+1} with ``latent`` as the agent's motion."""
         previous, current = self.pack(previous), self.pack(current)
         agent = self.transform(self.image_encoder(current)[:, :1], latent[:, None])
         predicted: Tensor = self.unpack(self._interact(previous, current, agent))
@@ -239,7 +243,10 @@ class DMotion(ForwardModel[DMotionConfig]):
         weights = motion.abs() / motion.abs().sum(-1, keepdim=True)
         place = torch.arange(motion.shape[-1], device=motion.device)
         offset = torch.stack([place % side, place // side], -1) - side // 2
-        shift: Tensor = -(weights @ offset.float()) * 2  # a map's pixel is two of the frame's
+        scale = (
+            self.inputs.width / dmotion_paper.MAP_SIZE if self.config.arch == "paper" else 2
+        )  # [px] of a map's pixel
+        shift: Tensor = -(weights @ offset.float()) * scale
         return shift
 
     def _interact(self, previous: Tensor, current: Tensor, agent: Tensor) -> Float[Tensor, "b c h w"]:

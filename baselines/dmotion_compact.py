@@ -1,4 +1,4 @@
-"""DMotion's networks made small and fast: the same four parts, the same inductive structure, other layers.
+"""Small and fast networks for DMotion: the same four parts and the same structure, with other layers.
 
 What differs from ``dmotion_paper.py``, and what each difference bought, is measured in DECISIONS.md:
 
@@ -43,7 +43,7 @@ MOTION_RATE = 0.3  # the motion's last layer learns at this share of the rate: i
 
 
 class ImageEncoder(nn.Module):
-    """A packed frame to n maps of half its side (64 x 64 for 128 pixels).
+    """Encodes a packed frame into n maps of half its side (64 x 64 for 128 pixels).
 
     The branch at half the size widens the receptive field: the agent before and after a move must overlap on the maps.
     """
@@ -63,7 +63,7 @@ class ImageEncoder(nn.Module):
 
 
 class MotionEncoder(MotionTrunk):
-    """Two packed frames to the motion of each map.
+    """Infers the motion of each map from two packed frames.
 
     Args:
         maps: n.
@@ -97,7 +97,7 @@ class MotionEncoder(MotionTrunk):
 
 
 class Decoder(nn.Module):
-    """The moved maps to the packed next frame."""
+    """Decodes the moved maps into the packed next frame."""
 
     def __init__(self, maps: int) -> None:
         super().__init__()

@@ -9,6 +9,9 @@ of the agent's map.
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+
 import torch
 import torch.nn.functional as F
 from einops import rearrange
@@ -17,15 +20,17 @@ from torch import Tensor, nn
 
 SLOPE = 0.2
 MAP_SIZE = 64
+SMALL_MAP = 4
+"""Side of the maps that motions are read from; of at least so many pixels where the frame's side is no power of two."""
 
 
 def pack(image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
-    """These networks take frames as they are."""
+    """Return the frames unchanged: these networks do not pack them."""
     return image
 
 
 def unpack(image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
-    """And give frames as they are."""
+    """Return the frames unchanged, the inverse of ``pack``."""
     return image
 
 
@@ -46,12 +51,12 @@ def _deconv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
 
 
 class ImageEncoder(nn.Module):
-    """Seven convolutions from the frame, doubled to 256 pixels, to n maps of 64 x 64."""
+    """Seven convolutions from the frame, enlarged to 256 pixels, to n maps of 64 x 64."""
 
     def __init__(self, maps: int) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            nn.Upsample(scale_factor=2, mode="nearest"),
+            nn.Upsample(size=4 * MAP_SIZE, mode="nearest"),
             _conv(3, 32, stride=2),
             _conv(32, 32),
             _conv(32, 64, stride=2),
@@ -73,20 +78,26 @@ class MotionEncoder(nn.Module):
         maps: n.
         identity: The motion that moves nothing; the encoder gives it before training.
         reversible: Not used here.
+        side: Of the frames [px]. Five of the convolutions have stride 2 at the paper's 128 and four at 64, as in the
+            published code; so four-by-four maps come out of both.
     """
 
-    def __init__(self, maps: int, identity: Float[Tensor, " d"], reversible: bool = True) -> None:
+    def __init__(
+        self, maps: int, identity: Float[Tensor, " d"], reversible: bool = True, *, side: int = 2 * MAP_SIZE
+    ) -> None:
         super().__init__()
+        widths = (6, 16, 16, 32, 32, 64)
+        halvings = min(len(widths) - 1, (side // SMALL_MAP).bit_length() - 1)
         self.convolutions = nn.Sequential(
-            _conv(6, 16, stride=2),
-            _conv(16, 16, stride=2),
-            _conv(16, 32, stride=2),
-            _conv(32, 32, stride=2),
-            _conv(32, 64, stride=2),
+            *(
+                _conv(before, after, stride=2 if place < halvings else 1)
+                for place, (before, after) in enumerate(pairwise(widths))
+            ),
             _conv(64, 64),
             _conv(64, maps),
         )
-        self.heads = nn.ModuleList(_motion_head(16, 64, identity) for _ in range(maps))
+        small = math.ceil(side / 2**halvings)
+        self.heads = nn.ModuleList(_motion_head(small * small, 64, identity) for _ in range(maps))
 
     def forward(self, current: Float[Tensor, "b 3 h w"], following: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b k d"]:
         small = self.convolutions(torch.cat([current, following], dim=1))
@@ -103,14 +114,14 @@ def _motion_head(features: int, hidden: int, identity: Float[Tensor, " d"]) -> n
 
 
 class Decoder(nn.Module):
-    """Five convolutions from the moved maps to the next frame."""
+    """Five convolutions from the moved maps to the next frame, of ``side`` pixels."""
 
-    def __init__(self, maps: int) -> None:
+    def __init__(self, maps: int, *, side: int = 2 * MAP_SIZE) -> None:
         super().__init__()
         self.layers = nn.Sequential(
             _conv(maps, 32, 9),
             _conv(32, 32, 9),
-            nn.Upsample(scale_factor=2, mode="nearest"),
+            nn.Upsample(size=side, mode="nearest"),
             _conv(32, 32),
             _conv(32, 32),
             nn.Conv2d(32, 3, 5, padding=2),

@@ -1,4 +1,4 @@
-"""E-D CNN: the next frame out of the last two and the action, end to end (after Finn, Goodfellow, Levine 2016).
+"""E-D CNN: predicts the next frame from the last two and the action, end to end (after Finn, Goodfellow, Levine 2016).
 
 The paper's strongest supervised baseline. To make the comparison one of *methods*, its network is DMotion's interaction
 learner with the agent's moved map replaced by the action itself: the one-hot action, tiled, enters at the same three
@@ -51,7 +51,7 @@ class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
-        """As DMotion's."""
+        """DMotion's settings."""
         return compact_recipe(preset, passes=2)
 
     def losses(self, batch: TripletBatch) -> Losses:

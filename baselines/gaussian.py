@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Gaussian:
-    """One for each row of a batch, in float32.
+    """Gaussians in float32, one for each row of a batch.
 
     Attributes:
         mean: Of each component.
@@ -23,12 +23,12 @@ class Gaussian:
 
     @classmethod
     def of(cls, moments: Float[Tensor, "b d2"]) -> Gaussian:
-        """Means and log variances, side by side, as a network gives them."""
+        """Build from a network's output: means and log variances side by side."""
         mean, log_variance = moments.float().chunk(2, dim=1)
         return cls(mean, log_variance)
 
     def sample(self) -> Float[Tensor, "b d"]:
-        """A draw that gradients pass through."""
+        """Draw samples, with gradients (reparametrisation)."""
         return self.mean + torch.randn_like(self.mean) * torch.exp(0.5 * self.log_variance)
 
     def divergence(self) -> Float[Tensor, ""]:

@@ -94,7 +94,7 @@ class ModulatedLayer(nn.Module):
 
 
 class Predictor(nn.Module):
-    """The next embedding out of the last two and the action."""
+    """Predicts the next embedding from the last two and the action."""
 
     def __init__(self, config: JepaConfig, actions: int) -> None:
         super().__init__()
@@ -129,7 +129,7 @@ def sketched_gaussianity(embeddings: Float[Tensor, "t b d"], directions: Float[T
 
 
 class LatentWorldModel(ForwardModel[JepaConfig]):
-    """Predicts embeddings; a decoder, trained afterwards, shows them."""
+    """Predicts embeddings; a decoder that is trained afterwards draws them as frames."""
 
     supervision: ClassVar[Supervision] = Supervision.ACTIONS
     paper: ClassVar[str] = (
@@ -157,7 +157,7 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
         return EMBEDDING, DECODER
 
     def enter(self, phase: Phase) -> None:
-        """What the other phase learns is frozen, its batch statistics too."""
+        """Freeze the parameters and batch statistics that the other phase trains."""
         self.phase = phase
         for part in (self.encoder, self.projector, self.predictor):
             part.requires_grad_(phase == EMBEDDING)

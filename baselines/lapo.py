@@ -38,7 +38,7 @@ from dmotion_bench.specs import Preset, Supervision
 
 @dataclass(frozen=True, kw_only=True)
 class LapoConfig:
-    """The authors' choices, but for the decay.
+    """The authors' choices, except for the decay.
 
     Attributes:
         codebooks: Number of codebooks.
@@ -74,7 +74,7 @@ class LapoConfig:
 
 
 class VectorQuantizer(nn.Module):
-    """Replaces parts of a vector by their nearest codes, which follow those parts (van den Oord 2017, appendix A.1)."""
+    """Replaces parts of a vector by their nearest codes, which are running means (van den Oord 2017, appendix A.1)."""
 
     codes: Tensor
     counts: Tensor
@@ -107,7 +107,7 @@ class VectorQuantizer(nn.Module):
 
     @torch.no_grad()
     def _follow(self, parts: Float[Tensor, "n m d"], chosen: Int[Tensor, "n m"]) -> None:
-        """Each code becomes the running mean of the parts that chose it; one that none chooses is put on one."""
+        """Update each code as the running mean of the parts that chose it; move an unused code onto some part."""
         one_hot = F.one_hot(chosen, self.config.codes).to(parts.dtype)
         self.counts.lerp_(one_hot.sum(1), 1 - self.config.decay)
         self.sums.lerp_(one_hot.mT @ parts, 1 - self.config.decay)
@@ -119,7 +119,7 @@ class VectorQuantizer(nn.Module):
 
 
 class Lapo(ForwardModel[LapoConfig]):
-    """Sees video only; the actions are named afterwards by a handful of demonstrations."""
+    """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
     supervision: ClassVar[Supervision] = Supervision.NONE
     paper: ClassVar[str] = "Schmidt, Jiang: Learning to Act without Actions, ICLR 2024"
@@ -136,7 +136,7 @@ class Lapo(ForwardModel[LapoConfig]):
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
-        """As DMotion's."""
+        """DMotion's settings."""
         return compact_recipe(preset, passes=1.5)
 
     def losses(self, batch: TripletBatch) -> Losses:
@@ -158,7 +158,7 @@ class Lapo(ForwardModel[LapoConfig]):
         current: Float[Tensor, "b c h w"],
         following: Float[Tensor, "b c h w"],
     ) -> Float[Tensor, "b d"]:
-        """z_t before it is quantised."""
+        """z_t before quantisation."""
         return self._infer(pack(previous), pack(current), pack(following)).float()
 
     @torch.no_grad()

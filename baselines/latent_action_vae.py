@@ -55,7 +55,7 @@ class LatentActionConfig:
 
 
 class LatentActionVAE(ForwardModel[LatentActionConfig]):
-    """Sees video only; the actions are named afterwards by a handful of demonstrations."""
+    """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
     supervision: ClassVar[Supervision] = Supervision.NONE
     paper: ClassVar[str] = (
@@ -73,7 +73,7 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
-        """As DMotion's."""
+        """DMotion's settings."""
         return compact_recipe(preset, passes=1.5)
 
     def losses(self, batch: TripletBatch) -> Losses:

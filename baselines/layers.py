@@ -28,7 +28,7 @@ LARGEST_FLOW = 20.0  # [px]: about two steps of an agent
 
 
 def check_size(model: str, inputs: ModelInputs) -> None:
-    """Frames must halve evenly down to the smallest map.
+    """Raise an error unless the frame's sides can be halved down to the smallest map.
 
     Raises:
         InvalidSetting: They do not.
@@ -52,18 +52,18 @@ def unpack(packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b c h w"]:
 
 
 def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp wp"]:
-    """Space to depth in one copy; ``pixel_unshuffle`` and a convolution that wants another order cost two."""
+    """Turn patches into channels with one copy; ``pixel_unshuffle`` needs two for this order of channels."""
     together = rearrange(image, "b c (h p) (w q) -> b h w (c p q)", p=side, q=side)
     return together.contiguous().permute(0, 3, 1, 2)
 
 
 def squared_error(predicted: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Float[Tensor, " b"]:
-    """Of each row, averaged over all else, in float32."""
+    """The squared error of each row, averaged over all other axes, in float32."""
     return (predicted.float() - true.float()).square().flatten(1).mean(1)
 
 
 def reconstruction_losses(drawn: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Losses:
-    """What trains a decoder: how far what it draws is from the frame."""
+    """The loss that trains a decoder: the squared error of the frames that it draws."""
     each = squared_error(drawn, true)
     mean = each.mean()
     return Losses(total=mean, terms={"reconstruction": mean.detach()}, per_triplet=each.detach())
@@ -99,7 +99,7 @@ class _Wrap(torch.autograd.Function):
 
 
 class RoundConv2d(nn.Conv2d):
-    """A 3 x 3 convolution on a picture without edges: beyond the last column lies the first.
+    """A 3 x 3 convolution with circular padding: the last column is next to the first.
 
     Padding with zeros tells a network how far from the edge it is. Here it cannot know where in the picture it looks:
     rolling the picture rolls the result (by whole strides).
@@ -136,7 +136,7 @@ def output(inputs: int, outputs: int) -> nn.Conv2d:
 
 
 def left_to_adam(*weights: Tensor, rate: float = 1.0) -> None:
-    """Mark for ``make_optimizer`` what Muon is not to train, and at what multiple of the rate it learns."""
+    """Mark parameters for ``make_optimizer`` that Adam trains instead of Muon, with a factor on the learning rate."""
     for weight in weights:
         vars(weight).update(is_output=True, rate_factor=rate)
 
@@ -166,7 +166,7 @@ def linear(inputs: int, outputs: int, gain: float = 1.0) -> nn.Linear:
 
 
 def warped(image: Float[Tensor, "b c h w"], flow: Float[Tensor, "b 2 y x"]) -> Float[Tensor, "b c h w"]:
-    """Each pixel read from where the flow points; beyond the picture's edge lies its last pixel.
+    """Warp an image: read each pixel where the flow points; the border pixels continue beyond the edges.
 
     Args:
         image: In float32.
@@ -181,7 +181,7 @@ def warped(image: Float[Tensor, "b c h w"], flow: Float[Tensor, "b 2 y x"]) -> F
 
 
 class UNet(nn.Module):
-    """The next packed frame out of the last ones; what else decides it is added at three depths.
+    """Predicts the next packed frame from the last ones; other inputs are added to the features at three depths.
 
     The output is blended into x_t by a gate per pixel: what does not move is copied.
 
@@ -229,7 +229,7 @@ class UNet(nn.Module):
     def _carried(
         self, current: Float[Tensor, "b p hp wp"], features: Float[Tensor, "b c hp wp"]
     ) -> Float[Tensor, "b p hp wp"]:
-        """x_t with what moves where the flow carries it."""
+        """x_t, warped by the flow."""
         flow = LARGEST_FLOW * torch.tanh(self.flow(features).float() * (PATCH / LARGEST_FLOW))
         moved = patches(warped(unpack(current).float(), flow).to(current.dtype), PATCH)
         return _blended(current, moved, self.warp_gate(features))
@@ -238,7 +238,7 @@ class UNet(nn.Module):
 def _blended(
     old: Float[Tensor, "b p hp wp"], new: Float[Tensor, "b p hp wp"], gate: Float[Tensor, "b g hp wp"]
 ) -> Float[Tensor, "b p hp wp"]:
-    """The new in place of the old as far as its gate is open: one per pixel, for its three colours."""
+    """Blend a new frame into an old one by a gate, one value per pixel for all three colours."""
     return old + torch.sigmoid(gate).repeat(1, 3, 1, 1) * (new - old)
 
 
@@ -262,7 +262,7 @@ class CodedUNet(UNet):
 
 
 class FrameEncoder(nn.Module):
-    """Packed frames to a vector.
+    """Encodes packed frames into a vector.
 
     Args:
         inputs: The size of the frames.
@@ -288,7 +288,7 @@ class FrameEncoder(nn.Module):
 
 
 class FrameDecoder(nn.Module):
-    """A vector to a packed frame.
+    """Decodes a vector into a packed frame.
 
     Args:
         inputs: The size of the frame.
@@ -329,7 +329,7 @@ class FrameDecoder(nn.Module):
 
 
 class MotionTrunk(nn.Module):
-    """Packed frames to a vector that knows what moved and how, but not where.
+    """Encodes packed frames into a vector that tells what moved and how, but not where.
 
     Features are summed over the picture, and the picture has no edges.
 
@@ -352,7 +352,7 @@ class MotionTrunk(nn.Module):
         self.hidden = block(w, d, 1)
 
     def summarise(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b d"]:
-        """What moved, and how."""
+        """The vector that tells what moved, and how."""
         summed = self.convolutions(packed).sum((2, 3), keepdim=True) * 0.1
         features: Tensor = self.hidden(summed).flatten(1)
         return features

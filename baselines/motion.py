@@ -1,4 +1,4 @@
-"""How a feature map is moved: the spatial transformer of DMotion, and cross convolution in its place.
+"""Ways to move a feature map: DMotion's spatial transformer, and cross convolution as its ablation.
 
 A motion is a vector per map. For the transformers it holds parameters of the matrix theta of an inverse warp (Jaderberg
 2015, eq. 1): the moved map at place p is the map at theta p, in [-1, 1] coordinates whose ends are the centres of
@@ -32,7 +32,7 @@ class Motion(Protocol):
     """Whether the motion back is the negative of the motion there."""
 
     def identity(self) -> Float[Tensor, " d"]:
-        """The motion that leaves a map as it is."""
+        """The motion that leaves a map unchanged."""
 
     def __call__(
         self, maps: Float[Tensor, "b k h w"], motion: Float[Tensor, "b k d"], blur: float = 1.0
@@ -80,7 +80,7 @@ def _toeplitz(diagonals: Float[Tensor, "b k a n"], dtype: torch.dtype) -> Float[
 
 
 class Translation:
-    """Only the two translations of theta are free: the default in both environments, as in the original."""
+    """Translation only: two free parameters of theta. The default in all environments, as in the original."""
 
     size = 2
     reversible = True
@@ -131,7 +131,7 @@ class CrossConvolution:
         self.kernel, self.size = kernel, kernel * kernel
 
     def identity(self) -> Float[Tensor, " d"]:
-        """One in the middle."""
+        """A kernel with one in the middle and zeros elsewhere."""
         return F.one_hot(torch.tensor(self.size // 2), self.size).float()
 
     def __call__(

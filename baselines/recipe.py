@@ -1,4 +1,4 @@
-"""How the compact models are trained: DMotion's recipe for every one of them, so that none is favoured by it."""
+"""The training recipe of the compact models: the same for all, so that it favours none of them."""
 
 from __future__ import annotations
 
@@ -21,5 +21,6 @@ def compact_recipe(preset: Preset, passes: float = 1.0) -> TrainingConfig:
         optimizer="muon",
         schedule="linear",
         clip_norm=0.0,
+        channels_last=True,
         hard_share=0.5,
     )

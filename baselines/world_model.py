@@ -89,7 +89,7 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
-        """As DMotion's."""
+        """DMotion's settings."""
         return compact_recipe(preset, passes=3)
 
     def phases(self) -> tuple[Phase, ...]:
@@ -97,7 +97,7 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
         return AUTOENCODER, TRANSITION
 
     def enter(self, phase: Phase) -> None:
-        """What the other phase learns is frozen."""
+        """Freeze the parameters that the other phase trains."""
         self.phase = phase
         for part in (self.encoder, self.decoder):
             part.requires_grad_(phase == AUTOENCODER)

@@ -77,6 +77,17 @@ class Varied(Protocol):
 
 
 @runtime_checkable
+class Versioned(Protocol):
+    """An environment class whose frames or rules have changed: its constructor takes ``version``, 1 by default.
+
+    So a recipe that names no version makes what it made before there were versions, byte for byte.
+    """
+
+    versions: ClassVar[Mapping[int, str]]
+    """What is true of each version, in a line, from 1 on; the last is recorded if nobody asks for another."""
+
+
+@runtime_checkable
 class Restorable(Protocol):
     """An environment whose state can be put back much faster than by replaying its actions.
 

@@ -22,6 +22,7 @@ from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
 from dmotion_bench.scoring.report import REPORT_FOLDER, TRANSFERS, Report, read_report, read_report_samples
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, IDENTIFICATION_COLUMNS, column
 from dmotion_bench.scoring.statistics import Estimate, paired_difference
+from dmotion_bench.wording import command
 
 HIGHER_IS_BETTER: Final = frozenset(
     {"psnr", "ssim", "agent_iou", "motion_probe_accuracy", "hit_at_1", "reciprocal_rank", "control_success"}
@@ -79,8 +80,9 @@ def scored(run: Path, folder: Path | None = None) -> tuple[Report, pa.Table]:
     report = read_report(folder)
     samples = None if report is None else read_report_samples(folder, report)
     if report is None or samples is None:
-        on = f" --data {folder.name}" if folder.parent.name == TRANSFERS else ""
-        raise RunMissing(f"the run {str(run)!r} has no whole report; score it with 'dmbench score {run}{on}'.")
+        on = ("--data", folder.name) if folder.parent.name == TRANSFERS else ()
+        score = command("dmbench score", run, *on)
+        raise RunMissing(f"the run {str(run)!r} has no whole report; score it with {score}.")
     return report, samples
 
 

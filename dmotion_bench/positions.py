@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import colorsys
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
@@ -26,23 +27,23 @@ from torch import Tensor
 
 from dmotion_bench.specs import EnvSpec, ObjectSpec
 
-BITS = 5
+BITS: Final = 5
 """Of each colour channel that the table looks at."""
 
-COLOR_DISTANCE = 100.0
+COLOR_DISTANCE: Final = 100.0
 """Farthest in RGB from an object's colour; less where two objects' colours are closer than twice that."""
 
-HUE_DISTANCE = 25 / 360
+HUE_DISTANCE: Final = 25 / 360
 """Farthest from an object's hue, of a full turn; less where two objects' hues are closer than twice that."""
 
-LEAST_SATURATION, LEAST_VALUE = 0.45, 0.15
+LEAST_SATURATION: Final = 0.45
+LEAST_VALUE: Final = 0.15
 """Below these a shaded pixel has no hue to speak of: the table, the arm, the background, deep shade."""
 
-LEAST_AREA = 1 / 1024
+LEAST_AREA: Final = 1 / 1024
 """Of the frame's pixels that an object must have to be found."""
 
-
-NOTHING = 255
+NOTHING: Final = 255
 """The label of pixels that belong to none of the things."""
 
 

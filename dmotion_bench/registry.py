@@ -5,6 +5,7 @@ Nothing is imported until a name is asked for, so listing names costs no torch a
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,20 @@ def environment_class(name: str) -> type[Environment]:
     """
     loaded: type[Environment] = _load(ENVIRONMENTS, "environment", name)
     return loaded
+
+
+def environment_versions(name: str) -> Mapping[int, str]:
+    """What is true of each version of an environment, the last one recorded by default; empty if it has only one.
+
+    Empty as well for one that is not installed, such as that of imported recordings.
+    """
+    from dmotion_bench.environment import Versioned
+
+    try:
+        kind: object = environment_class(name)
+    except DmbenchError:
+        return {}
+    return kind.versions if isinstance(kind, Versioned) else {}
 
 
 def model_class(name: str) -> type[ForwardModel[Any]]:

@@ -169,6 +169,12 @@ class DatasetRecipe:
     shard_episodes: int = 50
     vary: tuple[str, ...] = ()
 
+    @property
+    def version(self) -> int:
+        """The version of the environment: its parameter ``version``, 1 where the recipe names none."""
+        version = self.parameters.get(VERSION, 1)
+        return version if isinstance(version, int) else 1
+
 
 def episode_seed(seed: int, episode: int) -> int:
     """The seed of one episode: independent of every other, and of how the work is divided."""

@@ -24,7 +24,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.learning.model_trial import ModelTrial
 from dmotion_bench.learning.settings import from_json, to_json
@@ -32,15 +32,19 @@ from dmotion_bench.specs import Preset, Supervision
 
 BATCH = 3
 STEPS = 3
+SIZES = (64, 128)  # [px]
+WARM_UP = 3  # steps of training before it is asked whether demonstrations teach anything
 
 
-def check_model(kind: type[ForwardModel[Any]], *, arch: str | None = None, size: int = 64, actions: int = 4) -> None:
-    """Check a class of models, built small.
+def check_model(
+    kind: type[ForwardModel[Any]], *, arch: str | None = None, size: int | None = None, actions: int = 4
+) -> None:
+    """Check a class of models, built small, on contiguous images; channels last, too, if its training asks for that.
 
     Args:
         kind: The class, as its entry point names it.
         arch: Which of its architectures; the first if left out.
-        size: Side of the frames that it is tried on [px].
+        size: Side of the frames that it is tried on [px]; if left out, 64, or 128 if it refuses 64.
         actions: Number of discrete actions.
 
     Raises:
@@ -48,7 +52,8 @@ def check_model(kind: type[ForwardModel[Any]], *, arch: str | None = None, size:
     """
     _check_class(kind)
     _check_settings(kind)
-    subject = ModelTrial(kind, arch or kind.architectures[0], ModelInputs(height=size, width=size, actions=actions))
+    arch = arch or kind.architectures[0]
+    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), actions))
     _check_building(subject)
     _check_phases(subject)
     for phase in subject.build().phases():
@@ -57,6 +62,30 @@ def check_model(kind: type[ForwardModel[Any]], *, arch: str | None = None, size:
     _check_alignment(subject)
     _check_prediction(subject)
     _check_rollout(subject)
+    if any(kind.training_defaults(preset, arch).channels_last for preset in Preset):
+        packed = ModelTrial(kind, arch, subject.inputs, channels_last=True)
+        for phase in packed.build().phases():
+            _check_losses(packed, phase)
+        _check_rollout(packed)
+
+
+def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ...], actions: int) -> ModelInputs:
+    """The smallest frames on which the model is tried: ``__init__`` may refuse a size by ``InvalidSetting``."""
+    said = ""
+    for size in sizes:
+        inputs = ModelInputs(height=size, width=size, actions=actions)
+        try:
+            ModelTrial(kind, arch, inputs).build()
+        except ModelContractBroken as error:
+            if not isinstance(error.__cause__, InvalidSetting):
+                return inputs  # what is wrong is said where the building is checked
+            said = str(error.__cause__)
+        else:
+            return inputs
+    raise ModelTrial(kind, arch, ModelInputs(height=0, width=0, actions=actions)).broken(
+        f"its architecture {arch!r} takes no frames of {' or '.join(map(str, sizes))} pixels ({said}); name a size "
+        "that it takes: check_model(..., size=SIDE)"
+    )
 
 
 def _check_class(kind: type[ForwardModel[Any]]) -> None:
@@ -213,9 +242,9 @@ def _check_losses(subject: ModelTrial, phase: Phase) -> None:
         subject.require(
             torch.equal(blind.total, seeing.total), "its supervision is NONE but losses(batch) depends on batch.action"
         )
-    packed = _entered(subject, phase, training=True).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    halved = _entered(subject, phase, training=True)
     with torch.autocast("cpu", torch.bfloat16):
-        _losses(subject, packed, batch).total.backward()  # type: ignore[no-untyped-call]
+        _losses(subject, halved, batch).total.backward()  # type: ignore[no-untyped-call]
 
 
 def _check_validation(subject: ModelTrial, phase: Phase) -> None:
@@ -233,24 +262,44 @@ def _check_validation(subject: ModelTrial, phase: Phase) -> None:
 
 def _check_alignment(subject: ModelTrial) -> None:
     """What ``align`` learns is kept by the checkpoint, and comes from the demonstrations' actions."""
-    model, other, kept = (subject.build().eval() for _ in range(3))
-    with torch.no_grad(), subject.calling("align(demonstrations)"):
-        model.align(subject.demonstrations(each=2))
-        other.align(subject.demonstrations(each=2, shift=1))
-        subject.build().eval().align(subject.demonstrations(each=1))
+    model, other = _aligned(subject, steps=0)
     if subject.kind.supervision is not Supervision.NONE:
         return
+    if not _differing(model.state_dict(), other.state_dict()):
+        # a spatial transformer starts at the identity: before any training every demonstration shows the same motion
+        model, other = _aligned(subject, steps=WARM_UP)
     subject.require(
         bool(_differing(model.state_dict(), other.state_dict())),
         "align(demonstrations) leaves the same state whichever actions are shown, so it learns nothing that is kept: "
         "what it learns must be in buffers or parameters",
     )
+    kept = subject.build().eval()
     with subject.calling("load_state_dict"):
         kept.load_state_dict(model.state_dict())
     inputs = (subject.images(BATCH, 1), subject.images(BATCH, 2), subject.actions(BATCH))
     with torch.no_grad(), subject.calling("predict(previous, current, action)"):
         same = torch.equal(model.predict(*inputs), kept.predict(*inputs))
     subject.require(same, "what align(demonstrations) learned is lost when the weights are saved and loaded")
+
+
+def _aligned(subject: ModelTrial, *, steps: int) -> tuple[ForwardModel[Any], ForwardModel[Any]]:
+    """Two models after so many steps of training in each phase, aligned with the same frames and other actions."""
+    models = subject.build(), subject.build()
+    for model in models:
+        for phase in model.phases():
+            with subject.calling(f"enter({phase.name!r})"):
+                model.train().enter(phase)
+            optimizer = torch.optim.Adam((one for one in model.parameters() if one.requires_grad), lr=1e-2)
+            for step in range(steps):
+                model.progress(step / steps)
+                _losses(subject, model, subject.batch(BATCH, actions=phase.needs_actions), seed=step).total.backward()  # type: ignore[no-untyped-call]
+                optimizer.step()
+                optimizer.zero_grad()
+    with torch.no_grad(), subject.calling("align(demonstrations)"):
+        for shift, model in enumerate(models):
+            model.eval().align(subject.demonstrations(each=2, shift=shift))
+        subject.build().eval().align(subject.demonstrations(each=1))
+    return models
 
 
 def _check_prediction(subject: ModelTrial) -> None:

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
-from functools import cache
-from importlib import resources
 from importlib.metadata import PackageNotFoundError, version
-
-from dmotion_bench import __version__
 
 PACKAGES = ("dmbench", "torch", "numpy", "mcap", "pyarrow", "pybullet", "pymunk", "gymnasium", "rerun-sdk")
 
@@ -22,20 +17,3 @@ def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-@cache
-def code_version(*parts: str) -> str:
-    """The release of dmbench and a hash over some of its code: what other code found is not taken for its own.
-
-    Args:
-        parts: Folders and modules of the package, such as ``"scoring"`` and ``"positions.py"``.
-    """
-    digest = hashlib.sha256()
-    package = resources.files("dmotion_bench")
-    for part in map(package.joinpath, parts):
-        files = sorted(part.iterdir(), key=lambda file: file.name) if part.is_dir() else [part]
-        for file in files:
-            if file.name.endswith(".py"):
-                digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return f"{__version__}+{digest.hexdigest()[:12]}"

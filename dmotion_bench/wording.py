@@ -37,12 +37,16 @@ def sentence(text: str) -> str:
     return _UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], shortened(text, SENTENCE_LIMIT))
 
 
-def command(*words: str | os.PathLike[str]) -> str:
-    """A command to type next, in quotation marks, its words quoted where a shell needs that.
+def command(start: str, *words: str | os.PathLike[str]) -> str:
+    """A command to type next, in quotation marks.
 
     The outer marks are some that the command does not hold: ``'dmbench data check data/a'`` but
     ``"dmbench data check 'my data'"``.
+
+    Args:
+        start: How it begins, as it is typed: ``"dmbench data check"``.
+        words: What follows; each is quoted where a shell needs that.
     """
-    text = shlex.join(os.fspath(word) for word in words)
+    text = " ".join([start, *(shlex.quote(os.fspath(word)) for word in words)])
     mark = next((mark for mark in ("'", '"') if mark not in text), "`")
     return f"{mark}{text}{mark}"

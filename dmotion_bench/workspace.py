@@ -7,10 +7,15 @@ kept in its ``cache/``, or in the folder that ``DMBENCH_CACHE`` names.
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
+from dmotion_bench.wording import command
+
+AnyPath = str | os.PathLike[str]
+"""What may stand for a folder where somebody calls the library."""
 
 CACHE = "cache"
 CACHE_VARIABLE = "DMBENCH_CACHE"
@@ -31,9 +36,16 @@ def cache_folder(dataset: Path) -> Path:
 
 @dataclass(frozen=True)
 class Workspace:
-    """The folder that everything is kept in."""
+    """The folder that everything is kept in.
+
+    Args:
+        root: Kept as a ``Path``.
+    """
 
     root: Path
+
+    def __init__(self, root: AnyPath) -> None:
+        object.__setattr__(self, "root", Path(root))
 
     @classmethod
     def current(cls) -> Workspace:
@@ -63,7 +75,7 @@ class Workspace:
         """Every run's folder, sorted."""
         return sorted(path.parent for path in self.runs.glob(f"*/{RUN_MANIFEST}"))
 
-    def dataset(self, given: Path | None) -> Path:
+    def dataset(self, given: AnyPath | None) -> Path:
         """The data set asked for by path or name, or the only one there is.
 
         Raises:
@@ -71,7 +83,7 @@ class Workspace:
             UsageError: There are several and none was named.
         """
         if given is not None:
-            return self._named(given, self.data, DATASET_MANIFEST, "data set", self.datasets())
+            return self._named(Path(given), self.data, DATASET_MANIFEST, "data set", self.datasets())
         found = self.datasets()
         if not found:
             raise DatasetMissing(
@@ -79,11 +91,11 @@ class Workspace:
                 "or name one with '--data DIR'."
             )
         if len(found) > 1:
-            listed = "\n".join(f"  --data {path}" for path in found)
+            listed = "\n".join(f"  --data {shlex.quote(str(path))}" for path in found)
             raise UsageError(f"several data sets are here; choose one:\n{listed}")
         return found[0]
 
-    def run(self, given: Path | None) -> Path:
+    def run(self, given: AnyPath | None) -> Path:
         """The run asked for by path or name, or the only one there is.
 
         Raises:
@@ -91,12 +103,12 @@ class Workspace:
             UsageError: There are several and none was named.
         """
         if given is not None:
-            return self._named(given, self.runs, RUN_MANIFEST, "run", self.all_runs())
+            return self._named(Path(given), self.runs, RUN_MANIFEST, "run", self.all_runs())
         found = self.all_runs()
         if not found:
             raise RunMissing(f"no run in {str(self.runs)!r}; train one with 'dmbench train dmotion'.")
         if len(found) > 1:
-            listed = "\n".join(f"  {path}" for path in found)
+            listed = "\n".join(f"  {shlex.quote(str(path))}" for path in found)
             raise UsageError(f"several runs are here; name one:\n{listed}")
         return found[0]
 
@@ -110,6 +122,7 @@ class Workspace:
             raise missing(f"{str(given)!r} is no {kind}: it holds no {manifest}.")
         if kind == "data set" and given.is_file():
             raise DatasetMissing(
-                f"{str(given)!r} is a file, no data set; a recording becomes one with 'dmbench data import {given}'."
+                f"{str(given)!r} is a file, no data set; a recording becomes one with "
+                f"{command('dmbench data import', given)}."
             )
         raise UnknownName(kind, str(given), [path.name for path in known], f"dmbench list {kind.replace(' ', '')}s")

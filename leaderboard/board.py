@@ -1,4 +1,4 @@
-"""From entries to standings: one board a data set, one row a model, its architecture and its label budget.
+"""Boards from entries: one board per data set, one row per model, architecture and label budget.
 
 Runs that differ in nothing but their seed are one row. Its value is the mean over the seeds; what stands beside it
 is the range over the seeds, or, of a single seed, the 95% interval over the test episodes. Who is better is not read
@@ -16,7 +16,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeVar
 
-from dmotion_bench.scoring.control import planning_version
+from dmotion_bench.planning.control import CONTROL_VERSION
+from dmotion_bench.scoring.report import Version
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
@@ -57,7 +58,7 @@ class Row:
         is_best: Whether it is the one the others are compared with.
         elsewhere: Whether it was trained on another data set than the board's.
         leads: Other figures in which it is the best, or cannot be told from the best.
-        planned_by: The version of the code behind its figures of control; None where it has none.
+        planned_by: The version of control behind its figures of control; None where it has none.
         planned_otherwise: Whether that is another one than the board's.
     """
 
@@ -73,12 +74,12 @@ class Row:
     is_best: bool = False
     elsewhere: bool = False
     leads: frozenset[str] = frozenset()
-    planned_by: str | None = None
+    planned_by: Version | None = None
     planned_otherwise: bool = False
 
     @property
     def title(self) -> str:
-        """Its name, its variant and whether it was printed elsewhere."""
+        """The row's name, its variant, and whether it was published elsewhere."""
         words = [self.name, self.variant and f"({self.variant})", self.kind == "published" and "as published"]
         return " ".join(word for word in words if word)
 
@@ -89,7 +90,7 @@ class Row:
 
     @property
     def ties(self) -> bool:
-        """Whether it is the best or cannot be told from it."""
+        """Whether the row is the best, or tied with the best."""
         return self.is_best or (
             self.behind is not None and self.behind.low is not None and self.behind.low <= 0 <= (self.behind.high or 0)
         )
@@ -130,7 +131,7 @@ class Board:
 
 
 def make_boards(entries: Iterable[Entry]) -> list[Board]:
-    """Every board that the entries make, by environment; published rows stand on each board of their environment."""
+    """Make the boards of some entries; published rows stand on each board of their environment."""
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     published: dict[str, list[Entry]] = defaultdict(list)
     for entry in entries:
@@ -141,16 +142,20 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
     boards = [_board(own, published.get(key[0], [])) for key, own in groups.items()]
     lonely = set(published) - {key[0] for key in groups}
     boards += [Board(environment=name, rows=_sorted(map(_published_row, published[name]))) for name in lonely]
-    return sorted(boards, key=lambda board: (board.environment, board.protocol, board.dataset, board.fingerprint))
+    return sorted(
+        boards,
+        key=lambda board: (board.environment, -board.version, board.protocol, board.dataset, board.fingerprint),
+    )
 
 
 def _board_key(entry: Entry) -> tuple[str, ...]:
     settings, dataset = entry.content["settings"], entry.content["dataset"]
-    return entry.environment, dataset["name"], dataset["fingerprint"], str(settings["split"]), str(settings["protocol"])
+    of = entry.environment, str(entry.version), dataset["name"], dataset["fingerprint"]
+    return *of, str(settings["split"]), str(settings["protocol"])
 
 
 def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
-    environment, dataset, fingerprint, split, protocol = _board_key(entries[0])
+    environment, _, dataset, fingerprint, split, protocol = _board_key(entries[0])
     planner = _planner_of(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     twins: dict[tuple[str, ...], int] = defaultdict(int)
@@ -174,12 +179,12 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
     )
 
 
-def _planner_of(entries: Iterable[Entry]) -> str | None:
-    """Whose plans are compared, of those behind some entries; None where nobody planned."""
+def _planner_of(entries: Iterable[Entry]) -> Version | None:
+    """The version of control that a board compares, of those that its entries have; None without control."""
     versions = Counter(entry.planned_by for entry in entries if entry.planned_by is not None)
-    if (own := planning_version()) in versions:
-        return own
-    return max(sorted(versions), key=versions.__getitem__, default=None)
+    if CONTROL_VERSION in versions:
+        return CONTROL_VERSION
+    return max(sorted(versions, key=str), key=versions.__getitem__, default=None)
 
 
 def _row_key(entry: Entry) -> tuple[str, ...]:
@@ -191,7 +196,7 @@ def _without_seed(entry: Entry) -> str:
     return re.sub(r"-s\d+$", "", entry.name)
 
 
-def _measured_row(entries: Sequence[Entry], planner: str | None) -> Row:
+def _measured_row(entries: Sequence[Entry], planner: Version | None) -> Row:
     first = entries[0]
     mine = planner if any(entry.planned_by == planner for entry in entries) else _planner_of(entries)
     arch, own = first.content["arch"], first.trained_on
@@ -213,8 +218,8 @@ def _measured_row(entries: Sequence[Entry], planner: str | None) -> Row:
     )
 
 
-def _compared(figures: Mapping[str, _T], entry: Entry, planner: str | None) -> dict[str, _T]:
-    """What an entry says by figure, without those of control that another version planned."""
+def _compared(figures: Mapping[str, _T], entry: Entry, planner: Version | None) -> dict[str, _T]:
+    """The figures of an entry, without control figures of another version."""
     return {
         name: figure
         for name, figure in figures.items()
@@ -223,7 +228,7 @@ def _compared(figures: Mapping[str, _T], entry: Entry, planner: str | None) -> d
 
 
 def _told_apart(rows: list[Row]) -> list[Row]:
-    """Rows of the same model, architecture and budget bear what their runs' names have beyond that."""
+    """Give rows of the same model, architecture and budget different names, taken from their runs' names."""
     counts: dict[tuple[str, ...], int] = defaultdict(int)
     for row in rows:
         counts[row.model, row.variant, row.labels] += 1
@@ -235,13 +240,13 @@ def _told_apart(rows: list[Row]) -> list[Row]:
 
 
 def _by_weights(row: Row) -> Row:
-    """A row that bears the beginning of its weights' hash."""
+    """The row with the beginning of its weights' hash as its variant."""
     weights = f"weights {row.entries[0].content['weights'][:8]}"
     return replace(row, variant=", ".join(part for part in (row.variant, weights) if part))
 
 
 def _beyond(row: Row) -> str:
-    """What a run's name says beside its model, data set and budget, as ``small, epochs 3``; an odd name itself."""
+    """The part of a run's name after model, data set and budget, such as ``small, epochs 3``; else the whole name."""
     entry = row.entries[0]
     name, dataset = _without_seed(entry), entry.trained_on or str(entry.content["dataset"]["name"])
     prefixes = (f"{entry.model}-{dataset}", f"{entry.model}-{entry.content['arch']}-{dataset}")
@@ -265,8 +270,8 @@ def _published_row(entry: Entry) -> Row:
     )
 
 
-def _reference_rows(entries: Sequence[Entry], planner: str | None) -> list[Row]:
-    """What the entries say of predictors that know nothing; all of a board and a planner say the same.
+def _reference_rows(entries: Sequence[Entry], planner: Version | None) -> list[Row]:
+    """The rows of the references; entries of the same board and version of control have the same figures for them.
 
     Of them the oracle alone plans; where nothing is known of it with the board's planner, another's is marked.
     """
@@ -292,7 +297,7 @@ def _reference_rows(entries: Sequence[Entry], planner: str | None) -> list[Row]:
 
 
 def _ranked(rows: list[Row]) -> list[Row]:
-    """The measured rows, each with its paired difference to the best, and whether it leads in control."""
+    """The measured rows, each with its paired difference from the best, and whether it leads in control."""
     controlled = sorted((int(found[1]), name) for name in _all_figures(rows) if (found := _CONTROL.fullmatch(name)))
     if controlled:
         rows = _leading(rows, controlled[-1][1])
@@ -311,7 +316,7 @@ def _all_figures(rows: Iterable[Row]) -> set[str]:
 
 
 def _leading(rows: list[Row], figure: str) -> list[Row]:
-    """The rows, of which those know it that have the lowest value of a figure or cannot be told from it."""
+    """The rows, with a mark on those that have the lowest value of a figure or are tied with it."""
     able = [row for row in rows if figure in row.figures and not row.planned_otherwise]
     best = min(able, key=lambda row: row.figures[figure].mean, default=None)
     if best is None:
@@ -325,7 +330,7 @@ def _leading(rows: list[Row], figure: str) -> list[Row]:
 
 
 def _difference(row: Row, best: Row, figure: str) -> Estimate | None:
-    """Of the seeds that have the figure; of control only what the same version planned is compared."""
+    """The paired difference of a row from the best; None if their control figures are of different versions."""
     controlled = figure.startswith(CONTROLLED)
     if figure not in row.figures or (controlled and row.planned_by != best.planned_by):
         return None

@@ -132,7 +132,7 @@ def trainings(row: Row, name: str) -> str:
 
 
 def tuned(board: Board, row: Row, name: str) -> str:
-    """Whether a row's planner was tuned on the tasks that a figure is of; nothing where nobody planned."""
+    """Whether a row's planner was tuned on the tasks that a figure is about; empty if the row has no planner."""
     tasks = row.figures[name].samples
     if row.planned_by is None or not tasks or not name.startswith(CONTROLLED):
         return ""
@@ -158,7 +158,7 @@ def mean(value: Value | None) -> str:
 
 
 def between(low: float | None, high: float | None) -> str:
-    """From one number to another, on one line; below 10 of two digits, which is as much as an interval says."""
+    """An interval as text on one line, with two digits for numbers below 10."""
     bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else written(one) for one in (low, high))
     return TO.join(bounds)
 

@@ -1,4 +1,4 @@
-"""From a workspace's scored runs, others' entries and the paper's tables to a folder that is a leaderboard.
+"""Build the leaderboard's folder from scored runs, other people's entries and the paper's tables.
 
 ::
 
@@ -25,9 +25,10 @@ from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, R
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import command
 from leaderboard.comparison import scored, sums_by_episode
 from leaderboard.control import actions_of
-from leaderboard.entry import FORMAT, REPORT_FIELDS, Entry, published_entry, schema_text
+from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
 from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
 from leaderboard.layout import ENTRIES, PAGE, SCHEMA
 from leaderboard.page import make_page
@@ -39,7 +40,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Built:
-    """What came of building.
+    """The result of building a leaderboard.
 
     Attributes:
         page: The page's file.
@@ -99,7 +100,7 @@ def build(
 
 
 def _remove_outdated(folder: Path, entries: Sequence[Entry]) -> None:
-    """Take away what an earlier building wrote of a run that has been trained or scored otherwise since."""
+    """Remove entries of runs that have been trained or scored again since an earlier build."""
     current = {entry.slug for entry in entries}
     runs = {entry.name for entry in entries if entry.is_measured}
     for path in folder.glob("*.json"):
@@ -146,11 +147,11 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         or run.spec.fingerprint != trained_on["fingerprint"]
     ):
         raise EntryInvalid(
-            f"the report of {str(path)!r} is of an earlier training; score it with 'dmbench score {path}'."
+            f"the report of {str(path)!r} is of an earlier training; score it with {command('dmbench score', path)}."
         )
     stored = json.loads((folder / REPORT_FILE).read_text())
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
-    content |= {name: stored[name] for name in REPORT_FIELDS}
+    content |= stored
     content |= {"by_episode": sums_by_episode(samples), "control": actions_of(samples), "pictures": []}
     entry = Entry(content)
     if not shows_pictures(run.spec.labels):
@@ -165,7 +166,7 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
 
 
 def _dataset(run: Run, report: Report) -> Dataset | None:
-    """What a report was scored on, if it is there as it was: where the run's own is, or beside it."""
+    """The data set that a report was scored on, if it still exists unchanged."""
     own = run.dataset_path
     path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
     try:
@@ -176,7 +177,7 @@ def _dataset(run: Run, report: Report) -> Dataset | None:
 
 
 def _standing(folder: Path | None, entry: Entry) -> Entry | None:
-    """The entry that was built earlier, if it says the same."""
+    """The entry that was built earlier, if its content is the same."""
     path = None if folder is None else folder / f"{entry.slug}.json"
     if path is None or not path.is_file():
         return None

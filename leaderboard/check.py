@@ -1,4 +1,4 @@
-"""Do the figures of an entry hold? Everything it says is held against the run, the data set, and a new scoring.
+"""Check an entry: compare everything that it says with its run, its data set and a new scoring.
 
 Where the run, the data set or the code that scored it is not here, an entry is neither sound nor wrong: not checked.
 
@@ -32,7 +32,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
 from dmotion_bench.scoring.references import REFERENCES, published_results
-from dmotion_bench.scoring.report import SAMPLES_FILE, scoring_version
+from dmotion_bench.scoring.report import SAMPLES_FILE, SCORING_VERSION
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, column, read_samples
 from dmotion_bench.scoring.score import (
     DEFAULT_METRICS,
@@ -102,9 +102,9 @@ def check_entry(
     if not entry.is_measured:
         _against_tables(check)
         return check.verdict()
-    if entry.content["code"] != scoring_version():
+    if entry.scored_by != SCORING_VERSION:
         check.missing.append(
-            f"code: the entry was scored by {short(entry.content['code'])}, this is {scoring_version()!r}; "
+            f"version: the entry was scored by version {short(entry.scored_by)}, this is version {SCORING_VERSION}; "
             "score the run again, or check with the dmbench that scored it"
         )
     run, dataset, asked = find_run(check, workspace), find_dataset(check, workspace), _settings(check)
@@ -181,7 +181,7 @@ def check_paths(
 
 
 def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
-    """The entries' files that a path stands for, or the run, its own report and those on other data sets."""
+    """The entry files that a path stands for, or the run with all its reports."""
     if path.is_file():
         return [(path, None)]
     if path.is_dir() and not (path / RUN_MANIFEST).is_file() and (found := sorted(path.glob("*.json"))):
@@ -191,7 +191,7 @@ def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
 
 
 def _against_tables(check: Findings) -> None:
-    """A published row can only be held against our copy of its table."""
+    """Compare a published row with our copy of its table."""
     entry = check.entry
     wanted = (entry.model, entry.environment, entry.labels)
     for row in published_results():
@@ -208,7 +208,7 @@ def _against_tables(check: Findings) -> None:
 
 
 def _settings(check: Findings) -> ScoreSettings | None:
-    """What the new scoring is told; None where the entry's settings cannot be."""
+    """The settings of the new scoring; None if the entry's settings are not possible."""
     given = dict(check.entry.content["settings"])
     known = {one.name for one in fields(ScoreSettings)}
     allowed = {
@@ -243,7 +243,7 @@ def _stored_samples(check: Findings, folder: Path) -> pa.Table | None:
 
 
 def _against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings) -> None:
-    """Every figure, computed from the stored samples."""
+    """Compare every figure with the one computed from the stored samples."""
     content = check.entry.content
     stored = np.unique(column(samples, "predictor").astype(str)).tolist()
     everything = {**{name: {} for name in (*REFERENCES, *stored)}, **content["reference"], MODEL: content["figures"]}
@@ -265,7 +265,7 @@ def _same_sums(said: Mapping[str, Any], found: Mapping[str, Any]) -> bool:
 
 
 def _same_scores(check: Findings, scores: Scores) -> None:
-    """Every figure, scored anew; intervals follow from the samples and were held against them."""
+    """Compare every mean with the new scoring; intervals were compared with the samples already."""
     content = check.entry.content
     everything = {"figures": (content["figures"], scores.figures)}
     for name, figures in scores.reference.items():
@@ -278,7 +278,7 @@ def _same_scores(check: Findings, scores: Scores) -> None:
 
 
 def _same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing: float) -> None:
-    """Row by row; what another processor rounds otherwise is let pass, up to the share that is allowed."""
+    """Compare the samples row by row; a given share may differ, because processors round differently."""
     predictors = np.unique(np.concatenate([column(table, "predictor") for table in (stored, scored)]).astype(str))
     wrong = list[str]()
     for predictor in predictors.tolist():

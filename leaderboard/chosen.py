@@ -1,4 +1,4 @@
-"""The few rows that a front page shows: which they are stands in a TOML file, what they say in the entries.
+"""The few rows that a front page shows, chosen by a TOML file and filled from the entries.
 
 ::
 
@@ -68,11 +68,11 @@ class Chosen:
 
     @property
     def tuned(self) -> bool:
-        """Whether a planner was tuned on tasks that the figure is of, or nobody knows that it was not."""
+        """Whether the planner was tuned on tasks of the figure, or this is unknown."""
         return tuned(self.board, self.row, self.choice.figure) not in ("", "no")
 
     def numbers(self) -> dict[str, str]:
-        """What sentences say of it, by what follows the row's name after a full stop."""
+        """The numbers of the row that sentences can use, by the word after the full stop in ``NAME.word``."""
         return {
             "": mean(self.value),
             "interval": "" if self.value.interval is None else between(*self.value.interval),
@@ -162,7 +162,7 @@ def _cells(one: Chosen) -> list[str]:
         one.choice.model_title,
         labels(one.row),
         trainings(one.row, one.choice.figure).partition(":")[0],
-        figure(one.value) + (f" {TUNED_MARK}" if one.tuned else ""),
+        figure(one.value) + (f"\u00a0{TUNED_MARK}" if one.tuned else ""),
         mean(one.baseline),
         mean(one.paper),
     ]

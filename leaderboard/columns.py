@@ -1,4 +1,4 @@
-"""Which figures the page shows, in which words, and how numbers are written."""
+"""The figures that the page shows, their headings, and the format of numbers."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ CONTROL_STEPS: Final = (10, 40, 100)
 
 
 def columns_for(figures: Collection[str]) -> list[Column]:
-    """The columns of a table of predictions in which any of these figures stand, in their order."""
+    """The columns of a table of predictions that have at least one of these figures."""
     chosen = [column for column in _SINGLE if column.figure in figures]
     chosen += [column for column in _rollouts(figures) if column.figure in figures]
     return chosen + [column for column in _AFTER if column.figure in figures]
 
 
 def control_columns(figures: Collection[str]) -> list[Column]:
-    """The same of control: first the distance at the end, which ranks."""
+    """The columns of a table of control; the first is the distance at the end, which ranks the rows."""
     steps = sorted(int(found[1]) for name in figures if (found := re.fullmatch(r"control_distance\[(\d+)\]", name)))
     chosen = [
         Column(
@@ -110,7 +110,7 @@ def _rollouts(figures: Collection[str]) -> list[Column]:
 
 
 def number(value: float | int | None) -> str:
-    """Three digits that mean something, never an exponent below a million; a true minus sign."""
+    """A number with three significant digits, without an exponent below a million, with a true minus sign."""
     if value is None:
         return ""
     size = abs(value)
@@ -130,14 +130,14 @@ def number(value: float | int | None) -> str:
 
 
 def interval(low: float | None, high: float | None, *, sign: bool = False) -> str:
-    """From one number to another; nothing where there is no interval."""
+    """An interval as text; empty if there is none."""
     if low is None or high is None:
         return ""
     return f"{signed(low)} to {signed(high)}" if sign else f"{number(low)} \u2013 {number(high)}"
 
 
 def count(value: float) -> str:
-    """A number of things, or a place on an axis: no digits that say nothing."""
+    """A count, or a value on an axis, without superfluous digits."""
     return f"{value:,.0f}".replace(",", "\u202f") if abs(value) >= 1 and value == int(value) else f"{value:g}"
 
 

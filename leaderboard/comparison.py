@@ -1,4 +1,4 @@
-"""What of a comparison stands in an entry: the errors summed by episode, so that entries are compared without samples.
+"""Errors summed by episode, which an entry holds so that entries can be compared without their samples.
 
 Runs, whose samples are at hand, are compared by ``dmotion_bench/pairing.py``; the two come to the same.
 """
@@ -83,7 +83,7 @@ def _count(sums: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, " e"] | None:
 
 
 def _estimate(total: Float[np.ndarray, " e"], count: Float[np.ndarray, " e"]) -> Estimate:
-    """From the sum of each episode and its number of samples."""
+    """The mean and its interval, from each episode's sum and number of samples."""
     bootstrap = EpisodeBootstrap(np.arange(len(count)))
     low, high = bootstrap.interval(np.stack([total, count], axis=1), lambda sums: sums[:, 0] / sums[:, 1])
     return Estimate(

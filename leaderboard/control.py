@@ -1,4 +1,4 @@
-"""Do the figures of control hold? The actions that were taken are taken again.
+"""Check the figures of control: take the entry's actions again in the simulator.
 
 An entry holds the actions of whoever planned, task by task (``actions_of``). The simulator is exact: the same actions
 from the same start give the same places, so the distances follow from the actions without any model, and the figures
@@ -15,14 +15,13 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import torch
 
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.control import ControlProgress, ControlResult, ControlSettings, control
+from dmotion_bench.planning.control import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
 from dmotion_bench.planning.controllers import Controller, Decision, ModelController, Seen
 from dmotion_bench.planning.planner import make_planner
 from dmotion_bench.planning.problems import Moving, Problem, World, load_problems, task_environment
-from dmotion_bench.scoring.control import QUICK, ControlScoring, control_samples, planning_version, score_control
+from dmotion_bench.scoring.control import QUICK, ControlScoring, control_samples, score_control
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import column
@@ -43,7 +42,7 @@ ROUNDING: Final = 1e-4
 
 
 def actions_of(samples: pa.Table) -> dict[str, list[dict[str, Any]]]:
-    """What was done in each task by all who planned, as an entry holds it; the quick references can be had anew."""
+    """The actions in each task as an entry holds them; quick references are left out, as they can be repeated."""
     rows = _of(samples, METRIC, "metric")
     planned = [name for name in np.unique(rows["predictor"].to_numpy(zero_copy_only=False)) if name not in QUICK]
     return {name: list(_tasks(_of(rows, name, "predictor"))) for name in planned}
@@ -67,7 +66,7 @@ def check_control(
     differing: float,
     how: Execution,
 ) -> None:
-    """Hold everything that an entry says of control against the simulator, and against its model if so asked.
+    """Compare everything that an entry says about control with the simulator and, if asked, with its model.
 
     Args:
         check: Takes down what is found.
@@ -90,6 +89,9 @@ def check_control(
     if scoring is None:
         return
     problems = load_problems(dataset, scoring.tasks)
+    if check.entry.planned_by == CONTROL_VERSION and content.get("planning"):
+        for part, own in scoring.planning(dataset.spec, needs_pixels=run.model.needs_pixels).items():
+            check.expect(f"planning.{part}", content["planning"].get(part), own)
     found = dict[str, pa.Table]()
     for name in sorted({MODEL, *content[METRIC]}):
         actions = _actions(check, name, problems, scoring.steps, len(dataset.spec.actions))
@@ -98,7 +100,7 @@ def check_control(
         repeater = _Repeater(actions)
         result = _control(repeater, problems, dataset, scoring, how, f"control by {name}, again")
         found[name] = control_samples(name, result)
-        if name == MODEL and anew and check.entry.planned_by == planning_version():
+        if name == MODEL and anew and check.entry.planned_by == CONTROL_VERSION:
             _plan_anew(check, run, dataset, problems, scoring, actions, differing, how)
     if anew:
         found |= {name: _reference(name, dataset, scoring, how) for name in _quick(dataset)}
@@ -111,7 +113,7 @@ def check_control(
 
 
 def _scoring(check: Findings) -> ControlScoring | None:
-    """How control was scored; None where what the entry says of it cannot be."""
+    """The settings of control; None if the entry's settings are not possible."""
     given = check.entry.content["settings"]
     allowed: dict[str, Callable[[Any], bool]] = {
         "tasks": lambda value: value is None or (type(value) is int and value >= 1),
@@ -125,10 +127,11 @@ def _scoring(check: Findings) -> ControlScoring | None:
     if wrong:
         check.wrong += [f"settings.{name} is {short(given.get(name))}, which cannot be" for name in wrong]
         return None
-    if check.entry.planned_by != planning_version():
+    if check.entry.planned_by != CONTROL_VERSION:
         check.missing.append(
-            f"code: control was planned by {short(check.entry.planned_by)}, this is {planning_version()!r}; what its "
-            "actions lead to was checked, to have them planned anew use the dmbench that scored it"
+            f"version: control was planned by version {short(check.entry.planned_by)}, this is version "
+            f"{CONTROL_VERSION}; what its actions lead to was checked, to have them planned anew use the dmbench that "
+            "scored it"
         )
     return ControlScoring.from_json(given)
 
@@ -136,7 +139,7 @@ def _scoring(check: Findings) -> ControlScoring | None:
 def _actions(
     check: Findings, name: str, problems: Sequence[Problem], steps: int, known: int
 ) -> dict[int, list[int]] | None:
-    """The entry's actions by task; None where they cannot be those of the tasks."""
+    """The entry's actions by task; None if they do not fit the tasks."""
     said = {one["task"]: one["actions"].split() for one in check.entry.content[METRIC].get(name, ())}
     if list(said) != [problem.number for problem in problems]:
         check.wrong.append(f"control of {name}: the actions are those of other tasks than the first {len(problems)}")
@@ -162,7 +165,7 @@ def _same_figures(check: Findings, name: str, table: pa.Table) -> None:
 
 
 def _same_rows(check: Findings, name: str, stored: pa.Table, found: pa.Table) -> None:
-    """Moment by moment: the actions, and how things stood."""
+    """Compare actions, distances and lost objects step by step."""
     stored, found = (table.sort_by([("task", "ascending"), ("ahead", "ascending")]) for table in (stored, found))
     keys, others = (np.stack([column(table, key) for key in ("task", "ahead")], axis=1) for table in (stored, found))
     if not np.array_equal(keys, others):
@@ -189,13 +192,12 @@ def _plan_anew(
     differing: float,
     how: Execution,
 ) -> None:
-    """Ask the model for the first actions of a group; the weights decide which, so that nobody chooses it."""
+    """Plan the first actions of one group again; the weights' hash decides which group, so nobody can choose it."""
     groups = range(0, len(problems), scoring.group)
     first = groups[int(check.entry.content["weights"][:8], 16) % len(groups)]
     group = problems[first : first + scoring.group]
-    weights = run.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     planner = make_planner(scoring.planner)
-    model = ModelController(weights, dataset.spec, planner, cost=scoring.cost, device=how.device)
+    model = ModelController(run.model.laid_out(), dataset.spec, planner, cost=scoring.cost, device=how.device)
     witness = _Repeater(actions, model)
     few = ControlScoring(steps=min(PLANNED, scoring.steps), seed=scoring.seed, group=scoring.group)
     _control(witness, group, dataset, few, how, "control, planned anew")
@@ -209,7 +211,7 @@ def _plan_anew(
 
 
 class _Repeater:
-    """Takes the actions that were taken before, and may ask a controller at each step what it would do.
+    """Repeats recorded actions, and can ask a controller at each step which action it would take.
 
     Args:
         actions: By task.
@@ -226,11 +228,11 @@ class _Repeater:
         self.asked, self.otherwise = 0, list[str]()
 
     def act(self, seen: Seen) -> Decision:
-        """Not without knowing which task it is."""
+        """Raises TypeError: the actions depend on the task, see ``act_in``."""
         raise TypeError("which actions were taken depends on the task")
 
     def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
-        """What was done at this step."""
+        """The recorded actions of this step."""
         taken = np.array([self._actions[world.problem.number][seen.step] for world in worlds])
         if self._controller is None:
             return Decision(action=taken)
@@ -259,7 +261,7 @@ def _control(
 
 
 def _reference(name: str, dataset: Dataset, scoring: ControlScoring, how: Execution) -> pa.Table:
-    """A quick reference, scored anew: what is kept of it in the data set's cache is nobody's word."""
+    """Score a quick reference again, without trusting the results in the data set's cache."""
     return control_samples(
         name, score_control(name, dataset, scoring, progress=_told(f"control by {name}", how), checkpoint=None)
     )

@@ -28,7 +28,7 @@ def _drawn(board: Board) -> list[tuple[str, str]]:
 
 
 def legend(board: Board, styles: Styles) -> Markup:
-    """Which model is which; each is a button that brings its lines forward (``page.js``)."""
+    """The legend of the charts; each model is a button that highlights its lines (``page.js``)."""
     items = []
     for model, variant in _drawn(board):
         style, name = styles[model, variant], f"{model} ({variant})" if variant else model
@@ -204,12 +204,12 @@ def _steps(row: Row, base: str) -> list[Point]:
 
 
 def _title(row: Row, base: str) -> str:
-    """A row's name, and of control whose plans it does not share with the others."""
+    """A row's name; in charts of control with a remark if another version planned it."""
     return f"{row.title}, {OTHER_PLANNER}" if row.planned_otherwise and base == "control_distance" else row.title
 
 
 def _is_covered(row: Row, board: Board) -> bool:
-    """Whether a row differs from another by more demonstrations than one and by nothing else."""
+    """Whether a row differs from another only by having more than one demonstration of each action."""
     if row.labels == "one-shot" or not row.labels.endswith("-shot"):
         return False
     same = (row.kind, row.model, row.variant, "one-shot")

@@ -11,7 +11,6 @@ path or for markup; their pictures are decoded and encoded anew before they are 
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import hashlib
 import json
@@ -23,12 +22,14 @@ from typing import Any, Final
 
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import PublishedResult
-from dmotion_bench.scoring.report import FigureJson, Report
+from dmotion_bench.scoring.report import CONTROL_OF_CODE, SCORING_OF_CODE, FigureJson, Version
 from dmotion_bench.specs import VERSION
 from leaderboard.json_schema import violations
 
 FORMAT: Final = "dmbench-entry/1"
-REPORT_FIELDS: Final = tuple(field.name for field in dataclasses.fields(Report))
+OWN_FIELDS: Final = ("format", "kind", "by_episode", "control", "pictures")
+"""Of a measured entry; all others are those of the run's report."""
+
 SHOWN_VIOLATIONS: Final = 3
 HASH: Final = re.compile(r"[0-9a-f]{64}")
 
@@ -77,12 +78,12 @@ class Entry:
 
     @property
     def is_measured(self) -> bool:
-        """Whether a run is behind it, and not a printed table."""
+        """Whether the entry is of a run, and not of a published table."""
         return bool(self.content["kind"] == "measured")
 
     @property
     def name(self) -> str:
-        """What people know it by: the run's name, or the model and budget of a published row."""
+        """The run's name, or the model and budget of a published row."""
         if self.is_measured:
             return str(self.content["run"])
         return f"{self.model} {self.labels} {self.environment}"
@@ -115,19 +116,28 @@ class Entry:
 
     @property
     def label_count(self) -> int | None:
-        """How many labels that came to; None where it was not said."""
+        """The number of labels that were handed out; None if it is unknown."""
         count: int | None = self.content["labels"]["total"]
         return count
 
     @property
-    def planned_by(self) -> str | None:
-        """The version of the code that planned; None where control was not scored."""
-        code = self.content["settings"].get("control_code") if self.is_measured else None
-        return None if code is None else str(code)
+    def scored_by(self) -> Version:
+        """The version of scoring; of measured entries."""
+        code = self.content.get("code")
+        version: Version = self.content["scoring_version"] if code is None else SCORING_OF_CODE.get(code, code)
+        return version
+
+    @property
+    def planned_by(self) -> Version | None:
+        """The version of control; None where control was not scored."""
+        settings = self.content["settings"] if self.is_measured else {}
+        code = settings.get("control_code")
+        version: Version | None = settings.get("control_version") if code is None else CONTROL_OF_CODE.get(code, code)
+        return version
 
     @property
     def figures(self) -> Mapping[str, FigureJson]:
-        """By their fixed names."""
+        """The figures by their fixed names."""
         figures: Mapping[str, FigureJson] = self.content["figures"]
         return figures
 
@@ -146,11 +156,11 @@ class Entry:
     @property
     def report(self) -> Mapping[str, Any]:
         """The part of a measured entry that is the run's report."""
-        return {name: self.content[name] for name in REPORT_FIELDS}
+        return {name: value for name, value in self.content.items() if name not in OWN_FIELDS}
 
     @property
     def slug(self) -> str:
-        """A file's and an anchor's name: plain letters, and unique by what the entry is of."""
+        """The entry's name in files and links: plain letters, and different for every result."""
         plain = re.sub(r"[^A-Za-z0-9_]+", "-", self.name).strip("-")[:80]
         identity = [self.content.get(key) for key in ("run", "weights", "source", "environment")]
         identity += [self.content.get("dataset"), self.content.get("settings"), self.labels, self.model]

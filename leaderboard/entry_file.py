@@ -1,4 +1,4 @@
-"""Entries as files: read from anybody, and written so that many of them take little room.
+"""Entries as files: reading files that are not trusted, and writing many entries in little space.
 
 The figures of the references (copying the last frame, acting at random ...) and the true frames of the pictures are
 the same in every entry of a data set. So they stand once in ``references/`` beside the entries, in a file that is named
@@ -28,7 +28,7 @@ TRUE_FRAMES: Final = ("current", "truth")
 
 
 def write_entry(entry: Entry, folder: Path) -> Path:
-    """Write it under its own name, in one step, after the references that it shares with others."""
+    """Write an entry in one step under its own name, after the files that it shares with other entries."""
     content = dict(entry.content)
     if entry.is_measured:
         content["reference"] = {name: _share(figures, folder) for name, figures in content["reference"].items()}
@@ -83,7 +83,7 @@ def read_entries(folder: Path) -> list[Entry]:
 
 
 def remove_unused_references(folder: Path) -> None:
-    """Take away the references that no file of a folder of entries names any more."""
+    """Remove shared files that no entry of a folder names any more."""
     used = {digest for path in folder.glob("*.json") for digest in HASH.findall(path.read_text(errors="replace"))}
     for path in (folder / REFERENCES).glob("*.json"):
         if HASH.fullmatch(path.stem) and path.stem not in used:
@@ -91,7 +91,7 @@ def remove_unused_references(folder: Path) -> None:
 
 
 def _shared(folder: Path, name: str, value: object) -> object:
-    """What a hash stands for; anything else as it is."""
+    """The content that a hash stands for; any other value unchanged."""
     if not isinstance(value, str) or not HASH.fullmatch(value):
         return value
     path = folder / f"{value}.json"
@@ -107,7 +107,7 @@ def _shared(folder: Path, name: str, value: object) -> object:
 
 
 def _pictures(content: dict[str, Any]) -> list[dict[str, Any]]:
-    """Those of a file that has not been checked yet."""
+    """The pictures in a file that has not been validated yet."""
     pictures = content.get("pictures")
     return [one for one in pictures if isinstance(one, dict)] if isinstance(pictures, list) else []
 
@@ -125,7 +125,7 @@ def _parse(raw: bytes) -> Any:
 
 
 def to_lines(value: Any, indent: str = "") -> str:
-    """JSON with a line for whatever holds nothing nested, such as a figure: a fifth smaller than a line a number."""
+    """JSON with one line for each value without nesting; a fifth smaller than one line per number."""
     if not isinstance(value, dict | list) or not any(isinstance(one, dict | list) for one in _values(value)):
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     inner = indent + " "
@@ -151,7 +151,7 @@ def _no_number(text: str) -> Any:
 
 
 def _whole(text: str) -> int:
-    """A whole number that floating point holds exactly."""
+    """Parse a whole number; one that floating point cannot hold exactly is refused."""
     return int(text) if len(text) < 16 else _no_number(text)
 
 

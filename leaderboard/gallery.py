@@ -1,4 +1,4 @@
-"""Predictions to look at: the same held-out steps for every model of a board, a row a model."""
+"""Pictures of predictions: the same held-out steps for every model of a board, one row per model."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _tile(name: str, small: str, where: str, png: str) -> Markup:
 
 
 def _steps(board: Board) -> list[Mapping[str, Any]]:
-    """The steps that the first pictured entry shows: pushes and others by turns, so that any few of them tell."""
+    """The steps of the first entry with pictures, pushes and other steps in turn."""
     rows = _pictured(board)
     if not rows:
         return []

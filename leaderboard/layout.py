@@ -1,4 +1,4 @@
-"""What a built leaderboard's folder holds: the page, the entries' schema, the entries and what they share."""
+"""The file names in a built leaderboard's folder: the page, the schema, the entries and their shared files."""
 
 from __future__ import annotations
 

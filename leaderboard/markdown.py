@@ -1,4 +1,4 @@
-"""Markdown whose cells cannot break the page: entries come from anybody."""
+"""Markdown tables from untrusted text, which cannot break the page."""
 
 from __future__ import annotations
 

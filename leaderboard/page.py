@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from importlib import resources
 from typing import Final
 
+from dmotion_bench.registry import environment_versions
 from leaderboard.board import Board, make_boards
 from leaderboard.columns import count
 from leaderboard.curves import Styles, assign_styles, charts, legend
@@ -160,7 +161,21 @@ def _described(board: Board) -> list[Markup]:
 
 def _notes(board: Board) -> list[str]:
     published = [row.entries[0].content for row in board.rows if row.kind == "published"]
-    return list(dict.fromkeys(f"As published: {one['source']}. {one['note']}" for one in published))
+    notes = list(dict.fromkeys(f"As published: {one['source']}. {one['note']}" for one in published))
+    return [*_on_version(board), *notes]
+
+
+def _on_version(board: Board) -> list[str]:
+    """A note on a board whose environment has a newer version than the board's data set."""
+    versions = environment_versions(board.environment)
+    newest = max(versions, default=board.version)
+    if not board.fingerprint or board.version >= newest:
+        return []
+    return [
+        f"Everything measured here is of version {board.version} of {board.environment}: "
+        f"{versions.get(board.version, 'not known here')}. dmbench now records version {newest}: {versions[newest]}. "
+        "The two have boards of their own until these results are made again."
+    ]
 
 
 def _footer(entries: Sequence[Entry]) -> Markup:

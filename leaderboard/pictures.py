@@ -1,4 +1,4 @@
-"""A few predictions to look at: the same single steps of the held-out episodes for every model of a data set.
+"""Pictures of a few predictions: the same held-out single steps for every model of a data set.
 
 Which steps is decided by the samples' rows, which are the data set's: two at which something is pushed and one at
 which nothing is, spread evenly. Nobody picks the ones that look well.
@@ -67,7 +67,7 @@ def choose_steps(samples: pa.Table) -> list[Step]:
 
 
 def shows_pictures(labels: str) -> bool:
-    """Whether runs of a label budget have pictures: a model has them once.
+    """Whether runs of a label budget have pictures; each model has them for one budget only.
 
     Not again with several demonstrations, where only the table of actions differs from that of one, nor with a part of
     the labels.
@@ -77,7 +77,7 @@ def shows_pictures(labels: str) -> bool:
 
 
 def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[str, Any]]:
-    """What the run's model makes of the chosen steps, as an entry holds it.
+    """The model's predictions of the chosen steps, as an entry holds them.
 
     None of a model that draws no frames, nor of a budget whose pictures are not shown.
     """
@@ -87,7 +87,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
     frames = np.stack([dataset.video(one.episode)[one.step - 1 : one.step + 2] for one in steps])
     images = to_model(torch.from_numpy(frames))
     action = torch.tensor([one.action for one in steps])
-    model = run.model.to(device="cpu", memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    model = run.model.to("cpu").laid_out().eval()
     with predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
     return [
@@ -116,7 +116,7 @@ def _encoded(frame: UInt8[np.ndarray, "h w 3"], form: str, **options: object) ->
 
 
 def from_png(text: str) -> UInt8[np.ndarray, "h w 3"]:
-    """The frame of a PNG in base64, from anybody.
+    """Decode an untrusted PNG in base64 into a frame.
 
     Raises:
         EntryInvalid: It is none, or larger than a frame can be.
@@ -132,7 +132,7 @@ def from_png(text: str) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _check_head(raw: bytes) -> None:
-    """Whether a file begins as a PNG of a frame's size does; before a decoder sees it."""
+    """Check before decoding that a file begins like a PNG of a frame's size."""
     if raw[:8] != _SIGNATURE or raw[12:16] != b"IHDR":
         raise ValueError("it is no PNG")
     width, height = struct.unpack(">II", raw[16:24])
@@ -141,7 +141,7 @@ def _check_head(raw: bytes) -> None:
 
 
 def shown(text: str) -> str:
-    """A picture of an entry as the source of an ``<img>``: encoded anew, so that nothing else travels with it.
+    """A picture of an entry as the source of an ``<img>``, encoded again so that it holds nothing but pixels.
 
     Lossless WebP, a fifth smaller than PNG (DECISIONS.md).
     """

@@ -15,7 +15,7 @@ from importlib import resources
 
 @functools.cache
 def _tuned_tasks() -> Mapping[str, Mapping[str, int]]:
-    """By the planner's version and the data set's fingerprint, how many tasks it was tuned on."""
+    """The number of tasks that a planner was tuned on, by its version and the data set's fingerprint."""
     stored = json.loads(resources.files("leaderboard").joinpath("planners.json").read_text())
     return {
         version: {data["fingerprint"]: data["tasks"] for data in planner["tuned_on"]}

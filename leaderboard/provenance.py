@@ -1,4 +1,4 @@
-"""What is behind a row: how each of its entries came about, and every figure that it has."""
+"""The provenance of a row: how each of its entries was made, and every figure of the entry."""
 
 from __future__ import annotations
 
@@ -42,8 +42,13 @@ def _measured(entry: Entry) -> Markup:
         "weights' SHA-256": content["weights"],
         "samples": f"{count(samples['rows'])} rows",
         "samples' SHA-256": samples["sha256"],
-        "protocol": f"{content['protocol']}, scored by {content['code']}",
+        "protocol": f"{content['protocol']}, scored by {content.get('code') or f'version {entry.scored_by}'}",
         "settings": _listed(content["settings"]),
+        **{
+            name: _listed(content["planning"][name])
+            for name in ("planner", "cost")
+            if name in content.get("planning", {})
+        },
         "training": _listed(content["training"]),
         "versions": _listed(content["versions"]),
     }

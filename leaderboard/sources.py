@@ -1,4 +1,4 @@
-"""Where an entry comes from: the run and the data set that have its hashes, and whether they say what it says."""
+"""The sources of an entry: find the run and the data set with its hashes, and compare what they say."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def find_dataset(check: Findings, workspace: Workspace) -> Dataset | None:
 
 
 def _damages(dataset: Dataset) -> Iterator[str]:
-    """What is not as the fingerprint says: the files, and the frames that scoring reads in place of them."""
+    """The files, and the cached frames, that differ from what the fingerprint says."""
     for index, shard in enumerate(dataset.manifest.shards):
         for kind, facts in ((VIDEO, shard.video), (LABELS, shard.labels)):
             file = shard_path(dataset.path, kind, index)
@@ -76,7 +76,7 @@ def _damages(dataset: Dataset) -> Iterator[str]:
 
 
 def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> None:
-    """What the run says of itself, the data set, and the report of the one on the other."""
+    """Compare an entry with its run, its data set and the run's report on that data set."""
     content, spec, result = check.entry.content, run.spec, run.result or {}
     for name in ("model", "arch", "preset", "seed"):
         check.expect(name, content[name], getattr(spec, name))
@@ -97,6 +97,7 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
             check.wrong.append(f"data set: {error}")
     check.expect("dataset.name", content["dataset"]["name"], dataset.name)
     check.expect("dataset.environment", check.entry.environment, dataset.recipe.environment)
+    check.expect("dataset.version", check.entry.version, dataset.recipe.version)
     published = None if elsewhere else published_for(spec.model, check.entry.environment, spec.labels)
     ours = {} if published is None else {name: one.to_json() for name, one in published.figures.items()}
     check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
@@ -106,7 +107,7 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
 
 
 def _against_report(check: Findings, folder: Path) -> None:
-    """What only the report on disk can be asked: it is as much in its owner's hands as the entry."""
+    """Compare the parts that only the report on disk can confirm; its owner could change it like the entry."""
     try:
         report = read_report(folder)
     except DmbenchError as error:
@@ -115,5 +116,5 @@ def _against_report(check: Findings, folder: Path) -> None:
     if report is None:
         check.wrong.append(f"report: there is none of this protocol in {str(folder)!r}")
         return
-    for name in ("versions", "remarks"):
-        check.expect(name, check.entry.content[name], getattr(report, name))
+    for name in ("versions", "remarks", "planning"):
+        check.expect(name, check.entry.content.get(name, {}), getattr(report, name))

@@ -1,4 +1,4 @@
-"""The tables of a board, of predictions and of control: a row a model, sortable by every column (``page.js``)."""
+"""The tables of a board for predictions and control: one row per model, sortable by every column (``page.js``)."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def _labels(row: Row) -> Markup:
 
 
 def _is_strong(row: Row, figure: str) -> bool:
-    """Whether nobody is better than it, as far as can be told."""
+    """Whether no row is significantly better."""
     return row.ties if figure == RANKED_BY else figure in row.leads
 
 
@@ -158,7 +158,7 @@ def _behind(row: Row) -> Markup:
 
 
 def _compute(row: Row) -> float:
-    """Seconds of training, of all seeds; zero where nobody says."""
+    """Seconds of training of all seeds together; zero if unknown."""
     seconds = [entry.content["training"].get("seconds") for entry in row.entries if entry.is_measured]
     return float(sum(one for one in seconds if isinstance(one, int | float)))
 

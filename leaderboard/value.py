@@ -33,7 +33,7 @@ class Value:
 
 
 def values_of(seeds: Sequence[Mapping[str, Any]], sums: Sequence[Mapping[str, Any]] = ()) -> dict[str, Value]:
-    """The figures, each over the seeds that have it: control is often scored for one seed alone.
+    """The figures, each as the mean over the seeds that have it; control is often scored for one seed only.
 
     Args:
         seeds: The figures of each.
@@ -60,7 +60,7 @@ def values_of(seeds: Sequence[Mapping[str, Any]], sums: Sequence[Mapping[str, An
 
 
 def _interval(figures: Sequence[FigureJson], sums: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
-    """Of one seed's figure what its report says, of several what follows from their sums over episodes."""
+    """The interval of a figure: one seed's from its report, that of several seeds from their sums over episodes."""
     if len(figures) == 1:
         low, high = figures[0]["low"], figures[0]["high"]
     else:

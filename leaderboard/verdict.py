@@ -1,4 +1,4 @@
-"""What is found while an entry is checked, and the verdict that comes of it."""
+"""The findings of checking an entry, and the verdict."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SHOWN: Final = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What came of checking an entry.
+    """The result of checking an entry.
 
     Attributes:
         entry: Its name.
@@ -57,7 +57,7 @@ class Findings:
     samples: int = 0
 
     def expect(self, what: str, said: object, found: object) -> None:
-        """Note where the entry says something else than what was found."""
+        """Add a finding if the entry says something else than what was found."""
         if said != found:
             self.wrong.append(f"{what}: the entry says {short(said)}, it is {short(found)}")
 
@@ -70,7 +70,7 @@ class Findings:
         *,
         means_only: bool = False,
     ) -> None:
-        """Note which figures are not the same; of many the first few."""
+        """Add a finding for each figure that differs, at most the first few."""
         wrong = [f"{name} is missing" for name in found if name not in said]
         wrong += [f"{name} is nobody's" for name in said if name not in found]
         for name in (name for name in said if name in found):

@@ -53,6 +53,7 @@ TRAINED = (
 
 ELSEWHERE = {
     "leaderboard serve": "tests/leaderboard/test_server.py",
+    "leaderboard results": "tests/leaderboard/test_results.py",
     "tiny-latents": "tests/test_third_party.py",
     "--executor ray": "tests/recording/test_executors.py",
 }
@@ -64,7 +65,6 @@ COMPLETED = {
     "dmbench train dmotion --live-to training.rrd": "--data grid_world-small",
     "dmbench train dmotion --split paper": "--data grid_world-small",
     "dmbench train dmotion --labels none": "--data imported-recordings",
-    "dmbench train dmotion-no-stn --set kernel=5": "--data grid_world-small",
     "dmbench train --all": "--data grid_world-small",
     "dmbench score": "dmotion-grid_world-small-s0",
 }

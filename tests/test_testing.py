@@ -9,9 +9,10 @@ from typing import Any, ClassVar
 
 import pytest
 import torch
+from older_network import OlderNetwork
 from torch import nn
 
-from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.model import ForwardModel, Losses, Phase, TrainingConfig
 from dmotion_bench.specs import Supervision
 from dmotion_bench.testing import check_model
@@ -79,6 +80,46 @@ class SoundVideo(Sound):
 @pytest.mark.parametrize("kind", [Sound, SoundVideo])
 def test_a_sound_model_passes(kind: type) -> None:
     check_model(kind, size=16)
+
+
+class StartsAtIdentity(SoundVideo):
+    """A spatial transformer's usual start: whatever it is shown, the motion is the identity until it is trained."""
+
+    def __init__(self, config, inputs) -> None:
+        super().__init__(config, inputs)
+        self.motion = nn.Linear(3, 3)
+        nn.init.zeros_(self.motion.weight)
+        nn.init.ones_(self.motion.bias)
+
+    def _code(self, current, following):
+        return self.motion(super()._code(current, following))
+
+
+class Large(Sound):
+    """Takes frames of 128 pixels and more."""
+
+    def __init__(self, config, inputs) -> None:
+        if inputs.height < 128:
+            raise InvalidSetting(f"frames are {inputs.height} x {inputs.width}; Large takes ones of 128 pixels.")
+        super().__init__(config, inputs)
+
+
+@pytest.mark.parametrize("kind", [OlderNetwork, StartsAtIdentity, Large])
+def test_what_older_networks_do_is_no_breach(kind: type) -> None:
+    check_model(kind)
+
+
+def test_a_size_that_a_model_refuses_is_said() -> None:
+    with pytest.raises(ModelContractBroken, match=r"no frames of 64 pixels \(frames are 64 x 64; .*size=SIDE"):
+        check_model(Large, size=64)
+
+
+def test_channels_last_is_tried_where_the_training_asks_for_it() -> None:
+    packed = classmethod(lambda kind, preset, arch: TrainingConfig(epochs=1, channels_last=True))
+    check_model(_breaks(Sound, training_defaults=packed), size=16)
+    said = r"on channels-last images, which its training_defaults ask for .*: losses\(batch\) raised RuntimeError: view"
+    with pytest.raises(ModelContractBroken, match=said):
+        check_model(_breaks(OlderNetwork, training_defaults=packed), size=16)
 
 
 def _breaks(base: type, **changes: Any) -> type:

@@ -73,6 +73,9 @@ def test_the_guides_model_works_from_its_own_package(shell, tmp_path: Path) -> N
     folder = Path(trained.splitlines()[0])
     assert "labels used: 2 of 48" in trained
     assert shell("-c", ASK, str(folder)).split() == ["tiny_latents", "(2,", "3,", "32,", "32)", "False"]
+    used = _blocks("python")[2].replace("runs/tiny-latents-grid_world-small-s0", str(folder))
+    used = used.replace("data/grid_world-small", str(data))
+    assert shell("-c", used + "print(tuple(pictures.shape), pictures.dtype)").split()[-1] == "torch.uint8"
 
 
 def test_the_guides_code_is_short() -> None:

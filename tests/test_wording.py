@@ -17,14 +17,14 @@ from dmotion_bench.wording import SENTENCE_LIMIT, command, shown
 @settings(deadline=None, derandomize=True, max_examples=200)
 @given(words=st.lists(st.text(min_size=1), min_size=1))
 def test_a_command_is_read_by_a_shell_as_it_was_meant(words: list[str]) -> None:
-    quoted = command(*words)
+    quoted = command("dmbench view", *words)
     assert quoted[0] == quoted[-1]
-    assert shlex.split(quoted[1:-1]) == words
+    assert shlex.split(quoted[1:-1]) == ["dmbench", "view", *words]
 
 
 def test_a_plain_command_looks_plain() -> None:
-    assert command("dmbench", "data", "check", Path("data/a")) == "'dmbench data check data/a'"
-    assert command("dmbench", "view", "my data") == "\"dmbench view 'my data'\""
+    assert command("dmbench data check", Path("data/a")) == "'dmbench data check data/a'"
+    assert command("dmbench view", "my data") == "\"dmbench view 'my data'\""
 
 
 @pytest.mark.parametrize(

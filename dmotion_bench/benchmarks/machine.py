@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import platform
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
 import zstandard
 
 from dmotion_bench.learning.optimization import has_bf16
+from dmotion_bench.wording import sentence
+
+
+def processor() -> str:
+    """What this machine's processor calls itself."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
+    except OSError:  # not Linux
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return sentence(names[0] if names else platform.processor() or platform.machine() or "an unknown processor")
 
 
 def rate(work: Callable[[], object], amount: float, seconds: float = 1.0, repeats: int = 3) -> float:

@@ -13,7 +13,7 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Entry point of the ``dmbench`` script; also what interrupts its loading ends it without a traceback."""
+    """Entry point of the ``dmbench`` script. Ctrl-C ends it without a traceback, also while it is still loading."""
     _open_streams()
     with ended_like_ctrl_c():
         try:
@@ -24,7 +24,7 @@ def main() -> None:
 
 
 def _open_streams() -> None:
-    """Open what was closed (``2>&-``) on /dev/null: else the next file that is opened would be taken for the stream."""
+    """Open closed streams (``2>&-``) on /dev/null; else the next file that is opened would take the stream's number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)

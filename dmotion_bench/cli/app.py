@@ -20,12 +20,13 @@ from dmotion_bench import __version__
 from dmotion_bench.errors import DmbenchError, Interrupted, UsageError
 from dmotion_bench.interrupts import exit_code, received
 from dmotion_bench.storage.atomic import FULL
+from dmotion_bench.storage.limits import LONGEST_TEXT
 from dmotion_bench.wording import sentence, shown
 from dmotion_bench.workspace import CACHE_VARIABLE
 
 app = typer.Typer(
     name="dmbench",
-    help="The benchmark for forward models learned from robot video without action labels.",
+    help="Compare models that predict the next camera image, learned from robot video without action labels.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -64,10 +65,10 @@ def _version(value: bool) -> None:
 @app.callback()
 def dmbench(
     version: bool = typer.Option(
-        False, "--version", help="Print the version and leave.", callback=_version, is_eager=True
+        False, "--version", help="Print the version and exit.", callback=_version, is_eager=True
     ),
 ) -> None:
-    """The benchmark for forward models learned from robot video without action labels."""
+    """Compare models that predict the next camera image, learned from robot video without action labels."""
 
 
 def register_commands() -> None:
@@ -79,7 +80,7 @@ def register_commands() -> None:
 
 
 def main() -> None:
-    """Run the command that was typed; say in a sentence what is wrong."""
+    """Run the command that was typed; print an error as one sentence."""
     try:
         _require_text()
         with _log_on_stderr():
@@ -124,6 +125,8 @@ def _require_text() -> None:
         raise UsageError("the working folder was deleted; change into one that is there.") from None
     given = [("the argument", word) for word in sys.argv[1:]]
     given += [(name, os.environ.get(name, "")) for name in ("DMBENCH_WORKSPACE", CACHE_VARIABLE)]
+    if any(len(text) > LONGEST_TEXT for _, text in given):
+        raise UsageError(f"an argument is longer than {LONGEST_TEXT:,} characters, which no name and no path is.")
     for what, text in (*given, ("the working folder", folder)):
         try:
             text.encode()

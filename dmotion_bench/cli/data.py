@@ -1,4 +1,4 @@
-"""``dmbench data``: look at a data set, check it, mend it; bring recordings of other systems in, and data sets out."""
+"""``dmbench data``: inspect, check, repair, import and export data sets."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from typing import Annotated, Any
 import typer
 
 from dmotion_bench.cli import data_export, data_import
+from dmotion_bench.cli.options import AsJson
+from dmotion_bench.wording import command
 
-group = typer.Typer(
-    help="Look at a data set, check it, mend it; import recordings, export data sets.", no_args_is_help=True
-)
+group = typer.Typer(help="Inspect, check, repair, import and export data sets.", no_args_is_help=True)
 
 DatasetFolder = Annotated[
     Path | None,
     typer.Argument(
-        metavar="[DIR]", help="The data set; the only one of the workspace if left out.", show_default=False
+        metavar="[DIR]",
+        help="The data set, by path or name. Default: the only one of the workspace.",
+        show_default=False,
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -32,7 +33,7 @@ def register(app: typer.Typer) -> None:
 
 @group.command()
 def info(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
-    """What a data set is: how it was made, how large it is, its splits."""
+    """Show how a data set was made, how large it is, and how it is split."""
     from dmotion_bench.storage.summary import summarize
     from dmotion_bench.workspace import Workspace
 
@@ -100,7 +101,8 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
             typer.echo(f"{damage.file} {damage.what}")
     if report.damages:
         raise DatasetCorrupt(
-            f"{str(folder)!r} is damaged in {len(report.damages)} places; mend it with 'dmbench data repair {folder}'."
+            f"{str(folder)!r} is damaged in {len(report.damages)} places; mend it with "
+            f"{command('dmbench data repair', folder)}."
         )
     if not as_json:
         typer.echo(f"{folder} is sound: {recipe.episodes} episodes, {frames} frames, labels {report.labels}.")
@@ -109,10 +111,10 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
 @group.command()
 def repair(
     dataset: DatasetFolder = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that record lost shards anew.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes that record damaged files again.")] = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Mend a data set: record lost shards anew from the recipe, or else keep all that can be read."""
+    """Repair a data set: record damaged files again, or keep what can be read where that is not possible."""
     from dmotion_bench.recording.executor import local_executor
     from dmotion_bench.recording.restore import repair_dataset
     from dmotion_bench.workspace import Workspace
@@ -139,7 +141,7 @@ def repair(
 
 
 def _progress(what: str) -> Any:
-    """A progress bar on stderr, as a context that gives a function of (done, total)."""
+    """A context manager that shows a progress bar on stderr and yields a function of (done, total)."""
     import contextlib
     from collections.abc import Callable, Iterator
 

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dmotion_bench.cli.options import AsJson
 from dmotion_bench.errors import Interrupted, UnknownName
 
 if TYPE_CHECKING:
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.storage.exports.lerobot import ExportReport
-    from dmotion_bench.storage.video import Codec
+    from dmotion_bench.storage.video.codecs import Codec
 
 FORMATS = ("lerobot",)
 
@@ -27,23 +28,33 @@ def register(data: typer.Typer) -> None:
 
 def data_export(
     dataset: Annotated[
-        Path | None, typer.Argument(help="The data set; the only one of the workspace if left out.")
+        Path | None, typer.Argument(help="The data set, by path or name. Default: the only one of the workspace.")
     ] = None,
-    format_: Annotated[str, typer.Option("--format", metavar="[lerobot]", help="The other tool's format.")] = "lerobot",
+    format_: Annotated[
+        str,
+        typer.Option(
+            "--format", metavar="[lerobot]", help="Format to write. lerobot is LeRobot's format v3: parquet and video."
+        ),
+    ] = "lerobot",
     codec: Annotated[
         str,
-        typer.Option(metavar="[h264|av1]", help="h264: RGB without loss. av1: LeRobot's own choice, smaller, lossy."),
+        typer.Option(
+            metavar="[h264|av1]",
+            help="Video codec. h264 keeps every pixel. av1 is LeRobot's default: smaller, but lossy.",
+        ),
     ] = "h264",
-    video_only: Annotated[bool, typer.Option("--video-only", help="Leave actions and positions out.")] = False,
-    out: Annotated[Path | None, typer.Option(help="The new folder; exports/NAME-lerobot if left out.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    video_only: Annotated[
+        bool, typer.Option("--video-only", help="Export the video without actions and positions.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder to write. Default: exports/NAME-lerobot.")] = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Write a data set for another tool: --format lerobot is LeRobot's format v3 (parquet and video).
+    """Write a data set in the format of another tool, such as LeRobot.
 
-    The video is decoded again after it was written, and what the codec lost is measured and printed.
+    The command also decodes the video that it wrote and prints how much the codec lost.
     """
     from dmotion_bench.storage.dataset import Dataset
-    from dmotion_bench.storage.video import CODECS
+    from dmotion_bench.storage.video.codecs import CODECS
     from dmotion_bench.workspace import Workspace
 
     for option, given, allowed in (("format", format_, FORMATS), ("codec", codec, tuple(CODECS))):
@@ -65,7 +76,7 @@ def _export_with_progress(dataset: Dataset, folder: Path, codec: Codec, *, label
 
     os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder talks on stderr, past every log
     if labels and not has_labels(dataset):
-        note("the data set has no labels: its video is written alone.")
+        note("the data set has no labels, so only its video is exported.")
         labels = False
     with progress_bar() as bar:
         task = bar.add_task("writing", total=None, status="")
@@ -76,7 +87,9 @@ def _export_with_progress(dataset: Dataset, folder: Path, codec: Codec, *, label
         try:
             return export_lerobot(dataset, folder, codec=codec, labels=labels, progress=progress)
         except KeyboardInterrupt:
-            raise Interrupted("interrupted; nothing is left of the export, the same command starts it anew.") from None
+            raise Interrupted(
+                "interrupted; the unfinished export was removed. Run the same command again to start over."
+            ) from None
 
 
 def _summary(report: ExportReport) -> str:

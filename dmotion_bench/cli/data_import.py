@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dmotion_bench.cli.options import AsJson
 from dmotion_bench.errors import Interrupted, UnknownName
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 
 
 MODELS_TAKE = 16
-"""The side of a frame is a multiple of it, for the models of this package."""
+"""The models of this package need frames whose side is a multiple of this."""
 
 
 def register(data: typer.Typer) -> None:
@@ -27,47 +29,74 @@ def register(data: typer.Typer) -> None:
 
 def data_import(
     recordings: Annotated[
-        list[Path], typer.Argument(help="MCAP files, folders of such, or folders of LeRobot data sets (v3).")
+        list[Path],
+        typer.Argument(
+            help="What to import: MCAP, MP4, MKV, WebM, AVI or HDF5 files, folders of such files, folders of pictures, "
+            "or LeRobot data sets."
+        ),
     ],
     camera: Annotated[
-        str | None, typer.Option(help="Topic (MCAP) or feature (LeRobot) of the pictures; the only one if left out.")
+        str | None,
+        typer.Option(
+            help="Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera. Default: the only "
+            "one."
+        ),
     ] = None,
     actions: Annotated[
         str | None,
-        typer.Option(help="Topic or feature of discrete actions, kept apart as labels; video alone if left out."),
+        typer.Option(
+            help="Topic, feature or path with discrete actions; they become labels. Default: import video alone."
+        ),
     ] = None,
-    size: Annotated[int, typer.Option(min=8, max=4096, help="Side of a frame in pixels.")] = 128,
-    hz: Annotated[float, typer.Option(min=0.01, max=1000, help="Frames a second.")] = 10.0,
+    size: Annotated[int, typer.Option(min=8, max=4096, help="Height and width of the frames, in pixels.")] = 128,
+    hz: Annotated[float, typer.Option(min=0.01, max=1000, help="Frames per second of the data set.")] = 10.0,
+    source_hz: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001,
+            max=10_000,
+            help="Pictures per second of a recording without times (pictures, HDF5), or in place of a video's times. "
+            "Default: what the file says, else --hz.",
+        ),
+    ] = None,
     fit: Annotated[
-        str, typer.Option(metavar="[crop|pad|stretch]", help="What becomes of a picture that is not square.")
+        str, typer.Option(metavar="[crop|pad|stretch]", help="How a picture that is not square is made square.")
     ] = "crop",
     clock: Annotated[
-        str, typer.Option(metavar="[log|header]", help="Time of a frame: when it was logged, or its own time stamp.")
+        str,
+        typer.Option(
+            metavar="[log|header]", help="Time of a frame: when it was logged, or the time stamp in its header."
+        ),
     ] = "log",
     max_gap: Annotated[
         float | None,
         typer.Option(
-            help="Seconds without a picture that end an episode; if left out, 2.5 of the camera's intervals, but at "
-            "most 20 frames at --hz."
+            help="Seconds without a picture that end an episode. Default: 2.5 intervals of the camera, but at most 20 "
+            "frames at --hz."
         ),
     ] = None,
-    min_frames: Annotated[int, typer.Option(min=3, help="Shorter episodes are left out.")] = 3,
-    frames_per_episode: Annotated[int, typer.Option(min=3, help="Longer episodes are cut into equal parts.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Of the split into training, validation and test.")] = 0,
+    min_frames: Annotated[int, typer.Option(min=3, help="Leave out episodes with fewer frames.")] = 3,
+    frames_per_episode: Annotated[
+        int, typer.Option(min=3, help="Cut longer episodes into parts of equal length.")
+    ] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the split into training, validation and test.")] = 0,
     salvage: Annotated[
         bool,
         typer.Option(
             "--salvage",
-            help="Of a damaged file take what stands before the damage, for a damaged picture the last one.",
+            help="Import the undamaged beginning of a damaged file, and repeat the last picture for a damaged one.",
         ),
     ] = False,
-    max_chunk: Annotated[int, typer.Option(min=1, help="MiB that one chunk of a file may inflate to.")] = 1024,
-    out: Annotated[Path | None, typer.Option(help="The data set's folder; data/imported-NAME if left out.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    max_chunk: Annotated[
+        int, typer.Option(min=1, help="Largest size of a decompressed chunk of an MCAP file, in MiB.")
+    ] = 1024,
+    max_memory: Annotated[int, typer.Option(min=64, help="Most memory to decode a video with, in MiB.")] = 1024,
+    out: Annotated[Path | None, typer.Option(help="Folder of the data set. Default: data/imported-NAME.")] = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Make a data set of MCAP recordings (foxglove, ROS 2) or of LeRobot data sets.
+    """Make a data set from recordings: videos, pictures, MCAP (foxglove, ROS 2), HDF5 (robomimic) or LeRobot data sets.
 
-    Times and sizes are looked through first; nothing is left behind when a recording cannot be imported.
+    The command checks the times and sizes of all recordings first. If one cannot be imported, it writes nothing.
     """
     from dmotion_bench.storage.imports.fitting import Fit
     from dmotion_bench.storage.imports.limits import MIB, ImportLimits
@@ -90,7 +119,8 @@ def data_import(
         frames_per_episode=frames_per_episode,
         seed=seed,
         salvage=salvage,
-        limits=ImportLimits(chunk_bytes=max_chunk * MIB),
+        source_hz=source_hz,
+        limits=ImportLimits(chunk_bytes=max_chunk * MIB, reader_bytes=max_memory * MIB),
     )
     folder = out or Workspace.current().data / f"imported-{_plain(recordings[0])}"
     report = _import_with_progress(recordings, folder, options)
@@ -113,12 +143,19 @@ def _import_with_progress(recordings: list[Path], folder: Path, options: ImportO
         try:
             return import_recordings(recordings, folder, options, progress)
         except KeyboardInterrupt:
-            raise Interrupted("interrupted; nothing is left of the import, the same command starts it anew.") from None
+            raise Interrupted(
+                "interrupted; the unfinished import was removed. Run the same command again to start over."
+            ) from None
 
 
 def _plain(path: Path) -> str:
-    """A file's name as a folder's name: letters, digits, dots, dashes."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", path.resolve().name.removesuffix(".mcap")).strip("-.") or "recording"
+    """A file's name as a folder's name: letters, digits, dots, dashes, and no suffix of a recording."""
+    from dmotion_bench.storage.imports.sources import SUFFIXES
+
+    name = path.resolve().name
+    if path.is_file():
+        name = name[: -max((len(suffix) for suffix in SUFFIXES if name.lower().endswith(suffix)), default=0) or None]
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "recording"
 
 
 def _summary(report: ImportReport, options: ImportOptions) -> str:
@@ -147,6 +184,7 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
         lines.append("  no actions: what an action leads to cannot be scored; with '--actions TOPIC' it can")
     lines += [f"  {sentence}" for sentence in report.advice]
     lines.append(
-        f"Look at it with 'dmbench view {report.path}', train on it with 'dmbench train dmotion --data {report.path}'."
+        f"Look at it with {command('dmbench view', report.path)}, "
+        f"train on it with {command('dmbench train dmotion --data', report.path)}."
     )
     return "\n".join(lines)

@@ -9,6 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
+from dmotion_bench.cli.options import AsJson
+from dmotion_bench.wording import command
+
 ENVIRONMENT = "grid_world"
 MODEL = "dmotion"
 EPISODES = 200
@@ -21,11 +24,11 @@ def register(app: typer.Typer) -> None:
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Workspace that the demo's folders are made in.")] = Path("demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Decides the recording and the training.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder to write everything to; it becomes a workspace.")] = Path("demo"),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the recording and the training.")] = 0,
+    as_json: AsJson = False,
 ) -> None:
-    """Record Grid World, train DMotion on the video alone, score it, and write a recording for Rerun."""
+    """Try everything on a small example: record, train on video alone, score, and write a Rerun file."""
     from dmotion_bench.cli.record import record_with_progress
     from dmotion_bench.cli.report_table import show_report
     from dmotion_bench.cli.score import score_runs
@@ -83,5 +86,5 @@ def demo(
     for path, report in reports.items():
         show_report(report, path)
     minutes, rest = divmod(round(seconds), 60)
-    say(f"Done in {minutes} min {rest} s. See the model's imagination with 'rerun {recording}',")
-    say(f"or in a browser with 'dmbench view {run.path} --web'.")
+    say(f"Done in {minutes} min {rest} s. See the model's imagination with {command('rerun', recording)},")
+    say(f"or in a browser with {command('dmbench view', run.path, '--web')}.")

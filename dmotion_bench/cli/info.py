@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import platform
-from typing import Annotated, Any
+from typing import Any
 
 import typer
+
+from dmotion_bench.cli.options import AsJson
 
 
 def register(app: typer.Typer) -> None:
@@ -15,8 +17,8 @@ def register(app: typer.Typer) -> None:
     app.command()(info)
 
 
-def info(as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False) -> None:
-    """Versions, hardware and workspace, for bug reports."""
+def info(as_json: AsJson = False) -> None:
+    """Show versions, hardware and workspace, for bug reports."""
     import torch
 
     from dmotion_bench.learning.optimization import has_bf16

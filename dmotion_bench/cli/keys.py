@@ -1,4 +1,4 @@
-"""Single keys from a terminal, arrow keys among them."""
+"""Read single keys from a terminal, including the arrow keys."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ WITHIN = 0.05  # [s] that the rest of an arrow key's bytes may take
 
 
 def require_terminal(why: str) -> int:
-    """Standard input, if somebody sits before it.
+    """Standard input, if it is a terminal.
 
     Raises:
         UsageError: It is no terminal.
     """
     if not sys.stdin.isatty():
         raise UsageError(
-            f"{why} needs a terminal to read keys from, and standard input is none; "
-            "run it in a terminal, over ssh with 'ssh -t'."
+            f"{why} reads keys from a terminal, and standard input is not a terminal; "
+            "run it in one, or over ssh with 'ssh -t'."
         )
     return sys.stdin.fileno()
 
 
 @contextlib.contextmanager
 def single_keys(terminal: int) -> Iterator[None]:
-    """Keys arrive as they are pressed and are not echoed; afterwards the terminal is as it was.
+    """Deliver keys as they are pressed, without showing them; restore the terminal afterwards.
 
     Raises:
         UsageError: This system's terminals cannot be read key by key.
@@ -40,7 +40,7 @@ def single_keys(terminal: int) -> Iterator[None]:
         import termios
         import tty
     except ImportError:
-        raise UsageError("this system's terminal cannot be read key by key; it takes Linux or macOS.") from None
+        raise UsageError("this system's terminal does not deliver single keys; use Linux or macOS.") from None
     before = termios.tcgetattr(terminal)
     try:
         tty.setcbreak(terminal, termios.TCSADRAIN)  # Ctrl-C still interrupts; keys pressed early are kept
@@ -50,7 +50,7 @@ def single_keys(terminal: int) -> Iterator[None]:
 
 
 def read_keys(terminal: int) -> Iterator[str]:
-    """One key after the other: ``"up"``, ``"down"``, ``"left"``, ``"right"``, ``"escape"``, or a character.
+    """Yield the pressed keys one by one: ``"up"``, ``"down"``, ``"left"``, ``"right"``, ``"escape"``, or a character.
 
     Ends with the input.
     """

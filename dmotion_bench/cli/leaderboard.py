@@ -13,12 +13,13 @@ from typing import Annotated, Any
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
+from dmotion_bench.cli.options import AsJson
+
 GROUP = "dmbench.leaderboard"
 FOLDER = "leaderboard"
 
-group = typer.Typer(help="Compare runs, build the leaderboard's page, check entries.", no_args_is_help=True)
-
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+group = typer.Typer(help="Compare runs, build the leaderboard's page, and check entries.", no_args_is_help=True)
 
 
 def register(app: typer.Typer) -> None:
@@ -29,17 +30,19 @@ def register(app: typer.Typer) -> None:
 @group.command()
 def build(
     runs: Annotated[
-        list[Path] | None, typer.Argument(metavar="RUN", help="Scored runs; all of the workspace if left out.")
+        list[Path] | None,
+        typer.Argument(metavar="RUN", help="Scored runs, by path or name. Default: every run of the workspace."),
     ] = None,
     entries: Annotated[
-        list[Path] | None, typer.Option(metavar="PATH", help="Others' entries: a file or a folder; may be repeated.")
+        list[Path] | None,
+        typer.Option(metavar="PATH", help="Entries of other people: a file or a folder. Can be repeated."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Where to; reports/leaderboard of the workspace if left out.")
+        Path | None, typer.Option(help="Folder to write. Default: reports/leaderboard of the workspace.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a static page of all scored runs, beside the published tables."""
+    """Write a web page that compares scored runs with each other and with published results."""
     from dmotion_bench.cli.progress import progress_bar
     from dmotion_bench.workspace import Workspace
 
@@ -64,21 +67,26 @@ def build(
 def check(
     paths: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="PATH", help="Entries, folders of them, or runs; what 'build' wrote if left out."),
+        typer.Argument(
+            metavar="PATH", help="Entries, folders of entries, or runs. Default: the entries that 'build' wrote."
+        ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Hold figures against the stored samples; score nothing anew.")
+        bool, typer.Option("--quick", help="Compare the figures with the stored samples only, without scoring again.")
     ] = False,
     differing: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share of samples that may differ, on another kind of processor.")
+        float,
+        typer.Option(min=0.0, max=1.0, help="Share of samples that may differ, because processors round differently."),
     ] = 0.0,
+    cache: CacheFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Score entries again from their weights and data, and say whether their figures hold."""
+    """Check that the figures of entries are right: score them again from their weights and data."""
     from dmotion_bench.cli.progress import progress_bar
     from dmotion_bench.errors import RunError, UsageError
     from dmotion_bench.workspace import Workspace
 
+    use_cache(cache)
     workspace = Workspace.current()
     built = workspace.reports / FOLDER / "entries"
     if not paths and not built.is_dir():
@@ -108,15 +116,15 @@ def check(
 
 @group.command()
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="RUN", help="A scored run.")],
-    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same data set.")],
+    first: Annotated[Path, typer.Argument(metavar="RUN", help="A scored run, by path or name.")],
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another scored run of the same data set.")],
     data: Annotated[
-        Path | None, typer.Option(help="The data set that both were scored on; each one's own if left out.")
+        Path | None, typer.Option(help="Data set that both were scored on. Default: the one that they were trained on.")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Every figure, not only the main ones.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Compare every figure, not only the main ones.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say of two runs which is better, from the same triplets, where the interval allows it."""
+    """Tell which of two runs is better, by their difference on the same frames and its interval."""
     from dmotion_bench.workspace import Workspace
 
     workspace = Workspace.current()
@@ -132,16 +140,18 @@ def compare(
 
 @group.command()
 def results(
-    pages: Annotated[list[Path], typer.Argument(metavar="PAGE...", help="Markdown files that ask for results.")],
+    pages: Annotated[list[Path], typer.Argument(metavar="PAGE...", help="Markdown files with places for results.")],
     folder: Annotated[
         Path | None,
         typer.Option(
             "--from",
             metavar="DIR",
-            help="What 'build' wrote; reports/leaderboard of the workspace if left out.",
+            help="Folder that 'build' wrote. Default: reports/leaderboard of the workspace.",
         ),
     ] = None,
-    check: Annotated[bool, typer.Option("--check", help="Write nothing; fail if a page differs.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Only compare: fail if a page differs from the entries.")
+    ] = False,
 ) -> None:
     """Write the leaderboard's tables into pages, between '<!-- results:NAME -->' and '<!-- /results -->'."""
     from dmotion_bench.errors import DmbenchError
@@ -158,17 +168,25 @@ def results(
 @group.command()
 def serve(
     folder: Annotated[
-        Path | None, typer.Argument(metavar="[DIR]", help="What 'build' wrote.", show_default=False)
+        Path | None,
+        typer.Argument(
+            metavar="[DIR]",
+            help="Folder that 'build' wrote. Default: reports/leaderboard of the workspace.",
+            show_default=False,
+        ),
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of this machine; 0 for a free one.")] = 8000,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the server; 0 takes a free one.")] = 8000,
 ) -> None:
-    """Serve the page to this machine alone."""
+    """Show the page in browsers of this machine."""
     from dmotion_bench.cli.progress import note
     from dmotion_bench.workspace import Workspace
 
     with _part("serve")(folder or Workspace.current().reports / FOLDER, port) as server:
         typer.echo(server.url)
-        note(f"Open it in a browser on this machine, from another one after 'ssh -L {port}:127.0.0.1:{port} HOST'.")
+        note(
+            "Open it in a browser on this machine, or on another one after running there "
+            f"'ssh -L {port}:127.0.0.1:{port} HOST'."
+        )
         try:
             server.serve_forever()
         except KeyboardInterrupt:
@@ -176,7 +194,7 @@ def serve(
 
 
 def _part(name: str) -> Any:
-    """A function of the leaderboard's package."""
+    """The function with this name in the leaderboard's package."""
     from dmotion_bench.errors import DmbenchError
 
     for point in entry_points(group=GROUP):

@@ -1,15 +1,14 @@
-"""``dmbench list``: what there is to record, train and score."""
+"""``dmbench list``: the environments, models, data sets and runs that commands can be given."""
 
 from __future__ import annotations
 
 import json
-from typing import Annotated
 
 import typer
 
-listing = typer.Typer(help="List environments, models, data sets and runs.", no_args_is_help=True)
+from dmotion_bench.cli.options import AsJson
 
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+listing = typer.Typer(help="List environments, models, data sets and runs.", no_args_is_help=True)
 
 
 def register(app: typer.Typer) -> None:
@@ -31,9 +30,9 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
 
 @listing.command()
 def environments(as_json: AsJson = False) -> None:
-    """The environments that can be recorded, and what may vary in them."""
+    """List the environments that can be recorded, and the factors that can vary in them."""
     from dmotion_bench.environment import Varied
-    from dmotion_bench.registry import environment_class, environment_names
+    from dmotion_bench.registry import environment_class, environment_names, environment_versions
 
     rows: list[dict[str, object]] = []
     for name in environment_names():
@@ -43,16 +42,18 @@ def environments(as_json: AsJson = False) -> None:
         factors: dict[str, str] = dict(kind.factors) if isinstance(kind, Varied) else {}
         varied = factors if as_json else ", ".join(factors) or "nothing"
         rows.append({"environment": name, "presets": presets, "--vary": varied, "what": summary})
+        if as_json:
+            rows[-1]["versions"] = dict(environment_versions(name)) or {1: summary}
     if as_json:
         rows = [{"factors" if key == "--vary" else key: value for key, value in row.items()} for row in rows]
     _show("environments", rows, as_json, "none is installed.")
     if not as_json and rows:
-        typer.echo("What each factor means and is drawn from: 'dmbench list environments --json'.")
+        typer.echo("'dmbench list environments --json' tells what each factor means and which values it takes.")
 
 
 @listing.command()
 def models(as_json: AsJson = False) -> None:
-    """The models that can be trained."""
+    """List the models that can be trained."""
     from dmotion_bench.registry import model_names
 
     rows: list[dict[str, object]] = []
@@ -80,7 +81,7 @@ def _model(name: str) -> tuple[str, ...]:
 
 @listing.command()
 def datasets(as_json: AsJson = False) -> None:
-    """The data sets of the workspace."""
+    """List the data sets of the workspace."""
     from dmotion_bench.errors import DatasetError
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.workspace import Workspace
@@ -99,7 +100,7 @@ def datasets(as_json: AsJson = False) -> None:
 
 @listing.command()
 def runs(as_json: AsJson = False) -> None:
-    """The training runs of the workspace."""
+    """List the training runs of the workspace."""
     from dmotion_bench.errors import RunError
     from dmotion_bench.workspace import Workspace
 

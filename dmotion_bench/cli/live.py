@@ -1,4 +1,4 @@
-"""A recording that is watched while it is made: in a window, on a web page, in a file."""
+"""Rerun recordings that are shown while they are made: in a window, on a web page, in a file."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ if TYPE_CHECKING:
     from dmotion_bench.viewing.follow import Follower
 
 EVERY = 1.0
-"""Seconds between two looks at what is new."""
+"""Seconds between two updates."""
 
 Live = Annotated[
-    bool, typer.Option("--live", help="Watch it in Rerun while it goes on: in a window, or a page of this machine.")
+    bool,
+    typer.Option("--live", help="Show the progress in Rerun: in a window or, without a display, on a local web page."),
 ]
-LiveTo = Annotated[
-    Path | None, typer.Option(metavar="FILE.rrd", help="Write what there is to watch to a file for Rerun.")
-]
+LiveTo = Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write what --live shows to a Rerun file.")]
 
 
 @contextlib.contextmanager
 def following(make: Callable[[], Follower], live: bool, to: Path | None) -> Iterator[Callable[[], None]]:
-    """Something to call while the work goes on, as often as one likes; it shows what is new.
+    """A function that shows what is new; call it as often as you like while the work goes on.
 
     Args:
-        make: What is shown; asked only if somebody watches.
+        make: Makes the view; called only if there is something to show it on.
         live: Whether to open a window, or a web page where there is no display.
         to: A file.
 
@@ -69,7 +68,7 @@ def following(make: Callable[[], Follower], live: bool, to: Path | None) -> Iter
 def live_recording(
     title: str, blueprint: rrb.Blueprint, *, window: bool, web: bool, save: Path | None, linger: bool = True
 ) -> Iterator[rr.RecordingStream]:
-    """A recording to log to; after the block the viewer, if there is one, stays open until it is closed.
+    """A Rerun recording to log to. If there is a viewer, it stays open after the block until the user closes it.
 
     Args:
         title: Of the recording.
@@ -90,7 +89,7 @@ def live_recording(
         if viewer.page is not None:
             typer.echo(viewer.page, err=True)
             forward = " ".join(f"-L {port}:127.0.0.1:{port}" for port in viewer.ports)
-            note(f"Open it in a browser on this machine, from another one after 'ssh {forward} HOST'.")
+            note(f"Open it in a browser on this machine, or on another one after running there 'ssh {forward} HOST'.")
         with recording_to(title, blueprint, address=viewer.address, file=save) as recording:
             yield recording
         if linger:

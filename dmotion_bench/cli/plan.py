@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.cli.options import COSTS, REFERENCES, CostName, PlannerName, require_one_of
+from dmotion_bench.wording import command
+
 if TYPE_CHECKING:
     from dmotion_bench.learning.model import ForwardModel
     from dmotion_bench.planning.control import ControlResult
     from dmotion_bench.planning.planner import Planner
     from dmotion_bench.planning.problems import Problem
     from dmotion_bench.storage.dataset import Dataset
-
-COSTS = ("followed", "tracked", "position", "pixel", "feature")
-REFERENCES = ("idle", "random", "oracle", "scripted")
 
 
 def register(app: typer.Typer) -> None:
@@ -27,30 +27,36 @@ def register(app: typer.Typer) -> None:
 
 def plan(
     run: Annotated[
-        Path, typer.Argument(help="A run, or a reference to compare with: idle, random, oracle or scripted.")
+        Path,
+        typer.Argument(help="A run, by path or name, or a reference to compare with: idle, random, oracle, scripted."),
     ],
-    task: Annotated[int, typer.Option(min=0, help="The number of one of the data set's control tasks.")] = 0,
-    planner: Annotated[str | None, typer.Option(help="cem is the paper's; a wrong name lists them all.")] = None,
-    cost: Annotated[
-        str | None,
-        typer.Option(help="followed, tracked, position (the paper's), pixel or feature; what suits model and picture."),
+    task: Annotated[int, typer.Option(min=0, help="Number of the control task in the data set.")] = 0,
+    planner: PlannerName = None,
+    cost: CostName = None,
+    steps: Annotated[int, typer.Option(min=1, help="Number of actions to take.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the planner's random numbers.")] = 0,
+    data: Annotated[
+        Path | None, typer.Option(help="Data set with the tasks. Default: the one that the run was trained on.")
     ] = None,
-    steps: Annotated[int, typer.Option(min=1, help="Actions to take.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Of the planner's random numbers.")] = 0,
-    data: Annotated[Path | None, typer.Option(help="The data set; the run's own if left out.")] = None,
-    web: Annotated[bool, typer.Option("--web", help="Watch on a web page of this machine, not in a window.")] = False,
-    save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write a file to watch later.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout; opens no window.")] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="Show the task on a local web page instead of in a window.")
+    ] = False,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.rrd", help="Write a Rerun file instead of opening a window.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the result as one JSON object and open no window.")
+    ] = False,
 ) -> None:
-    """Solve one control task and watch how it is done."""
-    from dmotion_bench.errors import UnknownName, UsageError
+    """Plan one control task with a model and watch it in Rerun."""
+    from dmotion_bench.errors import UsageError
     from dmotion_bench.planning.planner import DEFAULT_PLANNER, make_planner
     from dmotion_bench.workspace import Workspace
 
     if save is not None and save.suffix != ".rrd":
         raise UsageError(f"--save {str(save)!r} must end in .rrd, as Rerun knows its files by it.")
-    if cost is not None and cost not in COSTS:
-        raise UnknownName("cost", cost, COSTS)
+    if cost is not None:
+        require_one_of("cost", cost, COSTS)
     name = planner or DEFAULT_PLANNER
     chosen = make_planner(name)
 
@@ -180,4 +186,4 @@ def _show(summary: dict[str, Any], save: Path | None) -> None:
         each = summary["frames"] / summary["steps"]
         typer.echo(f"  {each:.0f} frames imagined a step, {summary['planning_seconds']:.1f} s of planning in all")
     if save is not None:
-        typer.echo(f"Watch it with 'dmbench view {save}'.")
+        typer.echo(f"Watch it with {command('dmbench view', save)}.")

@@ -21,14 +21,18 @@ def register(app: typer.Typer) -> None:
 
 
 def play(
-    run: Annotated[Path | None, typer.Argument(help="A run; the only one of the workspace if left out.")] = None,
-    episode: Annotated[
-        int | None, typer.Option(min=0, help="Start at this episode's first frame; at a test episode's if left out.")
+    run: Annotated[
+        Path | None, typer.Argument(help="The run, by path or name. Default: the only one of the workspace.")
     ] = None,
-    web: Annotated[bool, typer.Option("--web", help="See it on a web page of this machine, not in a window.")] = False,
-    save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write a file for Rerun as well.")] = None,
+    episode: Annotated[
+        int | None, typer.Option(min=0, help="Episode whose first frame is the start. Default: the first test episode.")
+    ] = None,
+    web: Annotated[
+        bool, typer.Option("--web", help="Show the pictures on a local web page instead of in a window.")
+    ] = False,
+    save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a Rerun file.")] = None,
 ) -> None:
-    """Drive a learned model with the arrow keys and see what it imagines, beside what would truly happen."""
+    """Choose actions with the arrow keys and see what a model predicts, beside what truly happens."""
     from dmotion_bench.cli.keys import read_keys, require_terminal, single_keys
     from dmotion_bench.errors import LabelsNotAvailable, UsageError
     from dmotion_bench.workspace import Workspace
@@ -81,7 +85,7 @@ def play(
 
 
 def commands(keys: Iterator[str], actions: Sequence[str]) -> Iterator[int | None]:
-    """Actions out of keys, None for starting over; ends with q or Escape. Other keys do nothing."""
+    """The actions that keys stand for, None for starting again; q and Escape end it, other keys are ignored."""
     bound = bindings(actions)
     for key in keys:
         if key in ("q", "escape", "\x04"):
@@ -93,7 +97,7 @@ def commands(keys: Iterator[str], actions: Sequence[str]) -> Iterator[int | None
 
 
 def bindings(actions: Sequence[str]) -> Mapping[str, int]:
-    """Which key takes which action: an arrow the action of its name, the digits 1 to 9 the first nine."""
+    """The action of each key: an arrow takes the action of the same name, the digits 1 to 9 take the first nine."""
     arrows = {name: number for number, name in enumerate(actions) if name in ("up", "down", "left", "right")}
     return arrows | {str(number + 1): number for number in range(min(len(actions), 9))}
 
@@ -110,7 +114,7 @@ def _tell(drive: Drive, actions: Sequence[str]) -> None:
 
 
 def _simulator(dataset: Dataset, episode: int) -> Callable[[int | None], np.ndarray[Any, Any]] | None:
-    """What an action truly does, None starts over; None where the environment is not installed."""
+    """A function that takes an action in the simulator (None: start again); None without that environment."""
     from dmotion_bench.errors import DmbenchError
     from dmotion_bench.planning.problems import task_environment
     from dmotion_bench.specs import IMPORTED

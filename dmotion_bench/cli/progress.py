@@ -34,6 +34,6 @@ def progress_bar() -> Progress:
 
 
 def note(text: str) -> None:
-    """A line of news on stderr, where somebody watches."""
+    """Print a line on stderr, if it is a terminal."""
     if sys.stderr.isatty():
         Console(stderr=True).print(text, highlight=False, markup=False)

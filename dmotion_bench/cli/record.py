@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dmotion_bench.cli.live import Live, LiveTo, following
+from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
 from dmotion_bench.errors import UnknownName
 from dmotion_bench.specs import Preset
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.recording.executor import Executor
@@ -21,11 +23,11 @@ if TYPE_CHECKING:
 
 
 LARGEST_SEED = 2**53 - 1
-"""Whatever reads JSON reads it exactly."""
+"""The largest whole number that every reader of JSON reads exactly."""
 
 
 def preset_named(name: str) -> Preset:
-    """The preset of a name, or an error that names the one that was probably meant."""
+    """The preset with this name; an unknown name is an error that suggests the closest one."""
     if name not in set(Preset):
         raise UnknownName("preset", name, [preset.value for preset in Preset])
     return Preset(name)
@@ -37,50 +39,74 @@ def register(app: typer.Typer) -> None:
 
 
 def record(
-    environment: Annotated[str, typer.Argument(help="An environment; 'dmbench list environments' shows them.")],
+    environment: Annotated[str, typer.Argument(help="The environment's name; 'dmbench list environments' lists them.")],
     preset: Annotated[
-        Preset, typer.Option(parser=preset_named, metavar="[tiny|small|paper]", help="How much to record.")
+        Preset,
+        typer.Option(
+            parser=preset_named, metavar="[tiny|small|paper]", help="Size of the recording: episodes, frames and tasks."
+        ),
     ] = Preset.SMALL,
     episodes: Annotated[
-        int | None, typer.Option(min=1, help="Episodes in all; more than there are extends the data set.")
+        int | None,
+        typer.Option(
+            min=1, help="Total number of episodes. A larger number extends a data set. Default: the preset's."
+        ),
     ] = None,
-    frames: Annotated[int | None, typer.Option(min=3, help="At most so many frames an episode.")] = None,
-    tasks: Annotated[int | None, typer.Option(min=0, help="Control tasks to store.")] = None,
-    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Decides every episode.")] = 0,
+    frames: Annotated[
+        int | None, typer.Option(min=3, help="Largest number of frames in an episode. Default: the preset's.")
+    ] = None,
+    tasks: Annotated[
+        int | None,
+        typer.Option(min=0, help="Number of control tasks to store with the data set. Default: the preset's."),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the episodes: the same seed records the same bytes.")
+    ] = 0,
     vary: Annotated[
         str,
         typer.Option(
             metavar="FACTOR,FACTOR...",
-            help="What differs between episodes: friction, mass, colour, light, camera, distractors. Nothing if left "
-            "out.",
+            help="Factors that differ between episodes, separated by commas: friction, mass, colour, light, camera, "
+            "distractors. Default: none.",
         ),
     ] = "",
     ranges: Annotated[
         str,
         typer.Option(
             metavar="[in-distribution|shifted]",
-            help="What they are drawn from: the usual values, or only values outside of those.",
+            help="Values that the factors of --vary take: the usual range, or only values outside of it.",
         ),
     ] = "in-distribution",
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Set up the environment, as objects=3; may be repeated."),
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Set a parameter of the environment, such as objects=3. Can be repeated."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="The data set's folder; data/ENVIRONMENT-PRESET, with -varied or -shifted, if left out."),
+        typer.Option(
+            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with -varied or -shifted at the end if "
+            "factors vary."
+        ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="At a time; as many as there are processors if left out. Changes no byte.")
+        int | None,
+        typer.Option(
+            min=1, help="Number of processes. The bytes are the same for any number. Default: all processors."
+        ),
     ] = None,
     executor: Annotated[
-        str, typer.Option(help="Who records: local processes, ray or slurm. Changes no byte.")
+        str,
+        typer.Option(
+            metavar=listed(EXECUTORS), help="Where the processes run: on this machine, in Ray, or as Slurm jobs."
+        ),
     ] = "local",
     live: Live = False,
     live_to: LiveTo = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Record a data set. The same command again goes on where it stopped, or extends it to --episodes."""
+    """Record a data set. Run the same command again to continue an interrupted recording."""
     from dmotion_bench.recording.executor import available_workers, make_executor
     from dmotion_bench.recording.preset import recipe_for
     from dmotion_bench.storage.shard import shard_count
@@ -117,7 +143,7 @@ def _follower(folder: Path, recipe: DatasetRecipe) -> Follower:
 
 
 def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
-    """Say what a recording came to."""
+    """Print the result of a recording."""
     from dmotion_bench.storage.dataset import Dataset
 
     tasks = len(Dataset.open(recorded.dataset).tasks())
@@ -141,20 +167,20 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
         f"with labels, {recorded.bytes / 2**20:.1f} MiB"
     )
     if tasks_asked:
-        fewer = f" of {tasks_asked} asked for: these episodes have no more, longer or more of them do"
+        fewer = f" of the {tasks_asked} asked for; for more, record more or longer episodes"
         typer.echo(f"  {tasks} control tasks{fewer if tasks < tasks_asked else ''}")
     if recorded.made.frames:
         typer.echo(f"  {recorded.made.frames} frames recorded at {recorded.made.frames_per_s:.0f} frames/s")
     else:
-        typer.echo("  it was complete already; a larger --episodes extends it")
+        typer.echo("  the data set was complete already; a larger --episodes extends it")
     typer.echo(
-        f"Look at it with 'dmbench view {recorded.dataset}', "
-        f"train on it with 'dmbench train dmotion --data {recorded.dataset}'."
+        f"Look at it with {command('dmbench view', recorded.dataset)}, "
+        f"train on it with {command('dmbench train dmotion --data', recorded.dataset)}."
     )
 
 
 def _suffix(recipe: DatasetRecipe) -> str:
-    """Sets apart, by default, what is recorded to be compared."""
+    """The ending of a folder's default name that keeps recordings with varied factors apart from others."""
     if not recipe.vary:
         return ""
     return f"-{recipe.parameters.get('ranges', 'varied')}"

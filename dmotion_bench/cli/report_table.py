@@ -1,4 +1,4 @@
-"""Reports as tables for the terminal: one run in full, or many runs in a row each."""
+"""Reports as tables for the terminal: one run with all its figures, or many runs with one row each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
 
 SHOWN_AHEAD = (1, 2, 5, 10, 15)
-"""Steps of a rollout that stand in the table of one run; the report has all of them."""
+"""Steps of a rollout that the table of one run shows; the report has all steps."""
 
 WORDS = {
     "mse": "MSE",
@@ -36,14 +36,14 @@ WORDS = {
     "control_lost": "control, objects lost",
 }
 CONTROL_STEPS = (10, 20, 40, 60, 80, 100)
-"""Steps of control that stand in a table; the report has all of them."""
+"""Steps of control that a table shows; the report has all steps."""
 
 BESIDE = ("paper", "copy_last", "agent_moves", "idle", "random", "scripted", "oracle")
 OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_rate")
 
 
 def show_report(report: Report, run: Path) -> None:
-    """One run in full, beside its references; ``run`` is its folder."""
+    """Print all main figures of one run beside those of its references; ``run`` is the run's folder."""
     beside = [name for name in BESIDE if name in report.reference]
     rows: list[tuple[str, ...]] = []
     for name, figure in report.figures.items():
@@ -60,7 +60,7 @@ def show_report(report: Report, run: Path) -> None:
 
 
 def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
-    """What some references come to, a column each."""
+    """Print the control figures of some references, one column each."""
     headings = [heading for name in figures for heading in (name, "95% interval")]
     everything = list(dict.fromkeys(figure for one in figures.values() for figure in one))
     rows: list[tuple[str, ...]] = []
@@ -75,7 +75,7 @@ def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) ->
 
 
 def show_overview(reports: Mapping[Path, Report]) -> None:
-    """Many runs, a row each, by data set and then by MSE; what knows nothing of learning and the paper below."""
+    """Print one row for each run, sorted by data set and MSE; references and the paper's results stand below."""
     for board in _boards(reports).values():
         _show_board(board)
 
@@ -121,7 +121,7 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
 
 
 def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
-    """How much higher each run's MSE is than the first's, on the same triplets; nothing where one has no samples."""
+    """How much higher each run's MSE is than the first run's on the same triplets; empty if a run has no samples."""
     from dmotion_bench.pairing import behind, standing_words
     from dmotion_bench.scoring.report import read_report_samples
 
@@ -142,7 +142,7 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
 
 
 def show_differences(differences: Sequence[Any], first: str, second: str, *, everything: bool = False) -> None:
-    """Two runs' figures side by side, their paired difference, and who is better where its interval says so."""
+    """Print two runs' figures, their paired difference, and which run is better if the interval excludes zero."""
     rows: list[tuple[str, ...]] = []
     for one in differences:
         if everything or _is_shown(one.figure):
@@ -186,7 +186,7 @@ def _mse(report: Report) -> float:
 
 
 def _row(figures: Mapping[str, FigureJson], shown: Iterable[str], behind: str | None) -> list[str]:
-    """The figures, and after the MSE how far it is behind the best's, if that has a column."""
+    """The cells of a row: the figures and, if there is such a column, the distance from the best MSE."""
     cells: list[str] = []
     for name in shown:
         cells.append(_mean_std(figures.get(name)))
@@ -208,7 +208,7 @@ def _interval(figure: FigureJson) -> str:
 
 
 def _number(value: float | int | None) -> str:
-    """Three digits that mean something, never an exponent."""
+    """A number with three significant digits, without an exponent."""
     if value is None:
         return ""
     size = abs(value)

@@ -8,13 +8,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
+from dmotion_bench.cli.options import (
+    DEVICES,
+    METRICS,
+    REFERENCES,
+    AsJson,
+    CostName,
+    Device,
+    PlannerName,
+    listed,
+    require_one_of,
+)
+
 if TYPE_CHECKING:
     from dmotion_bench.scoring.control import ControlScoring
     from dmotion_bench.scoring.report import Report
     from dmotion_bench.scoring.score import Metric
-
-METRICS: tuple[Metric, ...] = ("prediction", "rollout", "control")
-REFERENCES = ("idle", "random", "oracle", "scripted")
 
 
 def register(app: typer.Typer) -> None:
@@ -27,53 +37,68 @@ def score(
         list[Path] | None,
         typer.Argument(
             metavar="RUN",
-            help="Runs; the only one of the workspace if left out. For control also idle, random, oracle, scripted.",
+            help="Runs to score, by path or name. Default: the only run of the workspace. For control "
+            "also a reference to compare with: idle, random, oracle or scripted.",
         ),
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="Every run; reports that are up to date are kept.")] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="Score every run. Reports that are up to date are kept.")
+    ] = False,
     metrics: Annotated[
-        str, typer.Option(help="Groups of figures, with commas between: prediction, rollout, control.")
-    ] = "prediction,rollout",
-    split: Annotated[str, typer.Option(help="The episodes to score on: test or validation.")] = "test",
-    horizon: Annotated[int, typer.Option(min=1, help="Steps of a rollout.")] = 15,
-    tasks: Annotated[int | None, typer.Option(min=1, help="Control: only so many tasks, the first.")] = None,
-    planner: Annotated[str | None, typer.Option(help="Control: a wrong name lists them all.")] = None,
-    cost: Annotated[
-        str | None,
+        str,
         typer.Option(
-            help="Control: followed, tracked, position (the paper's), pixel or feature; what suits model and picture."
+            metavar=f"{listed(METRICS)},...",
+            help="Groups of figures to compute, separated by commas. prediction: single steps; rollout: predictions "
+            "that continue from their own predictions; control: planning in the simulator, which takes minutes.",
         ),
+    ] = "prediction,rollout",
+    split: Annotated[
+        str, typer.Option(metavar=listed(("test", "validation")), help="Which held-out episodes to score on.")
+    ] = "test",
+    horizon: Annotated[int, typer.Option(min=1, help="Number of steps in a rollout.")] = 15,
+    tasks: Annotated[
+        int | None,
+        typer.Option(min=1, help="For control: work on the data set's first tasks only, this many. Default: all."),
     ] = None,
+    planner: PlannerName = None,
+    cost: CostName = None,
     data: Annotated[
         Path | None,
         typer.Option(
-            help="Another data set of the same environment to score on, such as one recorded with '--ranges shifted'; "
-            "the run's own if left out. Of a reference: the data set."
+            help="Data set to score on: another one of the same environment, such as one recorded with '--ranges "
+            "shifted'. Default: the data set that the run was trained on. A reference needs a data set, too."
         ),
     ] = None,
-    batch_size: Annotated[int, typer.Option(min=1, help="Triplets predicted at once; changes no figure.")] = 64,
+    batch_size: Annotated[
+        int,
+        typer.Option(min=1, help="Number of predictions computed at once. The figures are the same for any number."),
+    ] = 64,
     precision: Annotated[
-        str, typer.Option(help="float32, or bf16: faster where the hardware has it, and the report says so.")
+        str,
+        typer.Option(
+            metavar=listed(("float32", "bf16")),
+            help="Number format of the model's arithmetic. bf16 is faster on some hardware, and the report says so.",
+        ),
     ] = "float32",
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    device: Device = "auto",
+    cache: CacheFolder = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Score runs on the held-out episodes of their data sets, or of another one."""
-    from dmotion_bench.errors import UnknownName, UsageError
+    """Compute the figures of runs on test episodes, of their own data set or of another one."""
+    from dmotion_bench.errors import UsageError
     from dmotion_bench.workspace import Workspace
 
-    for kind, given, allowed in (
-        ("split", split, ("test", "validation")),
-        ("precision", precision, ("float32", "bf16")),
-        ("device", device, ("auto", "cpu", "cuda")),
-    ):
-        if given not in allowed:
-            raise UnknownName(kind, given, allowed)
+    require_one_of("split", split, ("test", "validation"))
+    require_one_of("precision", precision, ("float32", "bf16"))
+    require_one_of("device", device, DEVICES)
+    use_cache(cache)
     asked = _metrics(metrics)
     workspace = Workspace.current()
     if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):
         if len(named) < len(runs) or every:
-            raise UsageError("references are scored for themselves; name no runs beside them.")
+            raise UsageError(
+                "runs and references cannot be scored by the same command; name only references, or only runs."
+            )
         if asked != ("control",):
             raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
         _references(
@@ -133,7 +158,7 @@ def score_runs(
     from dmotion_bench.scoring.score import ReferenceScores, score_run
 
     if device == "cuda" and not torch.cuda.is_available():
-        raise UsageError("no CUDA device is here; leave --device away to score on the CPU.")
+        raise UsageError("this machine has no CUDA device; leave out --device to score on the CPU.")
     where = torch.device("cuda" if device != "cpu" and torch.cuda.is_available() else "cpu")
     references = ReferenceScores()
     reports: dict[Path, Report] = {}
@@ -168,12 +193,11 @@ def score_runs(
 
 
 def _metrics(text: str) -> tuple[Metric, ...]:
-    from dmotion_bench.errors import UnknownName, UsageError
+    from dmotion_bench.errors import UsageError
 
     asked = [name.strip() for name in text.split(",") if name.strip()]
     for name in asked:
-        if name not in METRICS:
-            raise UnknownName("group of figures", name, METRICS)
+        require_one_of("group of figures", name, METRICS)
     if not asked:
         raise UsageError(f"--metrics names no group of figures; known: {', '.join(METRICS)}.")
     return tuple(name for name in METRICS if name in asked)

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.live import Live, LiveTo, following
+from dmotion_bench.cli.options import DEVICES, AsJson, Device, listed, require_one_of
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
 from dmotion_bench.specs import MOST_THREADS, Preset
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.learning.run import Conditions
@@ -26,64 +29,94 @@ def register(app: typer.Typer) -> None:
 
 def train(
     model: Annotated[
-        str | None, typer.Argument(help="A model's name; 'dmbench list models' shows them.", show_default=False)
+        str | None, typer.Argument(help="The model's name; 'dmbench list models' lists them.", show_default=False)
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Every model under each of its label budgets.")] = False,
-    data: Annotated[Path | None, typer.Option(help="The data set; the only one of the workspace if left out.")] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Train every model with each of its label budgets.")
+    ] = False,
+    data: Annotated[
+        Path | None, typer.Option(help="The data set, by path or name. Default: the only one of the workspace.")
+    ] = None,
     labels: Annotated[
         str | None,
-        typer.Option(help="Label budget: none, one-shot, K-shot, 10%, 100%. One-shot for models that see video only."),
+        typer.Option(
+            metavar="[none|one-shot|K-shot|P%]",
+            help="Label budget: how many action labels the model is given. one-shot, 5-shot: this many demonstrations "
+            "of each action; 10%, 100%: the actions of this share of the episodes. Models that learn from video alone "
+            "use one-shot by default; other models need a budget.",
+        ),
     ] = None,
     preset: Annotated[
         Preset | None,
         typer.Option(
-            parser=preset_named, metavar="[tiny|small|paper]", help="How long to train; the data set's own if left out."
+            parser=preset_named,
+            metavar="[tiny|small|paper]",
+            help="Length of the training. Default: the data set's preset.",
         ),
     ] = None,
-    arch: Annotated[str | None, typer.Option(help="The model's architecture: compact or paper.")] = None,
+    arch: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[compact|paper]",
+            help="Architecture: the small, fast one, or the paper's. Default: the model's first.",
+        ),
+    ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=LARGEST_SEED, help="Of the weights, the batches and the demonstrations.")
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the weights, the batches and the demonstrations.")
     ] = 0,
     split: Annotated[
-        str, typer.Option(help="episode, or paper: the paper's shuffled triplets, which leak into the test.")
+        str,
+        typer.Option(
+            metavar=listed(("episode", "paper")),
+            help="How test data are held out. episode: whole episodes. paper: single shuffled triplets of frames, as "
+            "in the paper; training frames leak into the test.",
+        ),
     ] = "episode",
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change a setting of the model or the training, such as epochs=5. Can be repeated.",
+        ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="The run's folder; runs/NAME if left out.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Only go on with a run that is there already.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder of the run. Default: runs/NAME.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an existing run; fail if there is none.")] = False,
     threads: Annotated[
         int | None,
         typer.Option(
             min=1,
             max=MOST_THREADS,
-            help="Threads that compute; the weights depend on their number. The run's own, or as many as torch takes.",
+            help="Threads that compute. The weights depend on their number. Default: the run's own, or torch's number.",
             show_default=False,
         ),
     ] = None,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    device: Device = "auto",
+    cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Train a model, or all of them. The same command again goes on where it stopped."""
-    from dmotion_bench.errors import RunMissing, UnknownName, UsageError
+    """Train a model, or all models. Run the same command again to continue an interrupted training."""
+    from dmotion_bench.errors import RunMissing, UsageError
     from dmotion_bench.registry import model_class
     from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 
-    for kind, given, allowed in (("split", split, ("episode", "paper")), ("device", device, ("auto", "cpu", "cuda"))):
-        if given not in allowed:
-            raise UnknownName(kind, given, allowed)
+    require_one_of("split", split, ("episode", "paper"))
+    require_one_of("device", device, DEVICES)
+    use_cache(cache)
     workspace = Workspace.current()
     if everything:
         own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}
         own |= {"--live": live, "--live-to": live_to}
         if extra := [name for name, value in own.items() if value]:
-            raise UsageError(f"--all trains every model its own way; leave {' and '.join(extra)} away.")
+            raise UsageError(f"--all chooses these for every model; leave out {' and '.join(extra)}.")
         _train_all(workspace, data, preset, seed, split, threads, device, as_json)
         return
     if model is None:
-        raise UsageError("no model is named; name one ('dmbench list models' shows them), or train --all of them.")
+        raise UsageError(
+            "no model is named; name one ('dmbench list models' lists them), or give --all to train every model."
+        )
     model_class(model)  # a misspelt name is said before anything is loaded
 
     from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve
@@ -102,7 +135,9 @@ def train(
     dataset = Dataset.open(workspace.dataset(data))
     folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
-        raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave --resume away to begin one.")
+        raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave out --resume to start one.")
+    if not (folder / RUN_MANIFEST).exists() and folder.is_dir() and any(folder.iterdir()):
+        raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
     run = open_run(request, dataset, folder, workspace)
     with following(lambda: _follower(run.path), live, live_to) as poll:
         _tell(run, dataset, train_run(run, dataset, device, poll), as_json)
@@ -115,7 +150,7 @@ def _follower(run: Path) -> Follower:
 
 
 def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None:
-    """Say what a training came to."""
+    """Print the result of a training."""
     summary = {
         "run": str(run.path),
         "model": run.spec.model,
@@ -140,9 +175,12 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
     if run.conditions is not None:
         typer.echo(f"  computed in {_conditions(run.conditions)}")
     if run.spec.labels == "none" and dataset.spec.actions:
-        typer.echo("Its actions have no names yet; '--labels one-shot' takes this training over and names them.")
+        typer.echo(
+            "The model does not know yet which action is which. "
+            "The same command with '--labels one-shot' tells it, without training again."
+        )
     else:
-        typer.echo(f"Score it with 'dmbench score {run.path}'.")
+        typer.echo(f"Score it with {command('dmbench score', run.path)}.")
 
 
 def _conditions(conditions: Conditions) -> str:
@@ -161,7 +199,7 @@ def _train_all(
     device: str,
     as_json: bool,
 ) -> None:
-    """Train the whole table; fails in the end if a row did."""
+    """Train every model with each of its budgets; raises an error at the end if one of them failed."""
     from dmotion_bench.errors import RunError
     from dmotion_bench.learning.start import TrainingRequest
     from dmotion_bench.learning.table import train_table
@@ -186,7 +224,8 @@ def _train_all(
         typer.echo(json.dumps({"rows": rows}))
     if failed := [row["model"] for row in rows if row["error"]]:
         raise RunError(
-            f"{len(failed)} of {len(rows)} rows failed: {', '.join(failed)}; the same command tries them again."
+            f"{len(failed)} of {len(rows)} trainings failed: {', '.join(failed)}; "
+            "run the same command to try them again."
         )
     if not as_json:
         typer.echo("Score them with 'dmbench score --all'.")
@@ -214,7 +253,7 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
             finished: dict[str, Any] = run.result
             return finished
     if (twin := take_over(run)) is not None:
-        note(f"taking over the training of {twin.path}, which differs in its labels alone.")
+        note(f"using the training of {twin.path}, which differs only in its labels.")
     elif run.last.exists():
         note(f"going on with {run.path}.")
     if (told := shortage(run.threads or 1, available_workers())) is not None:

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dmotion_bench.cli.options import listed
 from dmotion_bench.specs import SplitName
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.learning.run import Run
@@ -30,36 +32,40 @@ def view(
         list[Path],
         typer.Argument(
             metavar="PATH",
-            help="A data set, a run, a run's report, or an .rrd; a path or a name. Several runs: side by side.",
+            help="What to show: a data set, a run, a run's report or an .rrd file, by path or name. Several runs are "
+            "shown side by side.",
         ),
     ],
-    web: Annotated[bool, typer.Option("--web", help="Serve a web page on this machine instead of a window.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="Show it on a local web page instead of in a window.")] = False,
     save: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write a file instead of opening a window: FILE.rrd for Rerun; of runs also FILE.gif or FILE.webp, "
-            "an animation of real and imagined episodes.",
+            help="Write a file instead of opening a window: FILE.rrd for Rerun, or FILE.gif or FILE.webp for an "
+            "animation of real episodes beside the ones that runs predict.",
         ),
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(min=1, help="Imagined steps of an animation, at most; 30 if left out.")
+        int | None, typer.Option(min=1, help="For an animation: largest number of predicted steps. Default: 30.")
     ] = None,
     episode: Annotated[
-        list[int] | None, typer.Option(min=0, help="Show this episode; may be repeated. A few if left out.")
+        list[int] | None, typer.Option(min=0, help="Episode to show. Can be repeated. Default: a few telling ones.")
     ] = None,
     split: Annotated[
-        str | None, typer.Option(help="Take the episodes from train, validation or test; of a run, from test.")
+        str | None,
+        typer.Option(
+            metavar=listed(SPLITS), help="Part of the data set to take the episodes from. Default for a run: test."
+        ),
     ] = None,
     data: Annotated[
         Path | None,
-        typer.Option(help="Another data set of the run's environment to show it on; its own if left out."),
+        typer.Option(help="For a run: data set to show it on. Default: the one that it was trained on."),
     ] = None,
     live: Annotated[
-        bool, typer.Option("--live", help="Follow a training or a recording that is going on, until it ends.")
+        bool, typer.Option("--live", help="Show a training or a recording that is still running, until it ends.")
     ] = False,
 ) -> None:
-    """Look at a data set, a run, its report beside the others', or several runs in Rerun."""
+    """Show a data set, a run, a report or several runs in Rerun."""
     from dmotion_bench.errors import UnknownName, UsageError
     from dmotion_bench.workspace import Workspace
 
@@ -78,10 +84,10 @@ def view(
     workspace = Workspace.current()
     targets = [find_target(path, workspace) for path in paths]
     if len(targets) > 1 and (odd := next((one for one in targets if one.kind not in ("run", "report")), None)):
-        raise UsageError(f"only runs can be seen side by side, and {str(odd.path)!r} is a {odd.kind}; name it alone.")
+        raise UsageError(f"only runs can be shown side by side; {str(odd.path)!r} is a {odd.kind}, so name it alone.")
     target = targets[0]
     if target.kind == "recording" and save is not None:
-        raise UsageError(f"{str(target.path)!r} is for Rerun already; copy it, or leave --save away to look at it.")
+        raise UsageError(f"{str(target.path)!r} is a Rerun file already; copy it, or leave out --save to show it.")
     if data is not None and (live or len(targets) > 1 or target.kind not in ("run", "report")):
         raise UsageError("--data shows one run on another data set; name that run alone.")
     other = None if data is None else workspace.dataset(data)
@@ -122,7 +128,7 @@ def view(
         write_scene(scene, file)
         if save is not None:
             typer.echo(f"{save}")
-            typer.echo(f"Open it with 'dmbench view {save}' or 'rerun {save}'.")
+            typer.echo(f"Open it with {command('dmbench view', save)} or {command('rerun', save)}.")
         if save is None or web:
             _show(file, web)
 
@@ -251,13 +257,16 @@ def _show(file: Path, web: bool) -> None:
 
     try:
         if not web:
-            note("Rerun is open; close its window or press Ctrl-C to go on.")
+            note("Rerun is open; close its window or press Ctrl-C to continue.")
             show_window(file)
             return
         with serve_web(file) as viewer:
             typer.echo(viewer.url)
             forward = " ".join(f"-L {port}:127.0.0.1:{port}" for port in (viewer.page_port, viewer.data_port))
-            note(f"Open it in a browser on this machine, from another one after 'ssh {forward} HOST'. Ctrl-C ends it.")
+            note(
+                f"Open it in a browser on this machine, or on another one after running there "
+                f"'ssh {forward} HOST'. Press Ctrl-C to stop."
+            )
             viewer.process.wait()
     except KeyboardInterrupt:
         return

@@ -36,7 +36,7 @@ def choose_conditions(spec: RunSpec, parts: Sequence[Part], device: torch.device
 def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int) -> Callable[[Precision], object]:
     """Takes a step on the first batch of the longest phase, each time it is called."""
     part = max(parts, key=lambda part: part.stop - part.start)
-    model = spec.build_to_train().to(device)
+    model = spec.build().laid_out().to(device)
     optimizer = make_optimizer(model, spec.training_config)
     set_learning_rate(optimizer, learning_rate(spec.training_config, 0.0))
     model.train()

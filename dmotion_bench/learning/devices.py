@@ -34,7 +34,7 @@ def launch(device: str = "auto") -> Fabric:
         UsageError: A GPU was asked for and none is there.
     """
     if device == "cuda" and not torch.cuda.is_available():
-        raise UsageError("no CUDA device is here; leave --device away to train on the CPU.")
+        raise UsageError("this machine has no CUDA device; leave out --device to train on the CPU.")
     keep_freed_memory()
     processes = int(os.environ.get("WORLD_SIZE", "1"))
     accelerator = "cpu" if device == "cpu" or not torch.cuda.is_available() else "cuda"

@@ -9,6 +9,7 @@ Images are ``Float[b c h w]`` in [-1, 1]. Axis letters: ``b`` batch, ``t`` time,
 
 from __future__ import annotations
 
+import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from dmotion_bench.learning.boundary import guarded
 from dmotion_bench.specs import Preset, Supervision
 
 
@@ -110,7 +112,8 @@ class TrainingConfig:
         clip_norm: Largest norm of the gradient; 0 leaves it alone.
         precision: ``"bf16"`` autocast where the hardware has it, ``"float32"``, or ``"auto"``: whichever takes less
             time here (``precision.py``).
-        channels_last: Memory format of images and weights.
+        channels_last: Memory format of images and weights: channels last, which convolutions on a CPU like best, or
+            contiguous, which a model needs that calls ``view`` on what a convolution gives.
         ema: Decay of the averaged weights that are validated and kept; 0 keeps the raw ones.
         hard_share: Share of each batch, after the first epoch, that is drawn by the square roots of the
             triplets' latest losses instead of evenly; needs ``Losses.per_triplet``. Rare events, such as pushes, are
@@ -126,7 +129,7 @@ class TrainingConfig:
     weight_decay: float = 0.0
     clip_norm: float = 1.0
     precision: str = "auto"
-    channels_last: bool = True
+    channels_last: bool = False
     ema: float = 0.0
     hard_share: float = 0.0
     validations: int = 10
@@ -176,6 +179,14 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
     architectures: ClassVar[tuple[str, ...]] = ("compact",)
     budgets: ClassVar[tuple[str, ...]] = ()  # label budgets it is ranked under; those of its supervision if empty
     needs_pixels: ClassVar[bool] = True  # whether frames it predicts are meant to look like frames
+    channels_last: bool = False
+    """Whether images come channels last in memory; a run sets it as its ``TrainingConfig`` says."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, method in list(vars(cls).items()):
+            if inspect.isfunction(method):
+                setattr(cls, name, guarded(method, name))
 
     def __init__(self, config: ConfigT, inputs: ModelInputs) -> None:
         super().__init__()
@@ -191,6 +202,18 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """How this model is trained at a preset."""
         return TrainingConfig(epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 50}[preset])
+
+    def laid_out(self, *, channels_last: bool | None = None) -> ForwardModel[ConfigT]:
+        """The model itself, its weights in the memory format of its images.
+
+        Args:
+            channels_last: Another format than before.
+        """
+        if channels_last is not None:
+            self.channels_last = channels_last
+        if self.channels_last:
+            self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return self
 
     def phases(self) -> tuple[Phase, ...]:
         """The parts of a training, in order; their fractions sum to one. One part by default, with labels if any."""
@@ -212,6 +235,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         What is learnt must live in buffers or parameters, so that the checkpoint keeps it.
         """
 
+    @guarded
     def predict(
         self,
         previous: Float[Tensor, "b c h w"],
@@ -221,10 +245,12 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         """The frame after ``current`` if ``action`` is taken at it, in [-1, 1]."""
         return self.frame(self.advance(self.begin(previous, current), action))
 
+    @guarded
     def begin(self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]) -> State:
         """The state that a rollout starts from."""
         return previous, current
 
+    @guarded
     def advance(self, state: State, action: Int[Tensor, " b"]) -> State:
         """The state one action later."""
         previous, current = state
@@ -235,6 +261,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         frame: Tensor = state[1]
         return frame
 
+    @guarded
     def rollout(
         self,
         previous: Float[Tensor, "b c h w"],

@@ -21,23 +21,29 @@ class ModelTrial:
         kind: The class.
         arch: Which of its architectures.
         inputs: What its models are built for.
+        channels_last: Memory format of images and weights.
     """
 
-    def __init__(self, kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs) -> None:
-        self.kind, self.arch, self.inputs = kind, arch, inputs
-        self.name = kind.__qualname__
+    def __init__(
+        self, kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs, *, channels_last: bool = False
+    ) -> None:
+        self.kind, self.arch, self.inputs, self.channels_last = kind, arch, inputs, channels_last
+        asked = " on channels-last images, which its training_defaults ask for (TrainingConfig.channels_last)"
+        self.name = kind.__qualname__ + (asked if channels_last else "")
 
     def build(self) -> ForwardModel[Any]:
         """A new model, the same each time."""
         with torch.random.fork_rng(), self.calling("__init__(config, inputs)"):
             torch.manual_seed(0)
-            return self.kind(self.kind.configure(self.arch), self.inputs)
+            model = self.kind(self.kind.configure(self.arch), self.inputs)
+            return model.laid_out(channels_last=True) if self.channels_last else model
 
     def images(self, count: int, seed: int) -> Float[Tensor, "n c h w"]:
         """Noise in [-1, 1]."""
         generator = torch.Generator().manual_seed(seed)
         shape = (count, 3, self.inputs.height, self.inputs.width)
-        return (torch.rand(shape, generator=generator) * 2 - 1).contiguous(memory_format=torch.channels_last)
+        images = torch.rand(shape, generator=generator) * 2 - 1
+        return images.contiguous(memory_format=torch.channels_last) if self.channels_last else images
 
     def actions(self, count: int, shift: int = 0) -> Int[Tensor, " n"]:
         """All in turn."""

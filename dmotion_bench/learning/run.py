@@ -31,7 +31,7 @@ from dmotion_bench.learning.run_manifest import RUN_FORMAT, Conditions, RunSpec,
 from dmotion_bench.learning.settings import from_json
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
 
 __all__ = ["Conditions", "Run", "RunSpec"]
 
@@ -52,7 +52,7 @@ class Run:
         self.threads = threads if self.conditions is None else self.conditions.threads
 
     @classmethod
-    def open(cls, path: Path) -> Run:
+    def open(cls, path: AnyPath) -> Run:
         """A run that exists, finished or not.
 
         Raises:
@@ -60,6 +60,7 @@ class Run:
             RunCorrupt: Its manifest cannot be read, or is of another version.
             RunError: Its manifest may not be opened.
         """
+        path = Path(path)
         file = path / RUN_MANIFEST
         try:
             return cls(path, read_manifest(file))

@@ -100,13 +100,8 @@ class RunSpec:
         kind = model_class(self.model)
         with torch.random.fork_rng():
             torch.manual_seed(self.seed)
-            return kind(from_json(kind.Config, self.config), self.inputs)
-
-    def build_to_train(self) -> ForwardModel[Any]:
-        """The same in the memory format of the training."""
-        model = self.build()
-        if self.training_config.channels_last:
-            model = model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+            model = kind(from_json(kind.Config, self.config), self.inputs)
+        model.channels_last = self.training_config.channels_last
         return model
 
     def forms(self, most: int) -> dict[str, Form]:
@@ -119,7 +114,7 @@ class RunSpec:
             InvalidSetting: There is no such model.
         """
         kind = model_class(self.model)
-        config = from_json(kind.Config, self.config)
+        config: Any = from_json(kind.Config, self.config)
         try:
             with torch.device("meta"), _at_most(most):
                 return forms_of(kind(config, self.inputs).state_dict())

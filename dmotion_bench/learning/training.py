@@ -111,7 +111,7 @@ class _Trainer:
     def __init__(self, run: Run, data: TrainingData, fabric: Fabric) -> None:
         self.run, self.data, self.fabric = run, data, fabric
         self.config: TrainingConfig = run.spec.training_config
-        self.model = run.spec.build_to_train()
+        self.model = run.spec.build().laid_out()
         self.demonstrations = demonstrations_of(
             data, fabric.device
         )  # asked for first: what is missing is said before the work
@@ -143,7 +143,8 @@ class _Trainer:
 
     def _settle(self) -> Conditions:
         """The run's conditions; those of a run that begins are recorded before its first step."""
-        conditions, fabric = self.run.conditions, self.fabric
+        fabric = self.fabric
+        conditions: Any = self.run.conditions
         if conditions is None and fabric.is_global_zero:
             conditions = choose_conditions(self.run.spec, self.parts, fabric.device, fabric.world_size)
         agreed: Conditions = fabric.broadcast(conditions)

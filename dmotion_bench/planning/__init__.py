@@ -11,6 +11,7 @@
     simulation.py     the same predicted by the true simulator, for the oracle
     tree.py           predictions of many action sequences; a beginning that several share is predicted once
     planner.py        the contract of a planner, and the planners by name
+    configuration.py  every field and constant that decides a plan, for reports
     cross_entropy.py  the cross-entropy method: the paper's, and with later additions
     exhaustive.py     every sequence there is
     costs.py          how far a predicted frame is from the goal

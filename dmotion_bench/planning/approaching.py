@@ -1,4 +1,4 @@
-"""How near the agent is to where it can push what is not in its place.
+"""How near the agent is to a place from which it can push a misplaced object.
 
 An object that has to go to the left is pushed from the right, and one that has to come nearer from behind. Whatever
 the five actions that a planner imagines lead to, that place is nearer after some of them than after others, so it
@@ -32,7 +32,7 @@ TOES: Final = 3
 
 
 class Approach:
-    """The places from where some tasks' objects can be pushed towards their goals, along the picture's axes.
+    """The places from which objects can be pushed towards their goals, along the picture's axes; for several tasks.
 
     Args:
         tracker: Knows what is an object and no agent.
@@ -66,7 +66,7 @@ class Approach:
         self._handicap = handicap.where(use, torch.full_like(far, torch.inf))
 
     def nearness(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """From 1, where the object that has the longest way to go can be pushed, to 0, a frame's width away.
+        """How near the agent is to such a place: 1 at that of the object farthest from its goal, 0 a frame's width off.
 
         The others count as that much farther away as their own ways are shorter. 0 where no agent is seen.
         """

@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 import torch
@@ -26,6 +27,14 @@ from dmotion_bench.planning.problems import Problem, World
 from dmotion_bench.planning.tracking import Tracker
 from dmotion_bench.specs import EnvSpec
 
+CONTROL_VERSION: Final = 1
+"""The version of control: of the loop, the planners, the costs, the references and the judged distance.
+
+Raise it when a change makes anybody take another action, or gives another distance, in any task with the same
+settings. ``tests/golden/control.json`` holds actions and distances to notice that by. Results of different versions
+are neither averaged nor compared. A planner or cost that is new and leaves the others as they are needs no new version.
+"""
+
 STEPS = 100
 GROUP = 4
 """Tasks side by side on a CPU: a state of a model takes some 400 KB, and a plan holds hundreds of them per task."""
@@ -33,7 +42,7 @@ GROUP = 4
 
 @dataclass(frozen=True, kw_only=True)
 class ControlSettings:
-    """What decides the result beside the controller and the data.
+    """The settings that decide the result, besides the controller and the data.
 
     Attributes:
         steps: Actions a task.
@@ -54,7 +63,7 @@ class ControlSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlProgress:
-    """How far the loop is.
+    """The progress of the control loop.
 
     Attributes:
         steps, total: Control steps done, of all tasks together.
@@ -68,7 +77,7 @@ class ControlProgress:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """One control step as a watcher sees it, before its actions are taken."""
+    """One control step as ``watch`` is given it, before the actions are taken."""
 
     seen: Seen
     decision: Decision
@@ -78,7 +87,7 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlResult:
-    """What became of the tasks.
+    """The results of all tasks.
 
     Attributes:
         tasks: Their numbers.
@@ -104,7 +113,7 @@ class ControlResult:
 
 @dataclass(kw_only=True)
 class _Loop:
-    """What the groups have in common."""
+    """The state that all groups of tasks share."""
 
     controller: Controller
     settings: ControlSettings
@@ -172,7 +181,7 @@ def control(
 
 
 def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
-    """Work on one group from where the journal left it to the end."""
+    """Solve one group of tasks, starting from the step that the journal has reached."""
     records = loop.journal.records(problems)
     loop.records.update(records)
     if all(len(record.actions) >= loop.settings.steps for record in records.values()):
@@ -207,7 +216,7 @@ def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
 
 
 def _decide(controller: Controller, seen: Seen, worlds: Sequence[World]) -> Decision:
-    """Only the references that are made for it are handed the simulator."""
+    """Ask the controller for its actions; only references that declare it are given the simulator."""
     if isinstance(controller, KnowsSimulator):
         return controller.act_in(seen, worlds)
     return controller.act(seen)
@@ -220,7 +229,7 @@ def _act(worlds: Sequence[World], actions: Int[np.ndarray, " b"]) -> None:
 
 
 class _Gaze:
-    """What has been seen of a group's tasks, from pictures alone."""
+    """The observations of a group of tasks, from images alone."""
 
     def __init__(self, worlds: Sequence[World], actions: int, spec: EnvSpec) -> None:
         self._current: UInt8[np.ndarray, "b h w 3"] = np.stack([world.frame for world in worlds])
@@ -234,7 +243,7 @@ class _Gaze:
             self._known, self._wanted = self._tracker.meet(*images)
 
     def after(self, worlds: Sequence[World], actions: Int[np.ndarray, " b"]) -> None:
-        """Look at what the actions did."""
+        """Update the observations with the images after the actions."""
         frames = np.stack([world.frame for world in worlds])
         changed = (frames != self._current).any(axis=(1, 2, 3))
         self._blocked[changed] = False
@@ -248,7 +257,7 @@ class _Gaze:
             self._known = self._tracker.follow(self._known, torch.from_numpy(frames))
 
     def seen(self, worlds: Sequence[World], step: int, seed: int, memory: Int[np.ndarray, "b n t"] | None) -> Seen:
-        """What a controller is told."""
+        """The observation that a controller is given."""
         return Seen(
             previous=self._previous,
             current=self._current,
@@ -263,7 +272,7 @@ class _Gaze:
 
 
 def task_generator(seed: int, problem: Problem, step: int) -> np.random.Generator:
-    """The random numbers of one task at one step, whatever other tasks there are."""
+    """The random number generator of one task at one step; it does not depend on the other tasks."""
     return np.random.default_rng([seed, problem.task.episode, problem.task.start, step])
 
 

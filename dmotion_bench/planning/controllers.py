@@ -33,7 +33,7 @@ REFERENCES = ("idle", "random", "oracle", "scripted")
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """What is known at one control step of some tasks: images, and what the controller itself did.
+    """The observation of some tasks at one control step: images, and the controller's own past actions.
 
     Attributes:
         previous, current: The last two images; at the start the first one twice. A step that changed nothing in the
@@ -59,13 +59,13 @@ class Seen:
 
     @property
     def moment(self) -> Moment:
-        """What a planner is told of it."""
+        """The part of the observation that a planner is given."""
         return Moment(generators=self.generators, blocked=self.blocked, memory=self.memory)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """The actions to take, ``NO_ACTION`` for none, and the plan behind them if there is one."""
+    """The actions to take (``NO_ACTION`` for none), and the plan that led to them, if any."""
 
     action: Int[np.ndarray, " b"]
     plan: Plan | None = None
@@ -81,7 +81,7 @@ class Controller(Protocol):
 
 @runtime_checkable
 class KnowsSimulator(Protocol):
-    """A reference that may look behind the picture."""
+    """A reference that may read the simulator's state."""
 
     def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
         """The next actions."""
@@ -122,7 +122,7 @@ class ModelController:
         self.spec, self.planner, self.cost, self.bf16 = spec, planner, cost, bf16
 
     def futures(self, seen: Seen) -> ModelFutures:
-        """What the model imagines from what is seen."""
+        """The model's predictions from the present observation."""
         previous, current, goals = (
             torch.from_numpy(images).to(self.device) for images in (seen.previous, seen.current, seen.goals)
         )
@@ -146,15 +146,15 @@ class IdleController:
 
 
 class RandomController:
-    """Any action, each as likely."""
+    """Takes actions at random, all with the same probability."""
 
     def act(self, seen: Seen) -> Decision:
-        """One number of each task's generator."""
+        """Draw one action for each task from the task's own generator."""
         return Decision(action=np.array([generator.integers(seen.blocked.shape[1]) for generator in seen.generators]))
 
 
 class OracleController:
-    """The same planner with the true simulator as the model: an upper bound, so it knows where everything is.
+    """Plans with the true simulator in the model's place: an upper bound for models.
 
     Args:
         spec: What the objects look like.
@@ -173,7 +173,7 @@ class OracleController:
         self._simulations: dict[int, Simulation] = {}
 
     def act(self, seen: Seen) -> Decision:
-        """Not without the simulator."""
+        """Raises TypeError: the oracle needs the simulator, see ``act_in``."""
         raise TypeError("the oracle needs the simulator")
 
     def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
@@ -183,7 +183,7 @@ class OracleController:
         return Decision(action=plan.action, plan=plan)
 
     def _simulation(self, place: int, world: World, seen: Seen) -> Simulation:
-        """A simulator for the tasks that come by at one place of the group, where the world is."""
+        """The second simulator of the task at one place of the group, set to the task's present state."""
         known = self._simulations.get(place)
         if known is None or known.problem is not world.problem:
             env = known.env if known else self._make_env()

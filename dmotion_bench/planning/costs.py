@@ -34,18 +34,18 @@ COSTS = ("followed", "tracked", "position", "pixel", "feature")
 
 @runtime_checkable
 class FeatureModel(Protocol):
-    """A model that knows what matters of its states."""
+    """A model that describes its states by feature vectors."""
 
     def features(self, state: State) -> Float[Tensor, "b d"]:
-        """Vectors whose distance says how different two states are."""
+        """Feature vectors; the distance between two vectors measures how different the states are."""
 
 
 @runtime_checkable
 class Cost(Protocol):
-    """The cost of some futures, each of one task."""
+    """Computes the cost of predicted states; each state belongs to one task."""
 
     def __call__(self, model: ForwardModel[Any], state: State, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """Zero where the goal is reached."""
+        """The cost of each state; zero at the goal."""
 
 
 class PositionCost:
@@ -87,7 +87,7 @@ class PositionCost:
 
 
 class TrackedCost:
-    """The same distances with objects that are hidden where they are believed to be (``tracking.py``) [px^2].
+    """The same squared distances, with each hidden object at its estimated place (``tracking.py``) [px^2].
 
     An object that is seen now and not in the prediction costs as in ``PositionCost``: it may have been lost.
 
@@ -125,7 +125,7 @@ class PixelCost:
 
 
 class FeatureCost:
-    """Squared distance between a state's features and those of the goal, seen twice; the agent counts.
+    """Squared distance between the features of a state and of the goal image, given twice; the agent counts.
 
     A model that is no ``FeatureModel`` has its states compared number by number.
     """
@@ -147,6 +147,17 @@ def features_of(model: ForwardModel[Any], state: State) -> Float[Tensor, "b d"]:
     return torch.cat([part.flatten(1).float() for part in parts], dim=1)
 
 
+def cost_name(name: str | None, spec: EnvSpec, *, needs_pixels: bool) -> str:
+    """The cost that a name stands for; None is the one that suits the model and the environment.
+
+    Models of pixels are asked for positions of objects: of followed objects where objects are told by their hue, since
+    blurred edges have hues, too; else of tracked ones. Other models are asked for features.
+    """
+    if name is not None:
+        return name
+    return "feature" if not (needs_pixels and spec.objects) else "followed" if spec.shaded else "tracked"
+
+
 def make_cost(
     name: str | None,
     model: ForwardModel[Any],
@@ -156,10 +167,7 @@ def make_cost(
     tracked: tuple[Outlines, Outlines] | None = None,
     sights: Sights | None = None,
 ) -> Cost | Following:
-    """A cost by its name; None is that of object positions for models of pixels, else that of features.
-
-    Positions are those of followed objects where objects are told by their hue, since blurred edges have hues, too;
-    else those of tracked ones.
+    """A cost by its name; None is the one that ``cost_name`` chooses.
 
     Args:
         current, goals: The present images, and those that are wanted.
@@ -169,8 +177,7 @@ def make_cost(
     Raises:
         UnknownName: There is no such cost.
     """
-    if name is None:
-        name = "feature" if not (model.needs_pixels and spec.objects) else "followed" if spec.shaded else "tracked"
+    name = cost_name(name, spec, needs_pixels=model.needs_pixels)
     if name == "position" or (name in ("tracked", "followed") and tracked is None):
         return PositionCost(spec, goals)
     if name == "followed" and tracked is not None:

@@ -1,4 +1,4 @@
-"""Whether an object that is gone from a picture, imagined or real, is covered, or has fallen off the table.
+"""Whether an object that is not visible in a real or predicted image is hidden or has fallen off the table.
 
 What has fallen leaves bare ground where it was; what is covered has the agent's pixels there, or some of them already.
 What the ground looks like is seen around the object in the present picture. Nothing but pictures is looked at.
@@ -29,7 +29,7 @@ SECOND: Final = 0.3
 
 
 class Ground:
-    """The colours of what some tasks' objects stand on.
+    """The ground colours around each object of some tasks.
 
     Args:
         tracker: Knows what is an object and no ground.
@@ -59,7 +59,7 @@ class Ground:
     def covered(
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
     ) -> Bool[Tensor, "n k"]:
-        """Which of the objects that are asked about, all gone from the pictures, something stands before."""
+        """Which of the invisible objects in ``asked`` are hidden behind something, rather than fallen."""
         covered = asked & self._hidden[task]
         for place, one in (asked & ~covered).nonzero().tolist():
             own = int(task[place])
@@ -68,7 +68,7 @@ class Ground:
 
     @property
     def standing(self) -> Bool[Tensor, "b k"]:
-        """Which objects the present pictures show, or something stands before, wherever they were seen last."""
+        """Which objects are still on the table: visible in the present images, or hidden at their last known place."""
         standing, color = self.now.seen.clone(), self.color
         for task, one in (~standing & ~self._known.centre[..., 0].isnan()).nonzero().tolist():
             standing[task, one] = self._is_covered(self._frames[task], task, one, color[task, None])
@@ -76,14 +76,14 @@ class Ground:
 
     @property
     def color(self) -> Float[Tensor, "b 3"]:
-        """Of the ground that most objects of a task stand on; NaN where nobody knows."""
+        """The ground colour that most objects of a task stand on; NaN if it is unknown."""
         colors = self._colors[:, :, 0]
         agree = ((colors[:, :, None] - colors[:, None]).abs().amax(dim=-1) < ALIKE).sum(dim=2)
         votes = agree * (1 + self.now.seen)  # what hides an object may be around it, too
         return colors[torch.arange(len(colors)), votes.argmax(dim=1)]
 
     def _is_covered(self, picture: UInt8[Tensor, "h w 3"], task: int, one: int, colors: Float[Tensor, "c 3"]) -> bool:
-        """Whether a picture shows something else than ground of these colours where an object was."""
+        """Whether an image shows anything but these ground colours at the object's last place."""
         bare = alike(picture[self._box(task, one, 0.0, picture)].float(), colors)
         return bare.numel() > 0 and float(bare.float().mean()) < BARE
 

@@ -59,7 +59,7 @@ class CrossEntropyPlanner:
             raise InvalidSetting(f"stickiness is {self.stickiness}; it is a chance from 0 to below 1.")
 
     def plan(self, futures: Futures, moment: Moment) -> Plan:
-        """Draw, look, refit, lambda times."""
+        """Draw sequences, compute their costs and refit the distribution, ``iterations`` times."""
         tree = FutureTree(futures, self.horizon)
         chance = np.full((futures.tasks, self.horizon, futures.actions), 1 / futures.actions)
         allowed = ~(moment.blocked & ~moment.blocked.all(axis=1, keepdims=True))
@@ -95,7 +95,7 @@ class CrossEntropyPlanner:
         )
 
     def _judged(self, costs: Float[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s"]:
-        """A sequence's cost from those of its steps."""
+        """The cost of each sequence, from the costs of its steps."""
         if self.haste:
             costs = costs * (1 + self.haste * np.arange(costs.shape[2]))
         lowest: Float[np.ndarray, "b s"] = costs.min(axis=2)
@@ -128,7 +128,7 @@ def draw(
 def _remembered(
     moment: Moment, tree: FutureTree, planner: CrossEntropyPlanner
 ) -> tuple[Int[np.ndarray, "b m t"], Float[np.ndarray, "b m"]]:
-    """The best of the step before, shifted by the action that was taken, its last action repeated."""
+    """The best sequences of the previous control step, shifted by one action, with the last action repeated."""
     tasks = len(moment.generators)
     if moment.memory is None or not planner.kept:
         return np.zeros((tasks, 0, planner.horizon), np.int64), np.zeros((tasks, 0))

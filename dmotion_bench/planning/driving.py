@@ -1,4 +1,4 @@
-"""A model's imagination driven step by step: one picture to begin with, then nothing but actions."""
+"""A model's own predictions, continued action by action from one start image."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dmotion_bench.learning.model import ForwardModel
 
 
 class Drive:
-    """What a model believes happens.
+    """A sequence of predictions that a user continues one action at a time.
 
     Args:
         model: Aligned, in evaluation mode.
@@ -36,7 +36,7 @@ class Drive:
             self._state = self._model.begin(image, image)
 
     def step(self, action: int) -> UInt8[Tensor, "h w 3"]:
-        """Take an action; what the model sees then."""
+        """Take an action; returns the predicted frame."""
         with torch.inference_mode():
             self._state = self._model.advance(self._state, torch.tensor([action]))
             self.frame = to_pixels(self._model.frame(self._state))[0]
@@ -50,7 +50,7 @@ def imagined(
     current: UInt8[Tensor, "h w 3"],
     sequences: Int[Tensor, "m t"],
 ) -> UInt8[Tensor, "m t h w 3"]:
-    """What a model believes that some sequences of actions lead to."""
+    """The frames that a model predicts for some sequences of actions."""
     before, now = (to_model(image[None]).expand(len(sequences), -1, -1, -1) for image in (previous, current))
     with torch.inference_mode():
         return to_pixels(model.rollout(before, now, sequences))

@@ -1,4 +1,4 @@
-"""Which objects stand at the table's edge, where a push that a model imagines as nothing much may be the last one.
+"""The risk that the next push makes an object fall off the table's edge.
 
 An object that falls is lost for good, and models rarely see it coming: of a push over the edge they imagine a pixel,
 a smear that looks as if something covered the object, or, if they carry pixels along, the object a little farther
@@ -56,7 +56,7 @@ THIN: Final = 2
 
 
 class Edges:
-    """The objects of some tasks that are near the edge of what they stand on.
+    """The objects of some tasks that stand near the table's edge.
 
     Args:
         tracker: Knows what is an object and no ground.
@@ -85,7 +85,7 @@ class Edges:
     def risk(
         self, frames: UInt8[Tensor, "n h w 3"], now: Outlines, task: Int[Tensor, " n"], asked: Bool[Tensor, "n k"]
     ) -> Float[Tensor, "n k"]:
-        """The chance that the step that leads to the pictures makes an object fall, zero for those not asked about.
+        """The probability that the step to these images makes an object fall; zero for objects not asked about.
 
         Args:
             frames: The pictures.
@@ -102,7 +102,7 @@ class Edges:
         return torch.where(likely, LIKELY, UNLIKELY) * may
 
     def _is_passed(self, picture: UInt8[Tensor, "h w 3"], task: int, one: int) -> bool:
-        """Whether something new is to be seen below an object: neither ground nor object, and not there before."""
+        """Whether something new, neither ground nor object, is visible below an object."""
         centre, low, high = (part[task, one] for part in (self._known.centre, self._known.low, self._known.high))
         bottom, (near, far), beside = float(centre[1] + high[1]), BELOW, BESIDE * self._width
         rows = slice(math.ceil(bottom + near * self._width), math.ceil(bottom + far * self._width))

@@ -1,4 +1,4 @@
-"""All sequences there are: 1,024 of five actions out of four, 1,364 different frames. The exact reference."""
+"""The planner that tries every sequence: with four actions and five steps, 1,024 sequences and 1,364 frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dmotion_bench.planning.tree import FutureTree
 
 @dataclass(frozen=True, kw_only=True)
 class ExhaustivePlanner:
-    """Looks at every sequence.
+    """Computes the cost of every sequence.
 
     Attributes:
         horizon: Actions in a sequence; the work grows as actions ** horizon.
@@ -28,7 +28,7 @@ class ExhaustivePlanner:
             raise InvalidSetting(f"horizon is {self.horizon}; all sequences can be looked at for 1 to 8 steps.")
 
     def plan(self, futures: Futures, moment: Moment) -> Plan:
-        """The best of all; of equally good ones the first in the order of their actions' numbers."""
+        """The cheapest sequence; among equally cheap ones, the first in the order of action numbers."""
         tree = FutureTree(futures, self.horizon)
         everything = all_sequences(futures.actions, self.horizon)
         sequences = np.broadcast_to(everything, (futures.tasks, *everything.shape))

@@ -1,4 +1,4 @@
-"""Where to go while nothing that the planner can think of brings an object nearer to its goal.
+"""Where the agent goes while no sequence within the horizon brings an object nearer to its goal.
 
 Five actions do not reach an object on the other side of the table, and where all plans come to the same, the first
 of them is taken: the agent goes to and fro in one place until the steps are used up. Three things that pictures tell
@@ -71,7 +71,7 @@ WEARINESS: Final = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Sights:
-    """All that has been seen of some tasks, and what was done there.
+    """The history of some tasks: all images so far, reduced in size, and the actions between them.
 
     Attributes:
         pictures: Small ones, one for each moment; the last is the present.
@@ -83,18 +83,18 @@ class Sights:
 
     @classmethod
     def first(cls, frames: UInt8[Tensor, "b h w 3"]) -> Sights:
-        """Before anything was done."""
+        """The history at the start: one image, no action."""
         return cls(pictures=small(frames)[:, None], actions=torch.zeros((len(frames), 0), dtype=torch.int64))
 
     def after(self, actions: Int[Tensor, " b"], frames: UInt8[Tensor, "b h w 3"]) -> Sights:
-        """With what the actions led to."""
+        """The history with the newest actions and images appended."""
         return Sights(
             pictures=torch.cat([self.pictures, small(frames)[:, None]], dim=1),
             actions=torch.cat([self.actions, actions[:, None]], dim=1),
         )
 
     def tried(self, actions: int) -> Int[Tensor, "b a"]:
-        """How often each action was taken where it looked as it does now."""
+        """How often each action was taken in a state that looked like the present one."""
         apart = (self.pictures[:, :-1] - self.pictures[:, -1:]).square().mean(dim=2)
         taken = (self.actions[..., None] == torch.arange(actions)) & (apart < SAME)[..., None]
         return taken.sum(dim=1)
@@ -116,7 +116,7 @@ def small(frames: UInt8[Tensor, "n h w 3"]) -> Float[Tensor, "n d"]:
 
 
 def misplaced(known: Outlines, wanted: Outlines, standing: Bool[Tensor, "b k"], width: int) -> Float[Tensor, "b k"]:
-    """How much each object is sought: 0 if it is in its place, or has fallen, to 1.
+    """How far each object is from its place: from 0 (in its place, or fallen) to 1.
 
     Args:
         known, wanted: Where the objects are, and where they should be.
@@ -129,7 +129,7 @@ def misplaced(known: Outlines, wanted: Outlines, standing: Bool[Tensor, "b k"], 
 
 
 class Exploration:
-    """What makes one of two futures that cost the same the better one, as shares of the smallest believed change.
+    """Bonuses and penalties that decide between predictions of equal cost, in shares of the smallest change.
 
     Args:
         sights: What has been seen.
@@ -160,7 +160,7 @@ class Exploration:
         self._weariness = WEARINESS * tried
 
     def appeal(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """How much better than the rest imagined pictures make a future."""
+        """The bonus of predicted images that are new, or that bring the agent near a place to push from."""
         appeal: Tensor = NOVELTY * self._unlike(frames, task, self._seen)
         if self._approach is not None:
             appeal = appeal + NEARNESS * self._approach.nearness(frames, task)
@@ -169,14 +169,14 @@ class Exploration:
     def reluctance(
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
     ) -> Float[Tensor, " n"]:
-        """How much worse than the rest futures are that begin with these actions, which lead to these pictures."""
+        """The penalty of a first action that was tried before, or that moves away where nothing is misplaced."""
         away: Tensor = STRAYING * self._unlike(frames, task, self._seen[:, -2:])
         return torch.where(self._seeking[task], self._weariness[task, action], away)
 
     def _unlike(
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], seen: Float[Tensor, "b m d"]
     ) -> Float[Tensor, " n"]:
-        """From 0, like one of the pictures that were seen, to 1."""
+        """How different each image is from all images in ``seen``, from 0 to 1."""
         own = small(frames) * self._weight[task]
         apart = (own[:, None] - seen[task]).square().sum(dim=2).amin(dim=1)
         unlike: Tensor = 1 - torch.exp((VAGUE - apart / self._scale[task]).clamp(max=0) / NEW)

@@ -1,4 +1,4 @@
-"""The cost of an imagined future whose objects are followed from each step to the next.
+"""The cost of predicted frames in which each object is followed from step to step.
 
 A predicted frame is no picture: what the model is not sure of is a smear, a pushed object fades and is gone a few
 steps later, and the arm's blurred edges have the colours of objects that stand elsewhere. A planner that takes the
@@ -56,10 +56,10 @@ LOOSE: Final = 1.5
 
 @runtime_checkable
 class Following(Protocol):
-    """A cost that remembers something of each step for the next one."""
+    """A cost that carries information from each predicted step to the next."""
 
     def begin(self) -> Tensor:
-        """What is known of each task before anything is imagined."""
+        """The information about each task before the first predicted step."""
 
     def follow(
         self,
@@ -69,7 +69,7 @@ class Following(Protocol):
         action: Int[Tensor, " n"],
         known: Tensor,
     ) -> tuple[Float[Tensor, " n"], Tensor]:
-        """The cost of some futures, and what is to be known at the next step, from what was known at the last.
+        """The cost of some predicted states, and the information to carry on to the next step.
 
         ``action`` is the one that led to each.
         """
@@ -165,7 +165,7 @@ class FollowedCost:
         return (torch.where(wanted.seen, squared, 0.0) + self._lost * risk).sum(-1)
 
     def _look(self, before: Outlines, frames: UInt8[Tensor, "n h w 3"]) -> Outlines:
-        """What is seen of each object: near where it was, or wherever, if it is all there and in one piece."""
+        """Find each object: near its last place, or anywhere if it is visible as a whole and in one piece."""
         near, anywhere = self._tracker.look_near(before, frames, self._reach), self._tracker.look(frames)
         largest = LOOSE * (before.low + before.high) + PLAY
         whole = (anywhere.pixels >= CLEAR * before.pixels) & (anywhere.low + anywhere.high <= largest).all(-1)

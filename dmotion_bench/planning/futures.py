@@ -1,4 +1,4 @@
-"""What can be imagined from where some tasks stand.
+"""Predictions of what actions lead to, from the present state of some tasks.
 
 A planner works on ``Futures``: it starts from one state per task and takes states further by actions, many at a
 time, and is told what each costs. ``ModelFutures`` imagines with a forward model, which sees two images and nothing
@@ -29,7 +29,7 @@ FRAMES_AT_ONCE = {"cpu": 32, "cuda": 1024}
 
 @runtime_checkable
 class Futures(Protocol):
-    """What can be imagined.
+    """Predicts states and their costs, for several tasks at once.
 
     Attributes:
         tasks: How many tasks stand side by side.
@@ -47,20 +47,20 @@ class Futures(Protocol):
     def at_once(self) -> int: ...
 
     def begin(self) -> States:
-        """Where each task stands."""
+        """The present state of each task."""
 
     def expand(
         self, states: States, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
     ) -> tuple[States, Float[Tensor, " n"]]:
-        """Each state one action later, and what it costs there."""
+        """Each state after one more action, and its cost."""
 
 
 class ModelFutures:
-    """A forward model's imagination.
+    """The predictions of a forward model.
 
     Args:
         model: Aligned, in evaluation mode.
-        cost: What is to become small.
+        cost: The cost that the planner minimises.
         previous, current: The last two images of each task.
         bf16: Whether matrices may be multiplied in bfloat16 where the hardware does so; None: where it has it.
         at_once: Frames predicted in one batch.
@@ -84,7 +84,7 @@ class ModelFutures:
         self.at_once = at_once or FRAMES_AT_ONCE.get(self._device.type, 64)
 
     def begin(self) -> States:
-        """The model's state after the two images of each task, and what the cost knows then."""
+        """The model's state after the last two images of each task, and the cost's information."""
         with self._imagining():
             state = as_tuple(self._model.begin(to_model(self._previous), to_model(self._current)))
             return (*state, self._cost.begin()) if isinstance(self._cost, Following) else state
@@ -92,7 +92,7 @@ class ModelFutures:
     def expand(
         self, states: States, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
     ) -> tuple[States, Float[Tensor, " n"]]:
-        """What the model believes comes next."""
+        """The states that the model predicts, and their costs."""
         with self._imagining():
             task, action = task.to(self._device), action.to(self._device)
             if isinstance(self._cost, Following):

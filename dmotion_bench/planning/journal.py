@@ -1,4 +1,4 @@
-"""The control loop's progress on disk, so that a killed run goes on where it was, with the same result.
+"""The progress of the control loop on disk, so that an interrupted run continues with the same result.
 
 One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the planner
 of the unfinished group remembers. A file of another key is not taken up: it belongs to other weights, other tasks
@@ -26,7 +26,7 @@ WRITE_EVERY: Final = 5.0  # [s]
 
 @dataclass(kw_only=True)
 class TaskRecord:
-    """What has happened in one task.
+    """The actions and distances of one task so far.
 
     Attributes:
         actions: Taken so far.
@@ -40,7 +40,7 @@ class TaskRecord:
     frames: int = 0
 
     def note(self, world: World) -> None:
-        """Take down how things stand."""
+        """Append the present distance and the number of lost objects."""
         self.distance.append(world.distance)
         self.lost.append(world.lost)
 
@@ -51,10 +51,12 @@ class Journal:
     Args:
         path: The file; None keeps nothing.
         key: What decides the result, as JSON's types.
+        earlier: Keys of earlier releases that stand for the same result.
     """
 
-    def __init__(self, path: Path | None, key: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path | None, key: Mapping[str, Any], *, earlier: Sequence[Mapping[str, Any]] = ()) -> None:
         self._path, self._key = path, json.loads(json.dumps(key))
+        self._accepted = [self._key, *(json.loads(json.dumps(one)) for one in earlier)]
         self._records: dict[int, TaskRecord] = {}
         self._memory: dict[int, list[list[int]]] = {}
         self._written = time.monotonic()
@@ -67,25 +69,25 @@ class Journal:
         return cls(None, {})
 
     def all_records(self, problems: Sequence[Problem]) -> dict[int, TaskRecord]:
-        """What is known of each of some tasks."""
+        """The records of some tasks; empty ones for tasks that have not begun."""
         return {problem.number: self._records.get(problem.number, TaskRecord()) for problem in problems}
 
     def records(self, problems: Sequence[Problem]) -> dict[int, TaskRecord]:
-        """What is known of some tasks that are worked on together: all at the same step, or all at the start."""
+        """The records of a group of tasks; all empty if the tasks have not reached the same step."""
         known = self.all_records(problems)
         if len({len(record.actions) for record in known.values()}) > 1:
             known = {number: TaskRecord() for number in known}
         return known
 
     def memory(self, problems: Sequence[Problem]) -> Int[np.ndarray, "b n t"] | None:
-        """What the planner remembers of these tasks."""
+        """The planner's memory of these tasks; None if there is none."""
         found = [self._memory.get(problem.number) for problem in problems]
         if any(one is None for one in found):
             return None
         return np.array(found, np.int64)
 
     def write(self, records: Mapping[int, TaskRecord], memory: Int[np.ndarray, "b n t"] | None, *, last: bool) -> None:
-        """Keep these records; on disk every few seconds and after a group's last step."""
+        """Store these records; write them to disk every few seconds and after the group's last step."""
         self._records.update(records)
         self._memory = {}
         if memory is not None and not last:
@@ -101,14 +103,14 @@ class Journal:
             self._written = time.monotonic()
 
     def remove(self) -> None:
-        """Delete the file: the result stands elsewhere now."""
+        """Delete the file once the result is stored elsewhere."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 
     def _read(self, path: Path) -> None:
         try:
             content = json.loads(path.read_text())
-            if content["format"] != FORMAT or content["key"] != self._key:
+            if content["format"] != FORMAT or content["key"] not in self._accepted:
                 return
             records = {int(number): _record(**fields) for number, fields in content["tasks"].items()}
             memory = {int(number): own for number, own in content["memory"].items()}

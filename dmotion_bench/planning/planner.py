@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,7 +17,7 @@ from dmotion_bench.planning.futures import Futures
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """One control step of some tasks, besides what can be imagined.
+    """The context of one planning step for some tasks, besides the predictions.
 
     Attributes:
         generators: Random numbers for each task, a function of the seed, the task and the step alone, so that tasks
@@ -33,7 +33,7 @@ class Moment:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a planner came to.
+    """The result of planning one step.
 
     Attributes:
         action: The action to take now.
@@ -54,20 +54,20 @@ class Plan:
 
 @runtime_checkable
 class Planner(Protocol):
-    """Chooses actions for some tasks at once; what it does for one depends on no other."""
+    """Chooses actions for several tasks at once, each independently of the others."""
 
     def plan(self, futures: Futures, moment: Moment) -> Plan:
-        """The plan at one moment."""
+        """Plan one step."""
 
 
-SHOWN = 5
+SHOWN: Final = 5
 """How many of the best sequences a plan holds."""
 
 
 def best_first(
     sequences: Int[np.ndarray, "b s t"], costs: Float[np.ndarray, "b s"], count: int
 ) -> tuple[Int[np.ndarray, "b m t"], Float[np.ndarray, "b m"]]:
-    """The cheapest different sequences of each task, of equal ones the earlier; padded by repeating the best."""
+    """The ``count`` cheapest distinct sequences of each task; the best is repeated if there are too few."""
     chosen, prices = [], []
     for own, price in zip(sequences, costs, strict=True):
         order, seen = [], set[bytes]()
@@ -100,7 +100,7 @@ def _planners() -> Mapping[str, Callable[[], Planner]]:
 
 
 def planner_names() -> list[str]:
-    """Every planner that ``--planner`` takes."""
+    """The names that ``--planner`` accepts."""
     return list(_planners())
 
 

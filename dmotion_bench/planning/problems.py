@@ -1,4 +1,4 @@
-"""The stored tasks as problems to solve: where they start, what they are to look like, how far off they are.
+"""Stored control tasks as problems: the start state, the goal image, and the distance from the goal.
 
 A start state is reached by replay: the environment is reset with the episode's seed and takes the recorded actions.
 The distance that control is judged by comes from the simulator's positions: the sum over objects of how far each is
@@ -24,6 +24,7 @@ from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.tasks import ControlTask
+from dmotion_bench.wording import command
 
 
 @runtime_checkable
@@ -57,7 +58,7 @@ class TaskDataset(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """One control task, with all that starting and judging it takes.
+    """One control task, with everything that is needed to start it and to judge it.
 
     Attributes:
         number: Its number among the data set's tasks.
@@ -90,12 +91,12 @@ class Problem:
         return float(off[self._counted & present].sum() / self.initial) + self.lost(positions)
 
     def squared_distance(self, positions: Float[np.ndarray, "k 3"]) -> float:
-        """Summed squared distances [m^2], what is lost as far away as everything together at the start."""
+        """Summed squared distances [m^2]; a lost object is as far away as all objects together at the start."""
         off = np.where(np.isnan(positions[:, 0]), self.initial, self._off(positions))
         return float(np.square(off[self._counted]).sum())
 
     def lost(self, positions: Float[np.ndarray, "k 3"]) -> int:
-        """How many objects that should be there are gone."""
+        """The number of objects that were lost although the goal needs them."""
         return int((self._counted & np.isnan(positions[:, 0])).sum())
 
     @cached_property
@@ -123,7 +124,7 @@ def load_problems(dataset: TaskDataset, numbers: Sequence[int] | int | None = No
     if not tasks:
         raise DatasetError(
             f"{dataset.name!r} stores no control tasks; record a data set with some: "
-            f"'dmbench record {dataset.recipe.environment} --tasks 20'."
+            f"{command('dmbench record', dataset.recipe.environment, '--tasks', '20')}."
         )
     if numbers is None or isinstance(numbers, int):
         numbers = range(len(tasks) if numbers is None else min(numbers, len(tasks)))
@@ -155,7 +156,7 @@ def task_environment(recipe: DatasetRecipe) -> Environment:
 
 @runtime_checkable
 class Moving(Protocol):
-    """An environment that says where its actions lead."""
+    """An environment that tells how far each action moves the agent."""
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:
@@ -166,7 +167,7 @@ class World:
     """A simulator in which one problem is being solved.
 
     Args:
-        env: Used by nobody else meanwhile.
+        env: For this problem alone, as long as the problem lasts.
         problem: Started at once.
 
     Attributes:
@@ -182,9 +183,9 @@ class World:
         self.frame = start(env, problem)
         if not np.array_equal(self.frame, problem.start_frame):
             raise DatasetError(
-                f"task {problem.number} starts at another picture than the one recorded: the simulator of this "
-                "machine does not repeat what was recorded (another version of its package?). Record the data set "
-                "again with 'dmbench record'."
+                f"task {problem.number} starts at another picture than the recorded one: the simulator of this machine "
+                "does not reproduce the recording, perhaps because its package has another version. Record the data "
+                "set again with 'dmbench record'."
             )
         self._look_for_walls()
 
@@ -211,7 +212,7 @@ class World:
 
 
 def start(env: Environment, problem: Problem, actions: Sequence[int] = ()) -> UInt8[np.ndarray, "h w 3"]:
-    """Bring an environment to a problem's start, and further by some actions; what is seen there."""
+    """Bring an environment to a problem's start and take some more actions; returns the image there."""
     frame = env.reset(seed=problem.seed, options={"vary": list(problem.vary)} if problem.vary else None)[0]
     for action in (*problem.opening.tolist(), *actions):
         frame = env.step(action)[0]

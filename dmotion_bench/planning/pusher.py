@@ -1,4 +1,4 @@
-"""A controller by rules, which reads the simulator: how far one gets without any model.
+"""A controller that follows rules and reads the simulator, to show what is possible without a model.
 
 It takes the object that is farthest from its goal along one of the actions' directions, walks around everything to
 the place behind it, pushes until it is less than half a step away, and takes the next. When nothing is farther away
@@ -26,7 +26,7 @@ BEHIND: Final = (1, 2, 3)  # steps behind an object from where a push may start
 
 
 class ScriptedPusher:
-    """Pushes one object after another along one direction after another."""
+    """Pushes the objects to their goals one by one, along one direction at a time."""
 
     def act(self, seen: Seen) -> Decision:
         """Not without the simulator."""
@@ -38,7 +38,7 @@ class ScriptedPusher:
 
 
 class _Table:
-    """Where everything is, in steps from where the agent is."""
+    """The places of all objects relative to the agent, in units of one step."""
 
     def __init__(self, world: World) -> None:
         if not isinstance(world.env, Moving):
@@ -62,7 +62,7 @@ class _Table:
         return x, y
 
     def way(self, goal: Node, berth: float) -> int | None:
-        """The first action of the shortest walk that stays clear of everything; None where there is none."""
+        """The first action of the shortest path that avoids all objects; None if there is no such path."""
 
         def free(node: Node) -> bool:
             if max(map(abs, node)) > REACH or node in self.walls:
@@ -85,7 +85,7 @@ class _Table:
 
 
 def _choices(world: World) -> Iterator[int]:
-    """What could be done next, the best first."""
+    """The useful next actions, the best first."""
     table = _Table(world)
     moves = np.array(table.moves)
     gains = table.off @ moves.T

@@ -1,4 +1,4 @@
-"""The simulator's own futures: what a perfect model would imagine. For the oracle alone.
+"""Predictions by the true simulator, which a perfect model would make. Only the oracle uses them.
 
 A state is what leads to it, a seed and actions, so any state can be had by replay. Environments that are
 ``Restorable`` are put back instead, which is much faster. Everything happens in a simulator of its own, so that the
@@ -29,7 +29,7 @@ Look = Callable[[UInt8[np.ndarray, "h w 3"], Environment], Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """A state that the simulator has been in.
+    """A state that the simulator has reached.
 
     Attributes:
         actions: What leads there from the problem's start.
@@ -45,10 +45,10 @@ class Place:
 
 
 class Simulation:
-    """A simulator in which one problem's futures are tried out.
+    """A second simulator, in which the actions for one problem are tried out.
 
     Args:
-        env: Used by nobody else meanwhile.
+        env: For this problem alone, as long as the problem lasts.
         problem: Whose start it is brought to.
         look: Looks at a picture and at what is behind it.
 
@@ -68,7 +68,7 @@ class Simulation:
         self.here = self._now = _place(env, (), look(frame, env))
 
     def follow(self, world: World) -> None:
-        """Be where the world is."""
+        """Move to the present state of the controlled simulator."""
         actions = tuple(world.actions)
         if actions == self.here.actions:
             return
@@ -79,7 +79,7 @@ class Simulation:
                 self.here = self.step(self.here, action)
 
     def step(self, place: Place, action: int) -> Place:
-        """Where an action leads."""
+        """The state that an action leads to."""
         known = self._after.get((place.name, action))
         if known is None:
             self._go(place)
@@ -112,7 +112,7 @@ def _place(env: Environment, actions: tuple[int, ...], look: Any) -> Place:
 
 
 class SimulatorFutures:
-    """What the simulator would do; the same door as a model's.
+    """The simulator's true outcomes, with the interface of a model's predictions.
 
     Args:
         simulations: One per task, each where its task stands.
@@ -127,13 +127,13 @@ class SimulatorFutures:
         self._places = [simulation.here for simulation in simulations]
 
     def begin(self) -> States:
-        """Numbers of places: each task's own first."""
+        """The number of each task's present place in the list of places."""
         return (torch.arange(self.tasks),)
 
     def expand(
         self, states: States, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
     ) -> tuple[States, Float[Tensor, " n"]]:
-        """What truly comes next."""
+        """The states that the actions truly lead to, and their costs."""
         first, costs = len(self._places), list[float]()
         for number, of_task, taken in zip(states[0].tolist(), task.tolist(), action.tolist(), strict=True):
             simulation = self._simulations[of_task]

@@ -45,17 +45,17 @@ class PlanningSpeed:
 
     @property
     def steps_per_s(self) -> float:
-        """By the clock."""
+        """Control steps per second of elapsed time."""
         return self.steps / self.seconds
 
     @property
     def steps_per_cpu_s(self) -> float:
-        """What an undisturbed processor would do."""
+        """Control steps per second of processor time, which other programs do not disturb."""
         return self.steps / self.cpu_seconds
 
     @property
     def frames_per_s(self) -> float:
-        """Predicted, decoded and searched for objects."""
+        """Frames per second that are predicted, decoded and searched for objects."""
         return self.frames / self.seconds
 
 

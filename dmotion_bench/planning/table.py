@@ -1,4 +1,4 @@
-"""Where in the picture objects can stand: the table, or whatever has the ground's colour. Pictures alone tell."""
+"""The part of the image where objects can stand: the table, found as the area with the ground's colour."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PATCH: Final = 5
 
 
 class Table:
-    """What the objects of some tasks stand on, as a polygon.
+    """The table under the objects of some tasks, as a polygon.
 
     Args:
         ground: Knows its colour.
@@ -41,7 +41,7 @@ class Table:
 
     @property
     def inside(self) -> Bool[Tensor, "b h w"]:
-        """Which pixels lie on it, its outermost ones left out."""
+        """Which pixels lie on the table, without its outermost pixels."""
         down, across = (torch.arange(size, device=self._sides.device, dtype=torch.float32) for size in self._size)
         places = torch.stack(torch.meshgrid(across, down, indexing="xy"), dim=-1).flatten(0, 1)
         tasks = torch.arange(len(self._sides), device=self._sides.device)
@@ -49,7 +49,7 @@ class Table:
 
 
 def _sides(bare: Bool[Tensor, "b h w"]) -> Float[Tensor, "b s"]:
-    """The polygon around all that is seen of the ground: how far its sides are from the picture's corner [px].
+    """The polygon around all visible ground, as the distances of its sides from the image's corner [px].
 
     Each side lies across its own direction; without any ground they are infinitely far away.
     """

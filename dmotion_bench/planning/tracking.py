@@ -1,4 +1,4 @@
-"""Where the objects of some tasks are, as far as pictures tell, also where the agent stands before them.
+"""The places of objects as far as images tell, including objects that the agent hides.
 
 The centre of an object's visible pixels moves when something passes in front of it, by up to half the object. A
 planner that believes it finds the agent's place that hides the right half of an object better than any push, and
@@ -28,7 +28,7 @@ PLAY: Final = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Outlines:
-    """Where things are [px].
+    """The bounding boxes of objects [px].
 
     Attributes:
         centre: (x, y).
@@ -48,7 +48,7 @@ class Outlines:
         return Outlines(**{one.name: getattr(self, one.name).to(device) for one in fields(self)})
 
     def of(self, rows: Int[Tensor, " n"]) -> Outlines:
-        """Those of some tasks, one for each number."""
+        """The rows with these task numbers."""
         rows = rows.to(self.centre.device)
         return Outlines(
             centre=self.centre[rows],
@@ -59,7 +59,7 @@ class Outlines:
         )
 
     def where(self, chosen: Bool[Tensor, "b k"], other: Outlines) -> Outlines:
-        """These for the objects chosen, else those of ``other``."""
+        """These values for the chosen objects, and those of ``other`` for the rest."""
         pairs = {one.name: (getattr(self, one.name), getattr(other, one.name)) for one in fields(self)}
         return Outlines(
             **{
@@ -80,12 +80,12 @@ class Tracker:
         self._finder, self._objects = _finder(spec), len(spec.objects)
 
     def look(self, frames: UInt8[Tensor, "b h w 3"]) -> Outlines:
-        """What pictures show by themselves; an object that is not found has no centre (NaN)."""
+        """The objects that each image shows, without any history; an object that is not found has the centre NaN."""
         found, extents = self._finder.find_extents(frames)
         return self._outlines(found, extents)
 
     def look_near(self, known: Outlines, frames: UInt8[Tensor, "b h w 3"], reach: float) -> Outlines:
-        """What pictures show of each object where it was and around it, as far as ``reach`` [px] goes."""
+        """The part of each object that images show within ``reach`` [px] of its last bounding box."""
         low, high = known.centre - known.low - reach, known.centre + known.high + reach
         return self._outlines(*self._finder.find_within(frames, low, high))
 
@@ -104,23 +104,23 @@ class Tracker:
         return self._finder.labels(frames) < self._objects
 
     def meet(self, start: UInt8[Tensor, "b h w 3"], goals: UInt8[Tensor, "b h w 3"]) -> tuple[Outlines, Outlines]:
-        """Where things are at the start and at the goal, each helped by the other where something is hidden."""
+        """The objects' places at the start and at the goal; what one image hides is completed from the other."""
         first, last = self.look(start), self.look(goals)
         return believed(last, first), believed(first, last)
 
     def follow(self, known: Outlines, frames: UInt8[Tensor, "b h w 3"]) -> Outlines:
-        """Where things are believed to be when pictures come after what was known."""
+        """Update the estimated places with newer images."""
         return believed(known, self.look(frames))
 
 
 @functools.lru_cache(maxsize=8)
 def _finder(spec: EnvSpec) -> PositionFinder:
-    """The same for all trackers: its table of colours takes 0.1 s, and every control step needs it [measured]."""
+    """A position finder that all trackers share, because building its table of colours takes 0.1 s [measured]."""
     return PositionFinder(spec)
 
 
 def believed(known: Outlines, now: Outlines) -> Outlines:
-    """Where things are after what was known, if ``now`` is what a picture shows by itself."""
+    """The estimated places after an update: ``known`` is the estimate before it, ``now`` what the new image shows."""
     clear = now.seen & ((now.pixels >= CLEAR * known.pixels) | known.centre[..., 0].isnan())
     beyond_low = (known.low + PLAY - (known.centre - now.centre + now.low)).clamp(max=0)
     beyond_high = (now.centre + now.high - known.centre - known.high - PLAY).clamp(min=0)

@@ -1,4 +1,4 @@
-"""The futures of many action sequences, with every shared beginning imagined once.
+"""Predictions of many action sequences; a beginning that several sequences share is predicted once.
 
 Fifty sequences of five actions out of four share most of their first steps: of their 250 frames only some 150 are
 different, and a planner's later iterations meet most of its earlier prefixes again. So frames are nodes of a tree
@@ -18,7 +18,7 @@ from dmotion_bench.planning.futures import Futures, States
 
 @dataclass(kw_only=True)
 class _Level:
-    """All nodes at one depth, in the order in which they were imagined.
+    """All nodes at one depth, in the order in which they were predicted.
 
     Attributes:
         key: ``parent * actions + action`` of each node.
@@ -44,7 +44,7 @@ class _Level:
         return nodes
 
     def gather(self, nodes: Int[np.ndarray, " m"]) -> States:
-        """The states of nodes whose numbers do not fall."""
+        """The states of some nodes, whose numbers are in ascending order."""
         chunk = np.searchsorted(self.starts, nodes, side="right") - 1
         parts = []
         for index in np.unique(chunk).tolist():
@@ -54,7 +54,7 @@ class _Level:
 
 
 class FutureTree:
-    """Remembers the futures of some tasks from one moment on.
+    """Stores the predictions for some tasks from one control step on.
 
     Args:
         futures: What imagines them.
@@ -73,7 +73,7 @@ class FutureTree:
         ]
 
     def costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t"]:
-        """What each sequence of each task costs after each of its steps."""
+        """The cost of each sequence of each task after each of its steps."""
         if sequences.shape[2] > self.horizon:
             raise ValueError(f"sequences of {sequences.shape[2]} actions in a tree made for {self.horizon}")
         node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])

@@ -7,11 +7,11 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from dmotion_bench.environment import Environment
+from dmotion_bench.environment import Environment, Versioned
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.recording.session import SHARD_EPISODES
 from dmotion_bench.registry import environment_class
-from dmotion_bench.specs import DatasetRecipe, Preset, Scalar
+from dmotion_bench.specs import VERSION, DatasetRecipe, Preset, Scalar
 from dmotion_bench.values import parse_value
 
 RANGES: Final = "ranges"  # the parameter of an environment that says what varying factors are drawn from
@@ -50,13 +50,13 @@ def recipe_for(
     if preset not in kind.recording:
         raise UnknownName(f"preset of {environment}", preset.value, [known.value for known in kind.recording])
     usual = kind.recording[preset]
-    parameters = parse_parameters(environment, kind, settings)
+    parameters = _with_version(kind, parse_parameters(environment, kind, settings))
     varying = tuple(sorted({name.strip() for name in vary} - {""}))
     if ranges != USUAL_RANGES:
         if not varying:
             raise InvalidSetting(f"--ranges {ranges} is for factors that vary, and none does; name some with '--vary'.")
         if RANGES not in _parameters(kind):
-            raise InvalidSetting(f"{environment} draws nothing from ranges of its own choice; leave '--ranges' away.")
+            raise InvalidSetting(f"{environment} has no other ranges to choose from; leave out '--ranges'.")
         parameters[RANGES] = ranges
     return DatasetRecipe(
         environment=environment,
@@ -69,6 +69,15 @@ def recipe_for(
         shard_episodes=SHARD_EPISODES,
         vary=varying,
     )
+
+
+def _with_version(kind: type[Environment], parameters: dict[str, Scalar]) -> dict[str, Scalar]:
+    """The parameters with the version that is recorded; the first is not named, as in recipes from before versions."""
+    versioned: object = kind
+    if not isinstance(versioned, Versioned):
+        return parameters
+    version = parameters.pop(VERSION, max(versioned.versions))
+    return dict(sorted(({**parameters, VERSION: version} if version != 1 else parameters).items()))
 
 
 def parse_parameters(environment: str, kind: type[Environment], settings: Sequence[str]) -> dict[str, Scalar]:

@@ -18,7 +18,7 @@ from dmotion_bench.recording.executor import Executor, SerialExecutor
 from dmotion_bench.recording.session import ShardJob, record_shard
 from dmotion_bench.registry import environment_names
 from dmotion_bench.storage.atomic import sync_folder
-from dmotion_bench.storage.check import CheckReport, check_dataset
+from dmotion_bench.storage.check import CheckReport, cache_damages, check_dataset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.storage.repair import Salvaged, rebuild_tables, salvage
@@ -57,8 +57,8 @@ def repair_dataset(
     """
     report = check_dataset(path, on_progress)
     lost = report.shards if report.labels != "missing" else tuple(range(len(report.manifest.shards)))
-    if report.cache:  # only where all else is sound
-        Dataset.open(path).cache_file.path.unlink(missing_ok=True)
+    if report.cache:
+        _delete_cache(path)
     if not report.damages and not lost:
         return Repaired(how="sound")
     if lost and not _record_anew(report, lost, executor or SerialExecutor()):
@@ -67,7 +67,14 @@ def repair_dataset(
         return Repaired(how="salvaged", salvaged=salvage(path))
     if report.tables:
         rebuild_tables(path, report.manifest)
+    if not report.cache and any(cache_damages(Dataset.open(path))):  # which shows only where all else is sound
+        _delete_cache(path)
     return Repaired(how="cache" if report.cache and not lost else "restored", shards=lost)
+
+
+def _delete_cache(path: Path) -> None:
+    """It is made anew when it is needed."""
+    Dataset.open(path).cache_file.path.unlink(missing_ok=True)
 
 
 def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor) -> bool:

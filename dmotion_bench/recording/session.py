@@ -14,6 +14,7 @@ from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
 from dmotion_bench.storage.writer import DatasetWriter, deleted
+from dmotion_bench.workspace import AnyPath
 
 SHARD_EPISODES = 20  # small enough that a killed recording of a slow environment loses seconds
 
@@ -110,7 +111,7 @@ def environment_facts(recipe: DatasetRecipe) -> EnvSpec:
 
 
 def record_dataset(
-    path: Path,
+    path: AnyPath,
     recipe: DatasetRecipe,
     executor: Executor | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -123,7 +124,7 @@ def record_dataset(
         executor: Who makes the shards; this process by default.
         on_progress: Called at the start and after each shard.
     """
-    spec = environment_facts(recipe)
+    path, spec = Path(path), environment_facts(recipe)
     with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
         start, frames = time.perf_counter(), 0
         episodes = recipe.episodes - sum(len(writer.episodes_of(index)) for index in writer.missing)

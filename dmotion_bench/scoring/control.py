@@ -1,4 +1,4 @@
-"""Control: how near a model, a planner and a hundred steps bring the objects to where they should be.
+"""Control: how near to their goals a model and a planner bring the objects in a hundred steps.
 
 A task's figure is its normalised distance: 1 at the start, 0 at the goal, from the simulator's positions, whatever
 the model saw (``planning/problems.py``). What becomes of the samples of it stands in ``figures.py``.
@@ -25,15 +25,25 @@ import torch
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName
 from dmotion_bench.learning.checkpoint import weights_hash
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.control import GROUP, STEPS, ControlProgress, ControlResult, ControlSettings, control
+from dmotion_bench.planning.configuration import planning_configuration
+from dmotion_bench.planning.control import (
+    CONTROL_VERSION,
+    GROUP,
+    STEPS,
+    ControlProgress,
+    ControlResult,
+    ControlSettings,
+    control,
+)
 from dmotion_bench.planning.controllers import REFERENCES, Controller, ModelController, make_reference
 from dmotion_bench.planning.costs import COSTS
 from dmotion_bench.planning.journal import Journal
 from dmotion_bench.planning.planner import DEFAULT_PLANNER, make_planner
 from dmotion_bench.planning.problems import Moving, TaskDataset, load_problems, task_environment
 from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.report import CONTROL_OF_CODE
 from dmotion_bench.scoring.samples import SampleRows
-from dmotion_bench.versions import code_version
+from dmotion_bench.specs import EnvSpec
 from dmotion_bench.workspace import cache_folder
 
 METRIC: Final = "control"
@@ -45,7 +55,7 @@ Advance = Callable[[ControlProgress], None]
 
 @dataclass(frozen=True, kw_only=True)
 class ControlScoring:
-    """What decides the figures of control beside the weights and the data.
+    """The settings that decide the figures of control, besides the weights and the data.
 
     Attributes:
         tasks: So many of the data set's first tasks; None for all.
@@ -71,12 +81,16 @@ class ControlScoring:
             raise UnknownName("cost", self.cost, COSTS)
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands among a report's settings, flat, with the version of the code that plans."""
-        return {f"{METRIC}_{name}": value for name, value in (asdict(self) | {"code": planning_version()}).items()}
+        """The settings as a report stores them: with a prefix, and with the version of control."""
+        return {f"{METRIC}_{name}": value for name, value in (asdict(self) | {"version": CONTROL_VERSION}).items()}
+
+    def planning(self, spec: EnvSpec, *, needs_pixels: bool | None) -> dict[str, Any]:
+        """The planner and the cost in full, see ``planning_configuration``."""
+        return planning_configuration(make_planner(self.planner), self.cost, spec, needs_pixels=needs_pixels)
 
     @classmethod
     def from_json(cls, settings: Mapping[str, Any]) -> ControlScoring:
-        """What ``to_json`` made, among others."""
+        """Read the settings back from those of a report."""
         return cls(**{one.name: settings[f"{METRIC}_{one.name}"] for one in fields(cls)})
 
 
@@ -89,7 +103,7 @@ def score_control(
     progress: Advance = lambda _: None,
     checkpoint: Path | None = None,
 ) -> ControlResult:
-    """Let a model, or a reference, work on the data set's stored tasks.
+    """Let a model or a reference work on the tasks that the data set stores.
 
     Args:
         model: Aligned, or the name of a reference.
@@ -114,7 +128,7 @@ def score_control(
         problems,
         lambda: task_environment(dataset.recipe),
         ControlSettings(steps=scoring.steps, seed=scoring.seed, group=scoring.group),
-        journal=Journal(checkpoint, _key(model, dataset, scoring, device)),
+        journal=_journal(checkpoint, model, dataset, scoring, device),
         on_progress=progress,
     )
 
@@ -122,7 +136,7 @@ def score_control(
 def score_reference(
     name: str, dataset: TaskDataset, scoring: ControlScoring | None = None, *, progress: Advance = lambda _: None
 ) -> ControlResult:
-    """What a reference does; it is kept in the data set's cache, and interrupted it goes on from there.
+    """The results of a reference; they are kept in the data set's cache, also when the work is interrupted.
 
     Raises:
         UnknownName: There is no such reference; else as ``score_control``.
@@ -132,7 +146,7 @@ def score_reference(
 
 
 def require_tasks(dataset: TaskDataset) -> None:
-    """Say what is missing where control cannot be scored.
+    """Raise an error if control cannot be scored on a data set.
 
     Raises:
         DatasetError: The data set stores no tasks.
@@ -170,11 +184,11 @@ def control_tables(
 
 
 def known_references(dataset: TaskDataset, scoring: ControlScoring) -> tuple[str, ...]:
-    """The references that can stand beside a model at once: those that take seconds, and what has been scored."""
+    """The references that can be shown beside a model without delay: quick ones, and ones scored before."""
     problems = load_problems(dataset, scoring.tasks)
 
     def is_done(name: str) -> bool:
-        journal = Journal(_kept(name, dataset, scoring), _key(name, dataset, scoring, None))
+        journal = _journal(_kept(name, dataset, scoring), name, dataset, scoring, None)
         return all(len(record.actions) >= scoring.steps for record in journal.all_records(problems).values())
 
     (env := task_environment(dataset.recipe)).close()
@@ -183,7 +197,7 @@ def known_references(dataset: TaskDataset, scoring: ControlScoring) -> tuple[str
 
 
 def control_samples(predictor: str, result: ControlResult) -> pa.Table:
-    """One row for each task and moment, the start among them."""
+    """The samples of control: one row for each task and step, including the start."""
     moments = result.distance.shape[1]
     rows = SampleRows(METRIC, predictor)
     for place, (task, episode) in enumerate(zip(result.tasks, result.episodes, strict=True)):
@@ -210,17 +224,36 @@ def _controller(
     return ModelController(model, dataset.spec, planner, cost=scoring.cost, device=device)
 
 
+def _journal(
+    path: Path | None,
+    model: ForwardModel[Any] | str,
+    dataset: TaskDataset,
+    scoring: ControlScoring,
+    device: torch.device | None,
+) -> Journal:
+    """The journal of a control run; it also accepts results that name this version by a hash of the code."""
+    earlier = (_earlier_key(code, model, dataset, scoring, device) for code in _codes())
+    return Journal(path, _key(model, dataset, scoring, device), earlier=tuple(earlier))
+
+
 def _key(
     model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None
 ) -> dict[str, Any]:
-    """All that decides what becomes of a task."""
+    """Everything that decides the result of a task."""
+    needs_pixels = None if isinstance(model, str) else model.needs_pixels
     return {
-        "code": planning_version(),
+        "version": CONTROL_VERSION,
+        "planning": scoring.planning(dataset.spec, needs_pixels=needs_pixels),
+    } | _common_key(model, dataset, scoring, device)
+
+
+def _common_key(
+    model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None
+) -> dict[str, Any]:
+    return {
         "dataset": dataset.fingerprint,
         "who": model if isinstance(model, str) else weights_hash(model.state_dict()),
         "device": "cpu" if device is None else device.type,
-        "planner": repr(make_planner(scoring.planner)),
-        "cost": scoring.cost,
         "steps": scoring.steps,
         "seed": scoring.seed,
         "group": scoring.group,
@@ -228,10 +261,30 @@ def _key(
 
 
 def _kept(name: str, dataset: TaskDataset, scoring: ControlScoring) -> Path:
-    key = json.dumps(_key(name, dataset, scoring, None), sort_keys=True)
-    return cache_folder(dataset.path) / f"control-{name}-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
+    """Where a reference's results are kept: in the file of an earlier key, if there is one, or in that of the key."""
+    keys = [_earlier_key(code, name, dataset, scoring, None) for code in _codes()]
+    earlier = (_place(name, dataset, key) for key in keys)
+    return next((path for path in earlier if path.is_file()), _place(name, dataset, _key(name, dataset, scoring, None)))
 
 
-def planning_version() -> str:
-    """The version of the code that plans: what other code did is not gone on with."""
-    return code_version("planning", "positions.py")
+def _place(name: str, dataset: TaskDataset, key: Mapping[str, Any]) -> Path:
+    text = json.dumps(key, sort_keys=True)
+    return cache_folder(dataset.path) / f"control-{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
+
+
+def _codes() -> list[str]:
+    """Hashes of the code that stand for the present version of control."""
+    return [code for code, version in CONTROL_OF_CODE.items() if version == CONTROL_VERSION]
+
+
+def _earlier_key(
+    code: str,
+    model: ForwardModel[Any] | str,
+    dataset: TaskDataset,
+    scoring: ControlScoring,
+    device: torch.device | None,
+) -> dict[str, Any]:
+    """The key by which results were kept when the version was a hash of the code."""
+    planner = repr(make_planner(scoring.planner))
+    own = {"code": code, "planner": planner, "cost": scoring.cost}
+    return own | _common_key(model, dataset, scoring, device)

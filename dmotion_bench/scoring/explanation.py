@@ -1,4 +1,4 @@
-"""What can be said of a model on video whose actions are not known: how well it explains what it sees.
+"""Scoring on video with unknown actions: how well a model explains the video by its own latent actions.
 
 A model with a latent action (``LatentActionModel``) reads it off the true frames and draws the next frame with nothing
 else of it: a few numbers are all that it is told of the future. So the figure is
@@ -34,7 +34,7 @@ REMARK = (
 def explain_steps(
     model: ForwardModel[Any], dataset: Dataset, split: SplitName, protocol: SplitProtocol, how: Execution
 ) -> pa.Table:
-    """Every held-out triplet's next frame, drawn with the motion of the true frames; and as a copy of the last.
+    """Predict the next frame of every held-out triplet with the latent action of its true frames, beside copy-last.
 
     Raises:
         LabelsNotAvailable: The model has no latent action.

@@ -27,7 +27,7 @@ Figures = dict[str, Estimate]
 
 
 def figures_of(samples: pa.Table, predictor: str, *, resamples: int = RESAMPLES, seed: int = 0) -> Figures:
-    """Every figure that the samples of a predictor allow; one without a single value is not there."""
+    """Every figure that can be computed from a predictor's samples; figures without any value are left out."""
     mine = _where(samples, "predictor", predictor)
     single, rollout, controlled = (_where(mine, "metric", metric) for metric in ("prediction", "rollout", "control"))
     found = _single_steps(single, resamples, seed) if len(single) else {}
@@ -72,7 +72,7 @@ def _rollouts(rollout: pa.Table, resamples: int, seed: int) -> Figures:
 
 
 def _control(samples: pa.Table, resamples: int, seed: int) -> Figures:
-    """The mean distance over tasks after each step, and the shares of those that end near enough."""
+    """The mean distance over tasks after each step, and the shares of tasks that end near the goal."""
     if not len(samples):
         return {}
     ahead, episode = column(samples, "ahead"), column(samples, "episode")

@@ -1,4 +1,4 @@
-"""All that is measured on a predicted frame beside its true one, by the column names of ``samples.parquet``."""
+"""Everything that is measured on a predicted frame and its true frame, by the columns of ``samples.parquet``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FrameMeasures:
         self._finder = PositionFinder(spec) if self._objects or self._agent else None
 
     def positions(self, frames: UInt8[Tensor, "b h w 3"]) -> Positions | None:
-        """Where things are; found once for a true frame that many predictions are compared with."""
+        """The positions of the objects; for a true frame they are computed once and used for many predictions."""
         return None if self._finder is None else self._finder.find(frames)
 
     def compare(

@@ -1,4 +1,4 @@
-"""Whether a model that learned without actions found the agent, and its motion, or only something as useful.
+"""Whether a model that learned without actions identified the agent and its motion.
 
 A low loss alone does not show it: two numbers can carry the action whatever the map holds. So a model with a latent
 action (``LatentActionModel``: DMotion's phi^0, the z of CLASP, LAPO and their like), a map of the agent
@@ -49,12 +49,12 @@ class LatentActionModel(Protocol):
         current: Float[Tensor, "b c h w"],
         following: Float[Tensor, "b c h w"],
     ) -> Float[Tensor, "b d"]:
-        """What is done at ``current``, that ``following`` comes of it."""
+        """The latent action at ``current`` that leads to ``following``."""
 
     def predict_with_latent(
         self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"], latent: Float[Tensor, "b d"]
     ) -> Float[Tensor, "b c h w"]:
-        """The next frame if this is done."""
+        """The next frame under a latent action."""
 
 
 @runtime_checkable
@@ -75,7 +75,7 @@ class ShiftModel(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """What a model makes of the held-out triplets; NaN where a triplet has no value.
+    """The identification figures of each held-out triplet; NaN where a triplet has no value.
 
     Attributes:
         motion: phi^0 of each true triplet.

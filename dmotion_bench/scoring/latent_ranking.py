@@ -29,7 +29,7 @@ class EmbeddingModel(Protocol):
     """A ``ForwardModel`` whose state has a point in a space of its own."""
 
     def embedding(self, state: Any) -> Float[Tensor, "b *d"]:
-        """Where the frame is that the state stands for."""
+        """The state's point in the model's latent space."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,7 @@ MISSING_AT = (-1.0, -1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class PositionErrors:
-    """Figures per frame; NaN where a frame has nothing to say."""
+    """Figures of each frame; NaN where a frame has no value."""
 
     position_error_paper: Float[Tensor, " b"]
     position_error: Float[Tensor, " b"]

@@ -34,12 +34,12 @@ Progress = Callable[[str, int, int], None]
 
 
 def silent(what: str, done: int, total: int) -> None:
-    """Tells nobody."""
+    """Report no progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Execution:
-    """How the work is done; no figure depends on it, but for the last digits of floating point.
+    """How scoring is carried out; it changes figures by rounding at most.
 
     Attributes:
         batch_size: Triplets predicted at once.
@@ -54,7 +54,7 @@ class Execution:
 
 @contextlib.contextmanager
 def predicting(device: torch.device, precision: Precision = "float32") -> Iterator[None]:
-    """No gradients, and true float32: without TF32, which rounds to 10 bits. ``bf16`` is autocast, for the hurried."""
+    """Turn off gradients and TF32, which rounds float32 to 10 bits; ``bf16`` turns on autocast, which is faster."""
     convolutions = torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False)
     rounded = torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16")
     products = torch.get_float32_matmul_precision()
@@ -67,7 +67,7 @@ def predicting(device: torch.device, precision: Precision = "float32") -> Iterat
 
 
 def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> pa.Table:
-    """Every held-out triplet's next frame, predicted; with its identification where the model has a latent action."""
+    """Score the predicted next frame of every held-out triplet, and the identification of latent-action models."""
     measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("prediction", MODEL), 0
     latent = model if isinstance(model, LatentActionModel) else None
     found = identify(latent, held_out, batch_size=how.batch_size, device=how.device) if latent else None
@@ -88,7 +88,7 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
 
 
 def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, *, horizon: int) -> pa.Table:
-    """Rollouts of ``horizon`` steps from up to four places of each held-out episode, and their ranks if it has any."""
+    """Score rollouts of ``horizon`` steps from up to four starts in each held-out episode, and their ranks."""
 
     def predict(batch: RolloutBatch) -> UInt8[Tensor, "b t h w 3"]:
         previous, current = (
@@ -123,7 +123,7 @@ def score_reference_steps(held_out: HeldOut, how: Execution) -> pa.Table:
 
 
 def score_reference_rollouts(held_out: HeldOut, how: Execution, *, horizon: int) -> pa.Table:
-    """A rollout in which nothing ever changes. Where the agent alone moves is not known beyond one step."""
+    """Score a rollout that copies the last frame. The reference that moves only the agent exists for one step only."""
 
     def predict(batch: RolloutBatch) -> UInt8[Tensor, "b t h w 3"]:
         return torch.from_numpy(batch.current).to(how.device)[:, None].expand(-1, horizon, -1, -1, -1)

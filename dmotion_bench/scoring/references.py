@@ -1,9 +1,10 @@
-"""What stands beside a model's figures: predictors that know nothing of learning, and published results.
+"""References beside a model's figures: simple predictors that learn nothing, and published results.
 
 ``copy_last`` says that nothing changes. ``agent_moves`` says that the agent moves and nothing else does: it is the
 current frame with every pixel that shows the agent before or after the step taken from the true next frame. Where
-nothing but background lies under the agent's old place (Grid World, Planar Push) that is exactly "the agent's patch
-drawn at its new place, the pushes ignored"; where the agent hides things (Robot Push) what it uncovers is the truth.
+nothing but background lies under the agent's old place (Grid World, Planar Push) that is "the agent's patch drawn at
+its new place, the pushes ignored", but for the border pixels that cells share in Grid World's version 2. Where the
+agent hides things (Robot Push) what it uncovers is the truth.
 What must be predicted in any environment lies between these two and zero.
 
 Published figures come through entry points of the group ``dmbench.references``, each the ``"module:attribute"`` of an
@@ -76,7 +77,7 @@ class PublishedResult:
 
 
 def published_results() -> list[PublishedResult]:
-    """All that installed packages have to tell."""
+    """The published results that installed packages provide."""
     results: list[PublishedResult] = []
     for point in sorted(entry_points(group=PUBLISHED), key=lambda point: point.name):
         try:

@@ -4,19 +4,25 @@
 
     report.json
       protocol       "dmbench-1": what the figures' names mean
-      code           version of dmbench and a hash of the code that scores
+      scoring_version  of the code that scores (SCORING_VERSION)
       run, model, arch, preset, seed
       labels         asked for, and the number handed out by purpose
-      dataset        name, environment, fingerprint (the hash of its content); trained_on: name and fingerprint of
-                     the run's own, where it is scored on another (transfer.py)
+      dataset        name, environment, fingerprint (the hash of its content); version: of the environment, where it
+                     is not 1; trained_on: name and fingerprint of the run's own, where it is scored on another
+                     (transfer.py)
       weights        the hash of the weights
-      settings       split, horizon, precision ...; metrics: what has been scored so far
+      settings       split, horizon, precision ...; metrics: what has been scored so far; of control its version, too
+      planning       of control: the planner and the cost, every field and every constant, and the arithmetic
       training       what the run cost
       versions       of Python and the packages
       figures        name -> mean, std, low, high, n
       reference      the same for predictors that know nothing, and published results, by their names
       remarks        what to bear in mind of each reference, and what could not be scored
       samples        file, rows and hash of samples.parquet
+
+Until version 1 a report held hashes of the code instead, which any change of a comment changed: ``code`` of the code
+that scores, and ``control_code`` among the settings of the code that plans. ``SCORING_OF_CODE``
+and ``CONTROL_OF_CODE`` say which versions the published hashes are; any other is an earlier version without a number.
 """
 
 from __future__ import annotations
@@ -26,16 +32,31 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 import pyarrow as pa
 
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
-from dmotion_bench.versions import code_version
 
 PROTOCOL = "dmbench-1"
+SCORING_VERSION: Final = 1
+"""The version of scoring: of the samples of predictions, of their figures and intervals.
+
+Raise it when a change gives another figure, beyond rounding, of the same model on the same data. ``tests/golden/
+scoring.json`` holds figures to notice that by. A report of another version is scored again. A figure that is new and
+leaves the others as they are needs no new version.
+"""
+
+SCORING_OF_CODE: Final[Mapping[str, int]] = MappingProxyType({"0.1.0+f4b222bec15f": 1})
+CONTROL_OF_CODE: Final[Mapping[str, int]] = MappingProxyType({"0.1.0+4fa30b762c67": 1})
+"""The versions of published results that name a hash of the code."""
+
+Version = int | str
+"""A number; of earlier versions without a number the hash of their code."""
+
 REPORT_FOLDER = "report"
 REPORT_FILE = "report.json"
 TRANSFERS = "on"
@@ -47,7 +68,7 @@ FigureJson = Mapping[str, float | int | None]
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What scoring says of one run; the fields are those of the file."""
+    """The report of one run; its fields are those of the file."""
 
     run: str
     model: str
@@ -60,11 +81,12 @@ class Report:
     settings: Mapping[str, Any]
     training: Mapping[str, Any]
     versions: Mapping[str, str]
-    code: str
     figures: Mapping[str, FigureJson]
     reference: Mapping[str, Mapping[str, FigureJson]]
     remarks: Mapping[str, str] = field(default_factory=dict)
     protocol: str = PROTOCOL
+    scoring_version: Version = SCORING_VERSION
+    planning: Mapping[str, Any] = field(default_factory=dict)
     samples: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -75,7 +97,7 @@ class Report:
 
     @property
     def place(self) -> Path:
-        """Where it lies in the run's folder."""
+        """The report's path within the run's folder."""
         own = Path(REPORT_FOLDER)
         return own if self.trained_on is None else own / TRANSFERS / Path(self.dataset["name"]).name
 
@@ -95,7 +117,7 @@ class Report:
 
 
 def write_report(folder: Path, report: Report, samples: pa.Table) -> Report:
-    """Write the samples, then the report that vouches for them; each is whole or not there."""
+    """Write the samples, then the report with their hash; each file is complete or absent."""
     path = folder / SAMPLES_FILE
     folder.mkdir(parents=True, exist_ok=True)
     write_samples(path, samples)
@@ -122,6 +144,8 @@ def read_report(folder: Path) -> Report | None:
         raise RunCorrupt(
             f"the report {str(path)!r} cannot be read ({error}); delete it and score the run again."
         ) from None
+    if isinstance(stored, dict) and "code" in stored:
+        stored = _with_versions(stored)
     names = {field.name for field in fields(Report)}
     if not isinstance(stored, dict) or stored.get("protocol") != PROTOCOL or set(stored) != names:
         return None
@@ -129,16 +153,23 @@ def read_report(folder: Path) -> Report | None:
 
 
 def read_report_samples(folder: Path, report: Report) -> pa.Table | None:
-    """The samples that a report vouches for; None if they are gone or are others."""
+    """The samples that belong to a report; None if they are missing or have another hash."""
     path = folder / SAMPLES_FILE
     if not path.is_file() or _sha256(path) != report.samples.get("sha256"):
         return None
     return read_samples(path)
 
 
-def scoring_version() -> str:
-    """The version of the code that scores: a report by other code is not up to date."""
-    return code_version("scoring", "positions.py")
+def _with_versions(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """A report that names hashes of the code, with versions in their place."""
+    versioned = {name: value for name, value in stored.items() if name != "code"}
+    settings = stored.get("settings")
+    if isinstance(settings, dict) and "control_code" in settings:
+        others = {name: value for name, value in settings.items() if name != "control_code"}
+        code = settings["control_code"]
+        versioned["settings"] = others | {"control_version": CONTROL_OF_CODE.get(code, code)}
+    code = stored["code"]
+    return {"scoring_version": SCORING_OF_CODE.get(code, code), "planning": {}} | versioned
 
 
 def _sha256(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""``samples.parquet``: every number that a report's figures are made of, one row a predicted frame.
+"""``samples.parquet``: every number behind a report's figures, one row per predicted frame.
 
 ================== ==================================================================================
 ``metric``         ``"prediction"`` (single steps), ``"rollout"``, or ``"control"`` (see below)

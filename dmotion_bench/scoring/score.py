@@ -1,4 +1,4 @@
-"""From a trained model to its figures, and from a run to its report."""
+"""Compute the figures of a trained model, and write the report of a run."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, Literal, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import torch
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.controllers import REFERENCES as CONTROL_REFERENCES
@@ -33,20 +33,21 @@ from dmotion_bench.scoring.prediction import (
 from dmotion_bench.scoring.references import REFERENCES, published_for
 from dmotion_bench.scoring.report import (
     PROTOCOL,
+    SCORING_VERSION,
     Report,
     read_report,
     read_report_samples,
-    scoring_version,
     write_report,
 )
 from dmotion_bench.scoring.samples import SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
 from dmotion_bench.scoring.transfer import report_folder, require_transferable
 from dmotion_bench.scoring.transitions import HeldOut
-from dmotion_bench.specs import SplitName
+from dmotion_bench.specs import VERSION, SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.versions import versions
+from dmotion_bench.workspace import AnyPath
 
 Metric = Literal["prediction", "rollout", "control"]
 METRICS: tuple[Metric, ...] = get_args(Metric)
@@ -69,7 +70,7 @@ REMARKS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreSettings:
-    """What decides a report's figures beside the weights and the data.
+    """The settings that decide a report's figures, besides the weights and the data.
 
     Attributes:
         split: The episodes that are scored.
@@ -92,14 +93,14 @@ class ScoreSettings:
             raise InvalidSetting(f"the horizon is {self.horizon}; a rollout has at least 1 step.")
 
     def to_json(self, metrics: tuple[str, ...]) -> dict[str, Any]:
-        """As they stand in a report in which these groups of figures are; flat."""
+        """The settings as a report with these groups of figures stores them."""
         plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "control"}
         return plain | (self.control.to_json() if "control" in metrics else {}) | {"metrics": list(metrics)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """What scoring a model came to.
+    """The results of scoring a model.
 
     Attributes:
         samples: As ``scoring/samples.py`` lays them out.
@@ -113,13 +114,13 @@ class Scores:
 
 
 class ReferenceScores:
-    """The references' samples, which depend on the data alone: scored once for all runs of a process."""
+    """The samples of references, which depend on the data alone, so that all runs of a process share them."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], pa.Table] = {}
 
     def get(self, key: tuple[object, ...], score: Callable[[], pa.Table]) -> pa.Table:
-        """What is known under a key, or what ``score`` finds."""
+        """The samples stored under a key; computed by ``score`` the first time."""
         if key not in self._known:
             self._known[key] = score()
         return self._known[key]
@@ -150,7 +151,7 @@ def score_model(
     """
     settings, how = settings or ScoreSettings(), how or Execution()
     references = references or ReferenceScores()
-    model = model.to(how.device).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    model = model.to(how.device).laid_out().eval()
     if not dataset.spec.actions:
         with predicting(how.device, settings.precision):
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
@@ -187,19 +188,19 @@ def _scores(samples: pa.Table, settings: ScoreSettings) -> Scores:
 
 
 def score_run(
-    path: Path,
+    path: AnyPath,
     *,
     metrics: tuple[Metric, ...] = DEFAULT_METRICS,
     settings: ScoreSettings | None = None,
     how: Execution | None = None,
     references: ReferenceScores | None = None,
     renew: bool = True,
-    data: Path | None = None,
+    data: AnyPath | None = None,
 ) -> Report:
     """Score a run on the held-out episodes of its data set, or of another one, and write its report.
 
     Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings and
-    code, which of control is the code that plans.
+    version; of control the same planner and cost, too.
 
     Args:
         renew: Whether to score again what the report already holds.
@@ -235,7 +236,8 @@ def score_run(
         true: tuple[str, ...] = ()
         if report is not None:
             settings = _with_stored(settings, report, metrics)
-            true = tuple(metric for metric in report.settings["metrics"] if _is_true(metric, report, settings))
+            planning = _planning(run, dataset, settings)
+            true = tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
@@ -250,6 +252,11 @@ def score_run(
             journal=(journal := folder / "control.json"),
         )
         scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*true, *metrics))))
+        if "control" in metrics:
+            arithmetic = "bfloat16" if has_bf16((how or Execution()).device) else "float32"
+            scored = replace(scored, planning=_planning(run, dataset, settings) | {"arithmetic": arithmetic})
+        elif "control" in true and report is not None:
+            scored = replace(scored, planning=report.planning or _planning(run, dataset, settings))
         written = write_report(folder, scored, scores.samples)
         journal.unlink(missing_ok=True)
     return written
@@ -267,7 +274,7 @@ def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa
 
 
 def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ...]) -> ScoreSettings:
-    """Settings of groups that are not asked for are the report's."""
+    """Take the settings of groups that are not asked for from the report."""
     if "rollout" not in metrics:
         settings = replace(settings, horizon=report.settings["horizon"])
     if "control" not in metrics and "control" in report.settings["metrics"]:
@@ -275,13 +282,20 @@ def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ..
     return settings
 
 
-def _is_true(metric: str, report: Report, settings: ScoreSettings) -> bool:
-    """Whether scoring the same model on the same data now would come to a report's figures of one group."""
+def _planning(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, Any]:
+    return settings.control.planning(dataset.spec, needs_pixels=run.model.needs_pixels)
+
+
+def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Mapping[str, Any]) -> bool:
+    """Whether a report's figures of one group are those that scoring now would give."""
     said = settings.to_json(METRICS)
     others = {"metrics", *(() if metric == "rollout" else ("horizon",))}
     decisive = [name for name in said if name.startswith(CONTROL) == (metric == "control") and name not in others]
-    same_code = metric == "control" or report.code == scoring_version()  # the code of control is among its settings
-    return same_code and all(said[name] == report.settings.get(name) for name in decisive)
+    if metric == "control":  # its version is among its settings; reports of before that hold no planner
+        same = not report.planning or all(report.planning.get(name) == one for name, one in planning.items())
+    else:
+        same = report.scoring_version == SCORING_VERSION
+    return same and all(said[name] == report.settings.get(name) for name in decisive)
 
 
 def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
@@ -327,6 +341,7 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             "environment": dataset.recipe.environment,
             "fingerprint": dataset.fingerprint,
         }
+        | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
         | elsewhere,
         weights=result["weights"],
         settings=settings.to_json(metrics),
@@ -336,11 +351,11 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             if key in result
         },
         versions=versions(),
-        code=scoring_version(),
         figures=_json(scores.figures),
         reference=reference,
         remarks=remarks,
         protocol=PROTOCOL,
+        scoring_version=SCORING_VERSION,
     )
 
 

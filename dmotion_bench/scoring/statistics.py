@@ -1,4 +1,4 @@
-"""What a figure says: mean, spread over samples, and a 95% interval over episodes.
+"""Figures from samples: mean, standard deviation over samples, and a 95% interval over episodes.
 
 The steps of one episode are alike, so an interval over samples would be far too narrow. Whole episodes are drawn
 anew instead (a cluster bootstrap): each draw gives the figure of its pooled samples, a ratio of sums over
@@ -46,7 +46,7 @@ class Estimate:
 
 
 class EpisodeBootstrap:
-    """Draws episodes anew, the same draws for all figures that have samples in as many episodes.
+    """The bootstrap over episodes; figures with the same number of episodes share their draws.
 
     Args:
         episodes: Of each sample.
@@ -120,6 +120,6 @@ def expanded_tail(clusters: int, level: float = LEVEL) -> float:
 
 @lru_cache(maxsize=4)
 def _draws(episodes: int, resamples: int, seed: int) -> Float[np.ndarray, "r e"]:
-    """How often each episode is in each draw."""
+    """The number of times that each draw contains each episode."""
     generator = np.random.default_rng([seed, episodes])
     return generator.multinomial(episodes, np.full(episodes, 1 / episodes), size=resamples).astype(np.float64)

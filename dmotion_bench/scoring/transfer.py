@@ -21,13 +21,14 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import command
 
 _SHOWN: Final = 5
 
 
 @runtime_checkable
 class Identified(Protocol):
-    """What is asked of a data set to find reports on it."""
+    """What finding a report needs to know of a data set."""
 
     @property
     def name(self) -> str: ...
@@ -37,7 +38,7 @@ class Identified(Protocol):
 
 
 def report_folder(run: Path, trained_on: str, dataset: Identified) -> Path:
-    """Where a run's report on a data set lies.
+    """The folder of a run's report on a data set.
 
     Args:
         run: The run's folder.
@@ -54,7 +55,7 @@ def transfer_folders(run: Path) -> list[Path]:
 
 
 def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
-    """See that a run can be scored on another data set, and that it has not been trained on what it is asked.
+    """Raise an error if a run cannot be scored on another data set, or was trained on its episodes.
 
     Raises:
         RunMismatch: It is of another environment, or holds episodes that the run was trained on.
@@ -65,14 +66,14 @@ def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
     if known:
         listed = ", ".join(map(str, known[:_SHOWN])) + (" ..." if len(known) > _SHOWN else "")
         raise RunMismatch(
-            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} begin as episodes do that "
-            f"{run.name!r} was trained on (episodes {listed}: same seed, same picture); record the data set with "
-            f"another '--seed'."
+            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} have the seed and the first "
+            f"picture of episodes that {run.name!r} was trained on (episodes {listed}); record the data set with "
+            "another '--seed'."
         )
 
 
 def require_fitting(run: Run, dataset: Dataset) -> None:
-    """See that a run's model can be shown a data set: the same environment, actions and size of the pictures.
+    """Raise an error unless a data set has the environment, actions and image size of a run's model.
 
     Raises:
         RunMismatch: It cannot.
@@ -83,7 +84,7 @@ def require_fitting(run: Run, dataset: Dataset) -> None:
         raise RunMismatch(
             f"{run.name!r} was trained in {own.recipe.environment!r}, and {name!r} is of "
             f"{dataset.recipe.environment!r}; take data of its own environment: "
-            f"'dmbench record {own.recipe.environment} --seed 1 --out DIR'."
+            f"{command('dmbench record', own.recipe.environment, '--seed', '1', '--out', 'DIR')}."
         )
     for what, mine, theirs in (
         ("actions", spec.actions, len(dataset.spec.actions)),
@@ -99,7 +100,7 @@ def require_fitting(run: Run, dataset: Dataset) -> None:
 
 
 def _trained_on(run: Run) -> Dataset | None:
-    """The run's own data set, if it is still there as it was."""
+    """The data set that the run was trained on, if it still exists unchanged."""
     try:
         dataset = Dataset.open(run.dataset_path)
     except DatasetError:
@@ -108,12 +109,16 @@ def _trained_on(run: Run) -> Dataset | None:
 
 
 def _known_before(own: Dataset, dataset: Dataset, split: SplitName) -> list[int]:
-    """Episodes of a split that begin with a seed and a picture of the run's training or validation."""
+    """Episodes of a split with the seed and first image of one of the run's training or validation episodes.
+
+    Two versions of an environment may draw the same episode otherwise, so between them the seed alone decides.
+    """
+    redrawn = own.recipe.version != dataset.recipe.version
     trained = np.concatenate([own.split("train"), own.split("validation")])
     seen = {own.rows[episode].seed: episode for episode in trained.tolist()}
     asked = [(episode, seen.get(dataset.rows[episode].seed)) for episode in dataset.split(split).tolist()]
     return [
         episode
         for episode, same in asked
-        if same is not None and np.array_equal(dataset.video(episode)[0], own.video(same)[0])
+        if same is not None and (redrawn or np.array_equal(dataset.video(episode)[0], own.video(same)[0]))
     ]

@@ -1,4 +1,4 @@
-"""The held-out transitions that models are scored on, in batches that reach over episodes.
+"""The held-out transitions that models are scored on, in batches that can span several episodes.
 
 One episode's labels are in memory at a time, and one batch of frames, however many episodes there are.
 """
@@ -21,7 +21,7 @@ STARTS_PER_EPISODE = 4
 
 @dataclass(frozen=True, kw_only=True)
 class TransitionBatch:
-    """Triplets with all that is known of them; row i's ``action`` leads from its frame 1 to its frame 2.
+    """Triplets with their labels; row i's ``action`` leads from its frame 1 to its frame 2.
 
     Attributes:
         episode, step: The middle frame's episode and its number within it.
@@ -49,7 +49,7 @@ class TransitionBatch:
 
 @dataclass(frozen=True, kw_only=True)
 class RolloutBatch:
-    """Starts of rollouts and what came of them.
+    """The starts of rollouts and the true frames that follow.
 
     Attributes:
         episode, start: The episode, and the number within it of ``current``.

@@ -93,7 +93,7 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
         damages += found
     on_progress(len(manifest.shards), len(manifest.shards))
     if rows is not None and not damages:
-        damages += _cache_damages(Dataset(path, manifest, rows))
+        damages += cache_damages(Dataset(path, manifest, rows))
     return CheckReport(dataset=path, manifest=manifest, damages=tuple(damages), labels=labels)
 
 
@@ -127,7 +127,7 @@ def _file_damage(path: Path, kind: str, index: int, facts: FileFacts) -> Iterato
         yield Damage(file=name, shard=index, what="has other bytes than were recorded")
 
 
-def _cache_damages(dataset: Dataset) -> Iterator[Damage]:
+def cache_damages(dataset: Dataset) -> Iterator[Damage]:
     """What is wrong with the frames that are used in place of the video's, where the video is sound."""
     file = dataset.cache_file
     name = f"{CACHE}/{file.path.name}"

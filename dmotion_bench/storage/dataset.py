@@ -24,7 +24,7 @@ from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command, shown
-from dmotion_bench.workspace import CACHE, cache_folder
+from dmotion_bench.workspace import CACHE, AnyPath, cache_folder
 
 
 class Dataset:
@@ -51,7 +51,7 @@ class Dataset:
         return self.__dict__ | {"_cache": None}
 
     @classmethod
-    def open(cls, path: Path) -> Dataset:
+    def open(cls, path: AnyPath) -> Dataset:
         """The data set in a folder.
 
         Raises:
@@ -60,6 +60,7 @@ class Dataset:
             DatasetVersionUnknown: It is of another version of the format.
             DatasetCorrupt: Its tables are damaged, or a video shard is missing or cut off.
         """
+        path = Path(path)
         manifest = Manifest.read_complete(path)
         try:
             rows = read_episodes(path, manifest)
@@ -135,7 +136,7 @@ class Dataset:
         if not file.is_file():
             raise LabelsNotAvailable(
                 f"the labels of {str(self.path)!r} are not there: no {str(file)!r}; restore the folder "
-                f"{LABELS}/ or make it again with {command('dmbench', 'data', 'repair', self.path)}."
+                f"{LABELS}/ or make it again with {command('dmbench data repair', self.path)}."
             )
         return file
 
@@ -192,7 +193,7 @@ class Dataset:
 
 def corrupt(dataset: Path, file: Path, damage: object) -> DatasetCorrupt:
     """The error for a damaged file of a data set, with the commands that help."""
-    check, repair = (command("dmbench", "data", verb, dataset) for verb in ("check", "repair"))
-    known = {FileNotFoundError: "is missing", MemoryError: "does not fit into memory"}
+    check, repair = (command("dmbench data", verb, dataset) for verb in ("check", "repair"))
+    known: dict[type, str] = {FileNotFoundError: "is missing", MemoryError: "does not fit into memory"}
     said = known.get(type(damage), damage)
     return DatasetCorrupt(f"{str(file)!r} is damaged: it {said}. See what else is with {check}, mend it with {repair}.")

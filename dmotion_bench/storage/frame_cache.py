@@ -48,6 +48,11 @@ class Mapped(NamedTuple):
         return checksum(self.frames[place], place) == int(self.sums[place])
 
 
+def cache_name(fingerprint: str) -> str:
+    """The file's name."""
+    return f"frames-{fingerprint[:16]}.arrow"
+
+
 def checksum(frame: UInt8[np.ndarray, "h w 3"], place: int) -> int:
     """The CRC-32 of a frame; it begins with the frame's number, so that a frame in another's place is noticed."""
     return zlib.crc32(frame.data, place & 0xFFFFFFFF)
@@ -73,7 +78,7 @@ class CacheFile:
     @property
     def path(self) -> Path:
         """The file."""
-        return self.folder / f"frames-{self.fingerprint[:16]}.arrow"
+        return self.folder / cache_name(self.fingerprint)
 
     @property
     def bytes(self) -> int:
@@ -141,7 +146,7 @@ class CacheFile:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise self._not_writable(error.strerror) from None
+            raise self._not_writable(str(error.strerror)) from None
         if not os.access(self.folder, os.W_OK):
             raise self._not_writable("it is read-only")
         free = shutil.disk_usage(self.folder).free

@@ -23,7 +23,8 @@ from dmotion_bench.errors import (
     DatasetVersionUnknown,
     InvalidSetting,
 )
-from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, ObjectSpec
+from dmotion_bench.registry import environment_versions
+from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe, EnvSpec, ObjectSpec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import read_json
@@ -134,7 +135,7 @@ class Manifest:
             manifest = _manifest(Fields(content, "it"))
             check_manifest(manifest, TABLES)
         except (FileNotFoundError, NotADirectoryError):
-            record = command("dmbench", "record", "grid_world", "--out", dataset)
+            record = command("dmbench record grid_world --out", dataset)
             raise DatasetMissing(
                 f"no data set in {str(dataset)!r}: there is no {DATASET_MANIFEST}; record one with {record}."
             ) from None
@@ -170,7 +171,8 @@ def record_words(recipe: DatasetRecipe, dataset: Path) -> list[str]:
         words += [f"--{name}", str(getattr(recipe, name))]
     if recipe.vary:
         words += ["--vary", ",".join(recipe.vary)]
-    for key, value in recipe.parameters.items():
+    version = {VERSION: recipe.version} if environment_versions(recipe.environment) else {}
+    for key, value in (version | dict(recipe.parameters)).items():
         words += ["--ranges", str(value)] if key == "ranges" else ["--set", f"{key}={value}"]
     return [*words, "--out", str(dataset)]
 

@@ -34,6 +34,7 @@ from dmotion_bench.storage.shard import (
 )
 from dmotion_bench.storage.tables import EpisodeTable, read_episodes
 from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.wording import command
 
 _UNFINISHED = "repairing"
 _ORIGINAL = "damaged"
@@ -78,7 +79,7 @@ def salvage(path: Path) -> Salvaged:
     if original.exists():
         raise DatasetCorrupt(
             f"{str(original)!r}, the original of an earlier repair, is still there; move or delete it, then run "
-            f"'dmbench data repair {path}' again."
+            f"{command('dmbench data repair', path)} again."
         )
     with held(path):
         listed = list(_listed_episodes(path, manifest))

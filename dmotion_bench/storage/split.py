@@ -22,8 +22,10 @@ def split_episodes(seed: int, episodes: int) -> dict[SplitName, Int[np.ndarray, 
     Each episode draws a number of its own; the lowest go to the test, the next to validation. When a data set
     is extended, most episodes therefore stay on their side.
     """
-    keys = [np.random.SeedSequence([seed, _STREAM], spawn_key=(one,)).generate_state(2) for one in range(episodes)]
-    order = np.array(sorted(range(episodes), key=lambda one: tuple(keys[one])), np.int64)
+    keys = np.empty((episodes, 2), np.uint32)
+    for one in range(episodes):
+        keys[one] = np.random.SeedSequence([seed, _STREAM], spawn_key=(one,)).generate_state(2)
+    order = np.lexsort((keys[:, 1], keys[:, 0]))
     test = 0 if episodes < 2 else max(1, round(TEST_SHARE * episodes))
     validation = 0 if episodes < 3 else max(1, round(VALIDATION_SHARE * (episodes - test)))
     return {

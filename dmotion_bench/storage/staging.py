@@ -36,8 +36,8 @@ def staged(out: Path, suffix: str) -> Iterator[Path]:
         DatasetError: Another process is filling the folder.
         StorageFull: There is no space left.
     """
-    out = out.resolve()  # '.' has no name to put a suffix on
-    outer = out.with_name(f"{out.name}{suffix}")
+    out = out.resolve()
+    outer = _beside(out, suffix)
     lock = _claim(outer)
     try:
         (outer / MARKER).write_text(_TEXT)
@@ -61,12 +61,19 @@ def staged(out: Path, suffix: str) -> Iterator[Path]:
 
 def sweep(out: Path, suffix: str) -> None:
     """Delete what a killed process left beside ``out``, if there is anything."""
-    out = out.resolve()
-    outer = out.with_name(f"{out.name}{suffix}")
+    outer = _beside(out, suffix)
     if outer.is_dir() and not outer.is_symlink() and (outer / MARKER).is_file():
         lock = _claim(outer)
         _delete(outer)
         os.close(lock)
+
+
+def _beside(out: Path, suffix: str) -> Path:
+    """Where a folder is filled."""
+    whole = out.resolve()  # '.' has no name to put a suffix on
+    if not whole.name:
+        raise UsageError(f"{str(out)!r} cannot be made anew; name another folder with '--out DIR'.")
+    return whole.with_name(f"{whole.name}{suffix}")
 
 
 def _claim(outer: Path) -> int:

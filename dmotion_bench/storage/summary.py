@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dmotion_bench.storage.check import labels_state
+from dmotion_bench.storage.frame_cache import cache_name
 from dmotion_bench.storage.manifest import FORMAT, Manifest, record_words
 from dmotion_bench.storage.shard import LABELS, VIDEO
 from dmotion_bench.storage.split import split_episodes
@@ -35,7 +36,7 @@ def summarize(path: Path) -> dict[str, Any]:
         "episodes": recipe.episodes,
         "video_bytes": _size(path / VIDEO),
         "labels_bytes": _size(path / LABELS),
-        "cache_bytes": _size(cache_folder(path)),
+        "cache_bytes": _size(cache_folder(path), cache_name(manifest.fingerprint)),
         "versions": dict(manifest.versions),
     }
     if not manifest.complete:
@@ -52,5 +53,5 @@ def summarize(path: Path) -> dict[str, Any]:
     }
 
 
-def _size(folder: Path) -> int:
-    return sum(file.stat().st_size for file in folder.glob("*") if file.is_file())
+def _size(folder: Path, pattern: str = "*") -> int:
+    return sum(file.stat().st_size for file in folder.glob(pattern) if file.is_file())

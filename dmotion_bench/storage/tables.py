@@ -9,9 +9,9 @@ from __future__ import annotations
 import io
 import os
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final, SupportsIndex, overload
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +24,7 @@ from dmotion_bench.storage.limits import INDEX_BYTES, LAST_NS, longest_episode, 
 from dmotion_bench.storage.manifest import TABLES, Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.mcap_writer import Span
+from dmotion_bench.storage.parquet_pages import Page, list_pages
 from dmotion_bench.storage.shard import EpisodeRow, ended_as, file_facts
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.storage.tasks import ControlTask
@@ -43,10 +44,13 @@ _TAIL: Final = struct.Struct("<I4s")  # the footer's size, and the end of the fi
 _LARGEST_FOOTER: Final = 2**16  # [bytes]
 _COLUMN_BYTES, _VALUE_BYTES = 4096, 24
 """More than a column takes uncompressed: at all, and for each of its values."""
+_WRITER: Final = "parquet-cpp-arrow version "
+_ENCODINGS: Final = {0, 2, 8}
+"""Plain, and the two names of a dictionary: others make much of little."""
 Columns = Mapping[str, np.ndarray]
 
 
-class EpisodeTable:
+class EpisodeTable(Sequence[EpisodeRow]):
     """The rows of ``episodes.parquet``, kept as columns: a hundred bytes an episode.
 
     Attributes:
@@ -71,15 +75,20 @@ class EpisodeTable:
     def __len__(self) -> int:
         return len(self.columns["frames"])
 
-    def __getitem__(self, index: int) -> EpisodeRow:
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        values = {name: column[index : index + 1].tolist()[0] for name, column in self.columns.items()}
-        spans = {name: Span(values.pop(f"{name}_offset"), values.pop(f"{name}_bytes")) for name in _SPANS}
-        return EpisodeRow(**values | {"ended": ended_as(values["ended"])}, **spans)
+    @overload
+    def __getitem__(self, index: SupportsIndex) -> EpisodeRow: ...
 
-    def __iter__(self) -> Iterator[EpisodeRow]:
-        return (self[index] for index in range(len(self)))
+    @overload
+    def __getitem__(self, index: slice) -> list[EpisodeRow]: ...
+
+    def __getitem__(self, index: SupportsIndex | slice) -> EpisodeRow | list[EpisodeRow]:
+        places = range(len(self))[index]
+        return self._row(places) if isinstance(places, int) else [self._row(place) for place in places]
+
+    def _row(self, place: int) -> EpisodeRow:
+        values: dict[str, Any] = {name: column[place : place + 1].tolist()[0] for name, column in self.columns.items()}
+        spans = {name: Span(values.pop(f"{name}_offset"), values.pop(f"{name}_bytes")) for name in _SPANS}
+        return EpisodeRow(**values | {"ended": ended_as(values["ended"])} | spans)
 
     def of_shard(self, shard: int) -> list[EpisodeRow]:
         """The rows of one shard."""
@@ -212,8 +221,9 @@ def _read(dataset: Path, name: str, schema: pa.Schema, manifest: Manifest, count
             thrift_container_size_limit=_LARGEST_FOOTER,
         ) as file:
             _check_footer(file, schema, counts)
-            table = file.read(use_threads=False)
-            return {name: _column(table.column(name), name in text) for name in schema.names}
+            _check_columns(path, file.metadata, schema)
+            table = file.read(use_threads=False) if file.metadata.num_rows else schema.empty_table()
+            return {name: _column(table.column(name)) for name in schema.names}
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise DamagedFile(f"cannot be read: {error}") from None
 
@@ -237,18 +247,39 @@ def _check_footer(file: pq.ParquetFile, schema: pa.Schema, counts: range) -> Non
     plain = pa.schema([_plain(field) for field in file.schema_arrow])
     if plain != schema:
         raise DamagedFile(f"has other columns: {', '.join(plain.names)}")
+    if not about.created_by.startswith(_WRITER):
+        raise DamagedFile("was written by another program")
+
+
+def _check_columns(path: Path, about: pq.FileMetaData, schema: pa.Schema) -> None:
+    """See what Arrow will set memory aside for, and in what encodings."""
+    if about.num_rows == 0:
+        return  # nothing is read
     groups = [about.row_group(index) for index in range(about.num_row_groups)]
-    if sum(group.num_rows for group in groups) != about.num_rows or any(group.num_rows < 0 for group in groups):
+    if sum(group.num_rows for group in groups) != about.num_rows or any(group.num_rows < 1 for group in groups):
         raise DamagedFile("contradicts itself about its rows")
-    for index in range(len(schema)):
-        columns = [group.column(index) for group in groups]
-        size = sum(column.total_uncompressed_size for column in columns)
-        if (
-            any(column.num_values < 0 or column.total_uncompressed_size < 0 for column in columns)
-            or sum(column.num_values for column in columns) != about.num_rows
-            or size > _COLUMN_BYTES + about.num_rows * _VALUE_BYTES
-        ):
-            raise DamagedFile(f"claims {size:,} bytes for a column of {about.num_rows:,} rows")
+    with path.open("rb") as file:
+        for index, name in enumerate(schema.names):
+            pages = [page for group in groups for page in _pages(file, group.column(index))]
+            _check_pages(name, pages, about.num_rows)
+
+
+def _pages(file: BinaryIO, column: pq.ColumnChunkMetaData) -> Iterator[Page]:
+    start = column.data_page_offset
+    if column.has_dictionary_page and 0 < column.dictionary_page_offset < start:
+        start = column.dictionary_page_offset
+    return list_pages(file, start, column.total_compressed_size)
+
+
+def _check_pages(name: str, pages: Sequence[Page], rows: int) -> None:
+    size = sum(page.uncompressed for page in pages)
+    values = sum(page.values for page in pages if not page.is_dictionary)
+    if size > _COLUMN_BYTES + rows * _VALUE_BYTES:
+        raise DamagedFile(f"claims {size:,} bytes for the column {name} of {rows:,} rows")
+    if values != rows or any(page.values > rows for page in pages):
+        raise DamagedFile(f"holds {values:,} values in the column {name} of {rows:,} rows")
+    if not {page.encoding for page in pages} <= _ENCODINGS:
+        raise DamagedFile(f"holds the column {name} in an encoding that is not ours")
 
 
 def _plain(field: pa.Field) -> pa.Field:
@@ -257,19 +288,12 @@ def _plain(field: pa.Field) -> pa.Field:
     return field.with_type(kind.value_type) if pa.types.is_dictionary(kind) else field
 
 
-def _column(column: pa.ChunkedArray, text: bool) -> np.ndarray:
+def _column(column: pa.ChunkedArray) -> np.ndarray:
     if column.null_count:
         raise DamagedFile("lacks values")
-    if not text:
+    if not pa.types.is_dictionary(column.type):
         numbers: np.ndarray = column.to_numpy()
         return numbers
     whole = column.unify_dictionaries().combine_chunks()
-    parts = whole.chunks if isinstance(whole, pa.ChunkedArray) else [whole]
-    words = np.array([*_words(parts)], object)
-    places = [part.indices.to_numpy(zero_copy_only=False) for part in parts]
-    found: np.ndarray = words[np.concatenate(places)] if places else words
-    return found
-
-
-def _words(parts: Iterable[pa.DictionaryArray]) -> list[str]:
-    return next((part.dictionary.to_pylist() for part in parts), [])
+    words: np.ndarray = np.array(whole.dictionary.to_pylist(), object)
+    return words[whole.indices.to_numpy(zero_copy_only=False)]

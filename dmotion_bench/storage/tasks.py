@@ -64,9 +64,11 @@ def candidates(
             found.append(Candidate(start, goal, interactions))
     found.sort(key=lambda one: (-one.interactions, one.start))
     spaced: list[Candidate] = []
+    near = np.zeros(last + START_SPACING, np.bool_)  # whether a start would be too near to one that is taken
     for one in found:
-        if all(abs(one.start - other.start) >= START_SPACING for other in spaced):
+        if not near[one.start]:
             spaced.append(one)
+            near[max(0, one.start - START_SPACING + 1) : one.start + START_SPACING] = True
     return tuple(spaced)
 
 

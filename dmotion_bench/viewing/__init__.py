@@ -23,6 +23,7 @@
     follow.py       a training or a recording that is watched while it goes on
     file_server.py  one file over HTTP, for the web page
     viewer.py       Rerun's programs: a window, a web page, a headless one
+    guard.py        ends Rerun's programs with the process that started them
     screenshot.py   an .rrd as a picture
 
 Rerun is imported by these modules alone, and they are imported only by the commands that need them.

@@ -30,8 +30,8 @@ LAST_MS: Final = 1500
 SIDE: Final = 256
 """A frame is enlarged by a whole number to about this width [px]."""
 GAP: Final = 6
-TEXT: Final = 22
-LINE: Final = 34
+TEXT: Final = 26
+LINE: Final = 38
 BACKGROUND: Final[Color] = (22, 22, 26)
 WORDS: Final[Color] = (235, 235, 235)
 FAINT: Final[Color] = (165, 165, 172)
@@ -68,7 +68,7 @@ def animate(
 
 @dataclass(frozen=True)
 class _Column:
-    """An episode: what stands above it, and a film for each row, all of the same length."""
+    """One episode of the animation: its title, and the frames of each row, all rows equally long."""
 
     title: str
     films: list[UInt8[np.ndarray, "t h w 3"]]
@@ -113,7 +113,7 @@ def _picture(columns: Sequence[_Column], rows: Sequence[str], time: int) -> Imag
 
 
 def write_animation(pictures: Sequence[Image.Image], path: Path) -> None:
-    """Write an animation that begins again when it ends; what it is decides the name's end.
+    """Write an animation that repeats; the file's suffix chooses the format.
 
     Raises:
         ViewerError: It cannot be written.

@@ -83,7 +83,7 @@ def log_chart(
 def _write(
     recording: rr.RecordingStream, path: str, places: list[tuple[float, float]], words: list[str], color: Color
 ) -> None:
-    """Words, each centred a little below its place."""
+    """Write words, each centred a little below its position."""
     recording.log(path, rr.Points2D(places, labels=words, colors=[color], radii=[0.01], show_labels=True), static=True)
 
 
@@ -105,7 +105,7 @@ def _round_values(low: float, high: float) -> Float[np.ndarray, " n"]:
 
 
 def _apart(heights: Mapping[str, float]) -> dict[str, float]:
-    """The same heights, moved down where two lines of text would overlap."""
+    """The heights of lines of text, moved down where two lines would overlap."""
     placed: dict[str, float] = {}
     for name, height in sorted(heights.items(), key=lambda item: item[1]):
         placed[name] = max(height, max(placed.values(), default=-math.inf) + LINE_HEIGHT)

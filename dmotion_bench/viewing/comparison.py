@@ -1,4 +1,4 @@
-"""The scene of several runs of one data set: every model beside the others on the same episodes."""
+"""The scene of several runs of one data set: all models side by side on the same episodes."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def comparison_scene(
 
 
 def comparable(runs: Sequence[Run]) -> list[Run]:
-    """The runs that can stand beside each other: of the first's data set, and drawing frames.
+    """The runs that can be compared: trained on the same data set as the first run, and predicting frames.
 
     Raises:
         UsageError: They are of several data sets, too many, or none draws frames.
@@ -87,7 +87,7 @@ def comparable(runs: Sequence[Run]) -> list[Run]:
         )
     drawing = [run for run in runs if run.model.needs_pixels]
     if not drawing:
-        raise UsageError(f"{runs[0].name!r} draws no frames; there is nothing to see beside each other.")
+        raise UsageError(f"{runs[0].name!r} predicts no frames, so there is nothing to compare.")
     if len(drawing) > MOST:
         raise UsageError(f"{len(drawing)} runs are too many to see beside each other; name at most {MOST}.")
     return drawing
@@ -115,13 +115,13 @@ def contrasting_episodes(runs: Sequence[Path]) -> dict[int, str]:
 
 
 def told_apart(runs: Sequence[Run]) -> dict[str, Run]:
-    """The runs by what tells them apart: the model, and of labels, architecture and seed what is not the same of all.
+    """Short names of the runs: the model, and the labels, architecture and seed where these differ.
 
     Raises:
         UsageError: One is named twice.
     """
     if len({run.path.resolve() for run in runs}) < len(runs):
-        raise UsageError("a run is named twice; it would look the same beside itself.")
+        raise UsageError("a run is named twice; name different runs.")
     parts = [(run.spec.model, run.spec.labels, run.spec.arch, f"seed {run.spec.seed}") for run in runs]
     telling = [place == 0 or len(set(column)) > 1 for place, column in enumerate(zip(*parts, strict=True))]
     names = [" ".join(part for part, tells in zip(own, telling, strict=True) if tells) for own in parts]
@@ -133,7 +133,7 @@ def told_apart(runs: Sequence[Run]) -> dict[str, Run]:
 
 
 def _beside_data_and_seed(run: Run, with_seed: bool) -> str:
-    """A run's name without what is the same of all: ``dmotion epochs 3``."""
+    """A run's name without the parts that all runs share, such as ``dmotion epochs 3``."""
     name = run.name if with_seed else re.sub(r"-s\d+$", "", run.name)
     before, found, after = name.partition(run.spec.dataset)
     parts = (before, after) if found else (name,)
@@ -285,7 +285,7 @@ def _figures(reports: Mapping[str, tuple[Path, Report]], names: Mapping[str, Run
 
 
 def _table(reports: Mapping[str, tuple[Path, Report]]) -> str:
-    """Every model's figures, and how far its MSE is from the best's on the same triplets."""
+    """A table of all models' figures, with the difference of each MSE from the best on the same triplets."""
     shown = [name for name in COLUMNS if any(name in report.figures for _, report in reports.values())]
     order = sorted(reports, key=lambda name: _mse(reports[name][1]))
     samples = {name: read_report_samples(reports[name][0] / REPORT_FOLDER, reports[name][1]) for name in order}

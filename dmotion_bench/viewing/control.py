@@ -1,4 +1,4 @@
-"""Control in Rerun: what the camera sees, the goal, the futures that were thought of, and how far it still is.
+"""Control in Rerun: the camera image, the goal, the predictions of the best candidates, and the distance.
 
 Everything is on the timeline ``step``, the number of actions taken before.
 """
@@ -82,12 +82,12 @@ def log_step(
 
 
 def log_goal(recording: rr.RecordingStream, goal: UInt8[np.ndarray, "h w 3"]) -> None:
-    """What it should look like, for all time."""
+    """Log the goal image, which does not change."""
     recording.log("goal", rr.Image(goal), static=True)
 
 
 def strip_of(futures: UInt8[np.ndarray, "m t h w 3"]) -> UInt8[np.ndarray, "y x 3"]:
-    """One picture: a candidate a row, a step a column, white lines between."""
+    """One image of all candidates: a row per candidate, a column per step, with white lines between them."""
     padded = np.pad(futures, ((0, 0), (0, 0), (0, GAP), (0, GAP), (0, 0)), constant_values=255)
     rows, steps, height, width, _ = padded.shape
     strip: UInt8[np.ndarray, "y x 3"] = padded.transpose(0, 2, 1, 3, 4).reshape(rows * height, steps * width, 3)

@@ -33,7 +33,7 @@ CAPTION, SPACE = 40, 12
 
 
 def read_curves(metrics: Path) -> dict[str, Curve]:
-    """Every figure of a training by its name; a row cut short by a kill is left out."""
+    """The figures of a training by name; an incomplete last row is left out."""
     points: dict[str, list[tuple[int, float]]] = defaultdict(list)
     for step, row in read_rows(metrics):
         for name, value in row.items():
@@ -102,7 +102,7 @@ def training_tab(curves: Mapping[str, Curve], text: str, samples: Mapping[int, P
 
 
 def _spread(samples: Mapping[int, Path]) -> dict[int, Path]:
-    """A few of the pictures, from the first to the last."""
+    """A few of the images, evenly spread from the first to the last."""
     steps = list(samples)
     if not steps:
         return {}

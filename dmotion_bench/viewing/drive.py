@@ -1,4 +1,4 @@
-"""A model's imagination in Rerun while somebody drives it, beside the simulator."""
+"""Rerun views of a model that a user drives with the keyboard, beside the simulator."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def log_drive(
     imagined: UInt8[np.ndarray, "h w 3"],
     simulator: UInt8[np.ndarray, "h w 3"] | None,
 ) -> None:
-    """What the model imagines after a key was pressed, and what truly happens."""
+    """Log the predicted frame after a key press, and the simulator's frame if it is known."""
     recording.set_time(STEP, sequence=moment)
     recording.log("imagined", rr.Image(imagined))
     if simulator is not None:

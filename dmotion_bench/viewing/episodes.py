@@ -1,4 +1,4 @@
-"""Which episodes are shown where none was asked for."""
+"""The choice of episodes to show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From where the world is looked at, so that it looks as in the camera's picture.
+"""The viewpoint of Rerun's 3D view that matches the camera's image.
 
 Nothing is known of the camera but where it sees the things. A linear fit of their pixels to their places says which
 way in the world is down in the picture; the eye stands on that side, above the things. A world whose y axis runs down
@@ -18,7 +18,7 @@ LOWEST = 1e-6
 
 @dataclass(frozen=True)
 class Eye:
-    """An eye in the world [m]; what is ``up`` for it is z or -z."""
+    """A viewpoint in the world [m]; its ``up`` direction is z or -z."""
 
     position: tuple[float, float, float]
     target: tuple[float, float, float]

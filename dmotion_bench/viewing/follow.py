@@ -1,4 +1,4 @@
-"""A training or a recording that is watched while it goes on: whatever is new in its folder is shown.
+"""Live views of a training or a recording: they show whatever is new in its folder.
 
 Only the folder is read, so it makes no difference whether this process or another one does the work, and a follower
 cannot slow it down or change what it does. A training runs over the timeline ``step``; of a recording one episode of
@@ -36,7 +36,7 @@ MOST_SHARDS = 4
 
 
 class Follower(Protocol):
-    """Shows what goes on in a folder."""
+    """Shows what is new in a folder."""
 
     @property
     def title(self) -> str: ...
@@ -50,7 +50,7 @@ class Follower(Protocol):
         """Log what does not change."""
 
     def poll(self, recording: rr.RecordingStream) -> bool:
-        """Log what is new since the last time; whether there was anything."""
+        """Log what is new since the last call; returns whether there was anything new."""
 
 
 class TrainingFollower:
@@ -77,7 +77,7 @@ class TrainingFollower:
         return _blueprint(rrb.Vertical(rrb.Horizontal(losses, samples), plots, row_shares=[2.5, 1]), STEP, None)
 
     def start(self, recording: rr.RecordingStream) -> None:
-        """Nothing is there before the first step."""
+        """Log nothing: there is nothing before the first step."""
 
     def poll(self, recording: rr.RecordingStream) -> bool:
         """Log new rows of ``metrics.jsonl`` and new pictures."""
@@ -106,7 +106,7 @@ class TrainingFollower:
             return False
 
     def _rows(self) -> list[tuple[int, dict[str, float]]]:
-        """The whole rows that are new; all again where the file has become shorter, as when a run is resumed."""
+        """The new complete rows; all rows if the file has become shorter, as after resuming a run."""
         metrics = self.run / "metrics.jsonl"
         if not metrics.is_file():
             return []

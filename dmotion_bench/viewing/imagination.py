@@ -1,4 +1,4 @@
-"""What a model makes of an episode: single steps, an imagined episode, its maps and motions, as arrays.
+"""A model's predictions of an episode as arrays: single steps, a whole rollout, maps and motions.
 
 The first two frames of an episode are given. From then on two predictions of every frame stand beside it:
 
@@ -57,7 +57,7 @@ class Prediction:
 
 @dataclass(frozen=True, kw_only=True)
 class Imagination:
-    """An episode and what a model makes of it.
+    """An episode and a model's predictions of it.
 
     Attributes:
         frames: The true ones.
@@ -80,7 +80,7 @@ class Imagination:
 
 
 def can_imagine(model: ForwardModel[Any], labels: EpisodeLabels | None) -> bool:
-    """Whether a model can be told what happens in an episode: by its actions, or by motions."""
+    """Whether a model can predict an episode: from its actions or, if these are unknown, from latent actions."""
     return labels is not None or isinstance(model, LatentActionModel)
 
 

@@ -1,4 +1,4 @@
-"""What the labels of an episode look like: tracks in the picture and in the world, masks, and lanes of events."""
+"""Rerun views of an episode's labels: tracks in the image and in the world, masks, and lanes of events."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def log_legend(recording: rr.RecordingStream, spec: EnvSpec) -> None:
 
 
 def places_known(labels: EpisodeLabels) -> bool:
-    """Whether anything is known of places; of an imported recording perhaps only the actions are."""
+    """Whether positions are known; an imported recording may have actions only."""
     states = (labels.objects, labels.agent)
     return bool(labels.masks.any()) or any(bool(np.isfinite(each.position).any()) for each in states)
 

@@ -1,4 +1,4 @@
-"""A run's report in the scene of the run: its figures, and which episodes tell most."""
+"""A run's report in the run's scene: its figures, and the most informative episodes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ AHEAD = re.compile(r"rollout_mse\[(\d+)\]")
 
 
 def telling_episodes(run: Path, folder: Path | None = None) -> dict[int, str]:
-    """The worst, the middle and the best episode by the MSE of single steps, and what is to be said of each.
+    """The worst, the middle and the best episode by single-step MSE, each with a short description.
 
     Of the run's own report, or of the one in a folder.
 
@@ -142,12 +142,12 @@ def _figures(report: Report) -> str:
 
 
 def figure_text(figure: FigureJson | None) -> str:
-    """A figure's mean; nothing where there is none."""
+    """A figure's mean as text; empty if there is no such figure."""
     return "" if figure is None else _number(figure["mean"])
 
 
 def interval_text(figure: FigureJson) -> str:
-    """Its interval."""
+    """A figure's interval as text."""
     return "" if figure["low"] is None else f"{_number(figure['low'])} ... {_number(figure['high'])}"
 
 

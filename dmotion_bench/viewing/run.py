@@ -1,4 +1,4 @@
-"""The scene of a run: what its model makes of held-out episodes, and how its training went."""
+"""The scene of a run: its model's predictions of held-out episodes, and the curves of its training."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _tab(run: Run, dataset: ViewableDataset, episode: int, note: str) -> Tab:
 
 
 def _video_alone(run: Run, dataset: ViewableDataset, episode: int, name: str) -> Tab:
-    """What there is to see of a model that cannot be told what happens."""
+    """The scene of a model that cannot predict the episodes, because their actions are unknown: the video alone."""
     root = f"/episode_{episode}"
     text = (
         f"**{run.name}**\n\n{_headline(run, dataset, episode)}\n\n"
@@ -162,7 +162,7 @@ def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labe
 
 
 def log_prediction(recording: rr.RecordingStream, path: str, seen: Imagination, prediction: Prediction) -> None:
-    """The frames that are given stand before the predicted ones; their difference is black."""
+    """Log predicted frames; the given frames stand before them, with a black difference."""
     given = seen.frames[:GIVEN]
     log_images(recording, f"{path}/frame", np.concatenate([given, prediction.frames]))
     errors = difference(prediction.frames, seen.frames[GIVEN:])
@@ -175,7 +175,7 @@ def log_prediction(recording: rr.RecordingStream, path: str, seen: Imagination, 
 def difference(
     predicted: UInt8[np.ndarray, "t h w 3"], truth: UInt8[np.ndarray, "t h w 3"]
 ) -> UInt8[np.ndarray, "t h w 3"]:
-    """How far each channel is from the truth, magnified; black is right."""
+    """The magnified absolute error of each channel; black means correct."""
     apart = np.abs(predicted.astype(np.int16) - truth) * AMPLIFIED
     limited: UInt8[np.ndarray, "t h w 3"] = np.minimum(apart, 255).astype(np.uint8)
     return limited

@@ -51,7 +51,7 @@ class Tab:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """All that is shown of one thing.
+    """Everything that is shown of a data set, a run or a report.
 
     Attributes:
         name: Of the data set or the run.

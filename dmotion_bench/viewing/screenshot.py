@@ -93,7 +93,7 @@ Answer = TypeVar("Answer")
 
 
 def _patiently(ask: Callable[[], Answer]) -> Answer:
-    """Ask again where a busy machine lets Rerun's own 15 s pass."""
+    """Ask Rerun again if a busy machine exceeds Rerun's own limit of 15 s."""
     end = time.monotonic() + LOAD_SECONDS
     while True:
         try:

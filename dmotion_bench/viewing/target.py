@@ -1,4 +1,4 @@
-"""What a path is: a data set, a run, a run's report, or an .rrd that was saved before."""
+"""Finds what a path stands for: a data set, a run, a run's report, or a saved .rrd file."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from dmotion_bench.errors import RunMissing, UnknownName, UsageError
+from dmotion_bench.wording import command
 from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, Workspace
 
 REPORT = "report"
@@ -15,7 +16,7 @@ REPORT_MANIFEST = "report.json"
 
 @dataclass(frozen=True)
 class Target:
-    """What is to be shown.
+    """Something to show, and its kind.
 
     Attributes:
         kind: What it is; a report is shown with its run.
@@ -27,7 +28,7 @@ class Target:
 
 
 def find_target(given: Path, workspace: Workspace) -> Target:
-    """What stands at a path, or under a name in the workspace.
+    """Find what a path, or a name in the workspace, stands for.
 
     Raises:
         UnknownName: Nothing does; the closest name is said.
@@ -46,11 +47,12 @@ def find_target(given: Path, workspace: Workspace) -> Target:
     if given.name == REPORT:
         for run in (given.parent, workspace.runs / given.parent):
             if (run / RUN_MANIFEST).is_file():
-                raise RunMissing(f"the run {str(run)!r} has no report; score it with 'dmbench score {run.name}'.")
+                score = command("dmbench score", run.name)
+                raise RunMissing(f"the run {str(run)!r} has no report; score it with {score}.")
     if given.exists():
         raise UsageError(
-            f"{str(given)!r} is nothing to look at: a data set holds {DATASET_MANIFEST}, a run {RUN_MANIFEST}, "
-            f"a report {REPORT_MANIFEST}; or give an .rrd."
+            f"{str(given)!r} cannot be shown: it is no .rrd file, no data set (with {DATASET_MANIFEST}), "
+            f"no run (with {RUN_MANIFEST}) and no report (with {REPORT_MANIFEST})."
         )
     known = [path.name for path in (*workspace.datasets(), *workspace.all_runs())]
     asked = given.parent.name if given.name == REPORT else given.name

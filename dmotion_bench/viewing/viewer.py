@@ -3,7 +3,7 @@
 All are the command-line program that comes with ``rerun-sdk``, given a whole .rrd and told to listen on this
 machine's loopback address alone. (Started from Python, its servers listen on every network interface: rerun-io/rerun
 #5882.) The web page fetches the .rrd from ``file_server.py``. Each program runs in a process group of its own that
-ends with the block it was opened in.
+ends with the block it was opened in, or with this process where that is killed (``guard.py``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 from dmotion_bench.errors import ViewerError
-from dmotion_bench.viewing.file_server import LOOPBACK, serving
+from dmotion_bench.loopback_server import LOOPBACK
+from dmotion_bench.viewing.file_server import serving
 
 WEB_PORT, LIVE_PORT = 9090, 9876
 START_SECONDS = 30.0
@@ -77,15 +78,15 @@ def has_display() -> bool:
 
 
 def require_display() -> None:
-    """See that a window can be opened.
+    """Raise an error if no window can be opened.
 
     Raises:
         ViewerError: It cannot; the other ways are named.
     """
     if not has_display():
         raise ViewerError(
-            "no display is here to open a window on; look at it in a browser with '--web', "
-            "or write it to a file with '--save FILE.rrd' and open that elsewhere."
+            "this machine has no display to open a window on; add '--web' to use a browser, or '--save FILE.rrd' to "
+            "write a file that can be opened elsewhere."
         )
 
 
@@ -191,9 +192,9 @@ def _program(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
         log = Path(folder) / "log"
         with log.open("wb") as messages:
             process = subprocess.Popen(
-                [sys.executable, "-m", "rerun_cli", *options],
+                [sys.executable, "-m", "dmotion_bench.viewing.guard", *options],
                 env={**os.environ, **ENVIRONMENT},
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,  # held open by this process for as long as it lives
                 stdout=messages,
                 stderr=messages,
                 start_new_session=True,
@@ -218,6 +219,8 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         os.killpg(process.pid, signal.SIGKILL)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(timeout=5)
+    if process.stdin is not None:
+        process.stdin.close()
 
 
 def _listens(port: int, process: subprocess.Popen[bytes], log: Path) -> bool:

@@ -58,6 +58,20 @@ def test_the_papers_architecture_has_the_papers_shapes() -> None:
     )
 
 
+@pytest.mark.parametrize(("side", "halvings", "features"), [(128, 5, 16), (64, 4, 16), (32, 3, 16), (96, 4, 36)])
+def test_the_papers_networks_take_frames_of_other_sizes_as_the_published_code_does(
+    side: int, halvings: int, features: int
+) -> None:
+    """There the last stride is 1 at 64 pixels, so that motions are read from maps of 4 x 4 as at 128."""
+    model = _model(ModelInputs(height=side, width=side, actions=4), arch="paper").eval()
+    strides = [layer.stride for layer in model.motion_encoder.modules() if isinstance(layer, torch.nn.Conv2d)]
+    assert strides == [(2, 2)] * halvings + [(1, 1)] * (7 - halvings)
+    assert model.motion_encoder.heads[0][0].in_features == features
+    frames = _images(2, side)
+    assert model.feature_maps(frames).shape == (2, 8, 64, 64)
+    assert model.predict(frames, frames, torch.tensor([0, 3])).shape == frames.shape
+
+
 def test_before_training_the_papers_motions_are_the_identity() -> None:
     model = DMotion(DMotionConfig(arch="paper", transform="affine"), INPUTS).eval()
     motion = model.motion(_images(2, 128), _images(2, 128, 1))

@@ -37,14 +37,18 @@ class Stopped(Exception):
     """Raised by a progress callback."""
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path, spec = tmp_path_factory.mktemp("data") / "noise-tiny", noise_spec(height=32, width=32)
+def write_noise(path: Path, side: int) -> Dataset:
+    spec = noise_spec(height=side, width=side)
     recipe = DatasetRecipe(environment="noise", episodes=13, frames=FRAMES, shard_episodes=13)
     with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
         writer.write_shard(0, (noise_episode(number, FRAMES, spec) for number in range(13)))
         writer.finish()
-    return path
+    return Dataset.open(path)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_noise(tmp_path_factory.mktemp("data") / "noise-tiny", 32).path
 
 
 def _train(name: str, data: Path, folder: Path, labels: str | None = None, stop_at: int | None = None) -> Run:
@@ -73,6 +77,16 @@ def test_the_benchmarks_models_are_those_of_its_design() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_contract_is_kept(name: str) -> None:
     check_model(model_class(name), size=32)
+
+
+def test_the_papers_networks_keep_the_contract_and_train_at_64_pixels(tmp_path: Path) -> None:
+    check_model(model_class("dmotion"), arch="paper")
+    dataset = write_noise(tmp_path / "noise-tiny", 64)
+    request = TrainingRequest(model="dmotion", arch="paper", settings=("batch_size=8", "epochs=0.5", "validations=1"))
+    run = open_run(request, dataset, tmp_path / "run", Workspace(tmp_path))
+    train(run, training_data(run, dataset), launch("cpu"), lambda _: None)
+    frames = dataset.video(0)
+    assert Run.open(tmp_path / "run").model.predict(frames[:1], frames[1:2], 1).shape == (1, 3, 64, 64)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -55,11 +55,11 @@ def test_info_as_json(run: Run, folder: Path) -> None:
 def test_info_of_an_unfinished_recording_says_how_to_go_on(run: Run, folder: Path) -> None:
     manifest = folder / "dataset.json"
     content = json.loads(manifest.read_text())
-    manifest.write_text(json.dumps(content | {"complete": False, "shards": []}))
+    manifest.write_text(json.dumps(content | {"complete": False, "shards": [], "tables": {}}))
     outcome = run("info")
     assert outcome.code == 0
     assert "not finished: 3 of 3 shards are there" in outcome.out
-    assert "dmbench record grid_world --episodes 10 --frames 5 --tasks 2 --seed 0 --out" in outcome.out
+    assert "dmbench record grid_world --episodes 10 --frames 5 --tasks 2 --seed 0 --set version=1 --out" in outcome.out
     checked = run("check")
     assert checked.code == 1
     assert "dmbench record grid_world" in checked.sentence()

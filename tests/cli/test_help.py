@@ -16,7 +16,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from dmotion_bench.cli import options
 from dmotion_bench.cli.app import app, register_commands
+from dmotion_bench.errors import UnknownName
+from dmotion_bench.recording.executor import make_executor
 
 GOLDEN = Path(__file__).parent / "help.txt"
 
@@ -52,3 +55,23 @@ def test_asking_for_help_loads_no_torch_and_no_simulator() -> None:
         "assert not heavy, heavy\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+
+
+def test_the_listed_names_are_those_that_there_are() -> None:
+    """The names that ``--help`` lists stand in ``cli/options.py``, so that asking for help loads nothing heavy."""
+    from dmotion_bench.planning.controllers import REFERENCES
+    from dmotion_bench.planning.costs import COSTS
+    from dmotion_bench.planning.planner import planner_names
+    from dmotion_bench.scoring.score import METRICS
+
+    assert list(options.PLANNERS) == planner_names()
+    assert (options.COSTS, options.REFERENCES, options.METRICS) == (COSTS, REFERENCES, METRICS)
+    with pytest.raises(UnknownName, match=f"known: {', '.join(sorted(options.EXECUTORS))}"):
+        make_executor("?")
+
+
+@pytest.mark.parametrize("command", ["score", "plan"])
+@pytest.mark.parametrize(("option", "names"), [("--planner", options.PLANNERS), ("--cost", options.COSTS)])
+def test_help_lists_what_a_choice_allows(command: str, option: str, names: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(app, [command, "--help"], prog_name="dmbench", terminal_width=100)
+    assert f"{option} [{'|'.join(names)}]" in result.output

@@ -50,8 +50,8 @@ def test_a_recording_a_training_and_following_them_afterwards(
     ("words", "sentence"),
     [
         (["train", "dmotion", "--live-to", "film.mp4"], "--live-to 'film.mp4' must end in .rrd"),
-        (["train", "--all", "--live"], "leave --live away"),
-        (["view", "grid_world-tiny", "grid_world-tiny", "--live", "--save", "a.rrd"], "only runs can be seen side by"),
+        (["train", "--all", "--live"], "leave out --live"),
+        (["view", "grid_world-tiny", "grid_world-tiny", "--live", "--save", "a.rrd"], "only runs can be shown side by"),
     ],
 )
 def test_mistakes(

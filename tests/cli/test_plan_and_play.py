@@ -100,7 +100,7 @@ def test_references_are_scored_by_name(
 @pytest.mark.parametrize(
     ("words", "code", "sentence"),
     [
-        (["plan", "idle"], 1, "no display is here"),
+        (["plan", "idle"], 1, "this machine has no display"),
         (["plan", "idle", "--save", "plan.mp4"], 2, "must end in .rrd"),
         (["plan", "idle", "--json", "--task", "3"], 2, "no task named '3'; known: 0 to 2"),
         (["plan", "idle", "--json", "--planner", "exhausting"], 2, "did you mean 'exhaustive'"),
@@ -123,7 +123,7 @@ def test_playing_needs_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatc
         monkeypatch.setattr(sys, "stdin", nothing)
         said = dmbench(["play"], capsys, monkeypatch)
     assert said.code == 2
-    assert "needs a terminal" in said.sentence()
+    assert "reads keys from a terminal" in said.sentence()
 
 
 def test_keys_drive_the_model(

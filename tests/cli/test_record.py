@@ -45,7 +45,7 @@ def test_json_has_the_names_that_scripts_rely_on(run: Run, tmp_path: Path) -> No
 def test_the_same_command_completes_and_a_larger_number_extends(run: Run, tmp_path: Path) -> None:
     words = ("record", "grid_world", "--preset", "tiny", "--workers", "1")
     assert run(*words, "--episodes", "25").code == 0
-    assert "it was complete already" in run(*words, "--episodes", "25").out
+    assert "the data set was complete already" in run(*words, "--episodes", "25").out
     first = files_of(tmp_path / "data" / "grid_world-tiny")
     assert run(*words, "--episodes", "45", "--json").code == 0
     assert run(*words, "--episodes", "45", "--out", str(tmp_path / "at once")).code == 0
@@ -83,7 +83,7 @@ def test_fewer_tasks_than_asked_for_are_said(run: Run, tmp_path: Path) -> None:
     outcome = run("record", "grid_world", "--preset", "tiny", "--tasks", "100000")
     stored = len(Dataset.open(tmp_path / "data" / "grid_world-tiny").tasks())
     assert 0 < stored < 100000
-    assert f"{stored} control tasks of 100000 asked for" in outcome.out
+    assert f"{stored} control tasks of the 100000 asked for" in outcome.out
 
 
 def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) 
     outcome = run("record", "grid_world", "--preset", "tiny", "--seed", "4")
     assert outcome.code == 1
     assert "seed is 0 there and 4 here" in outcome.sentence()
-    assert "--seed 0 --out" in outcome.err
+    assert "--seed 0 --set version=2 --out" in outcome.err
     assert "'--out DIR'" in outcome.err
     assert files_of(tmp_path / "data") == before
 
@@ -113,7 +113,7 @@ def test_variation_has_a_folder_of_its_own_and_the_command_that_goes_on_says_it(
     assert outcome.code == 1
     command = outcome.err.split("To go on with it: ")[1].split("; for a new one")[0].strip("'\"")
     assert "--vary friction,light --set objects=2 --set shapes=square --ranges shifted" in command
-    assert "it was complete already" in run(*shlex.split(command)[1:]).out
+    assert "the data set was complete already" in run(*shlex.split(command)[1:]).out
     assert files_of(shifted) == before
 
 
@@ -144,7 +144,10 @@ def test_ctrl_c_leaves_it_resumable_and_says_how(run: Run, tmp_path: Path) -> No
     assert "run the same command again" in outcome.sentence()
     looked = run("data", "check", str(tmp_path / "d"))
     assert looked.code == 1
-    assert "dmbench record grid_world --episodes 2000 --frames 12 --tasks 0 --seed 0 --out" in looked.sentence()
+    assert (
+        "dmbench record grid_world --episodes 2000 --frames 12 --tasks 0 --seed 0 --set version=2 --out"
+        in looked.sentence()
+    )
     whole = files_of(tmp_path / "d")
     again = start_dmbench([*MANY, str(tmp_path / "d")], tmp_path)
     time.sleep(1.5)

@@ -97,7 +97,7 @@ def test_a_finished_run_whose_weights_are_damaged_is_trained_anew(run: Command, 
 
 def test_without_labels_nothing_says_what_an_action_does(run: Command, data: Path, tmp_path: Path) -> None:
     trained = run("train", "dmotion", *QUICK, "--labels", "none", "--out", str(tmp_path / "run"))
-    assert "'--labels one-shot' takes this training over" in trained.out
+    assert "with '--labels one-shot' tells it, without training again" in trained.out
     for command in (("score",), ("plan", "--json")):
         outcome = run(command[0], str(tmp_path / "run"), *command[1:])
         assert outcome.code == 1
@@ -230,3 +230,30 @@ def test_a_truncated_checkpoint_is_said(run: Command, data: Path, tmp_path: Path
     outcome = run("score", str(tmp_path / "run"))
     assert outcome.code == 1
     assert "cannot be read" in outcome.sentence()
+
+
+def test_the_frames_of_a_data_set_that_is_read_only_are_kept_elsewhere(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DMBENCH_CACHE", "")  # and put back afterwards
+    (data / "cache").touch()  # nobody can write a cache there, not even root
+    words = ("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
+    outcome = run(*words)
+    assert outcome.code == 1
+    assert "name another folder with '--cache DIR', or in the variable DMBENCH_CACHE" in outcome.sentence()
+    assert run(*words, "--cache", str(tmp_path / "elsewhere")).code == 0
+    assert run("score", str(tmp_path / "run"), "--cache", str(tmp_path / "elsewhere")).code == 0
+    assert [file.suffix for file in (tmp_path / "elsewhere").iterdir()] == [".arrow"]
+
+
+@pytest.mark.parametrize("out", ["", ".", "/"])
+def test_a_folder_of_other_things_is_left_alone(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str
+) -> None:
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "notes.txt").touch()
+    monkeypatch.chdir(tmp_path / "project")
+    outcome = run("train", "dmotion", *QUICK, "--out", out)
+    assert outcome.code == 2
+    assert "is not empty and holds no run; name another folder" in outcome.sentence()
+    assert [file.name for file in (tmp_path / "project").iterdir()] == ["notes.txt"]

@@ -46,7 +46,7 @@ def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: p
     monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
     outcome = run("train", "--all")
     assert outcome.code == 1
-    assert "1 of 2 rows failed: ed-cnm" in outcome.sentence()
+    assert "1 of 2 trainings failed: ed-cnm" in outcome.sentence()
     failed, trained = outcome.out.splitlines()[:2]
     assert "no model named 'ed-cnm'; did you mean 'ed-cnn'?" in failed
     assert trained.startswith("lapo ")
@@ -56,8 +56,8 @@ def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: p
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("dmotion", "--all"), "leave MODEL away"),
-        (("--all", "--labels", "10%", "--set", "epochs=1"), "leave --labels and --set away"),
+        (("dmotion", "--all"), "leave out MODEL"),
+        (("--all", "--labels", "10%", "--set", "epochs=1"), "leave out --labels and --set"),
         ((), "no model is named"),
     ],
 )

@@ -39,7 +39,7 @@ def test_what_is_a_file_already_is_not_saved_again(
     (tmp_path / "a.rrd").touch()
     said = dmbench(["view", str(tmp_path / "a.rrd"), "--save", str(tmp_path / "b.rrd")], capsys, monkeypatch)
     assert said.code == 2
-    assert "is for Rerun already" in said.sentence()
+    assert "is a Rerun file already" in said.sentence()
 
 
 def test_save_writes_a_file_and_says_how_to_open_it(
@@ -49,7 +49,7 @@ def test_save_writes_a_file_and_says_how_to_open_it(
     said = dmbench(["view", "squares-tiny", "--save", str(file)], capsys, monkeypatch)
     assert said.code == 0
     assert said.out.splitlines()[0] == str(file)
-    assert f"rerun {file}" in said.out
+    assert f"rerun '{file}'" in said.out
     assert tabs_of(file) == [f"Episode {number}" for number in range(3)]
 
 
@@ -69,7 +69,7 @@ def test_episodes_and_splits_can_be_chosen(
     ("words", "code", "sentence"),
     [
         (["sqares-tiny"], 2, "did you mean 'squares-tiny'"),
-        (["squares-tiny", "squares-tiny"], 2, "only runs can be seen side by side"),
+        (["squares-tiny", "squares-tiny"], 2, "only runs can be shown side by side"),
         (["squares-tiny", "--data", "squares-tiny"], 2, "--data shows one run on another data set"),
         (["squares-tiny", "--split", "tset"], 2, "did you mean 'test'"),
         (["squares-tiny", "--save", "out.mp4"], 2, "must end in .rrd"),
@@ -114,9 +114,26 @@ def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign
     finally:
         process.kill()
         process.communicate()
-    time.sleep(0.2)
+    assert_nobody_serves(url)
+
+
+def assert_nobody_serves(url: str) -> None:
+    page = f"--web-viewer-port {url.split(':')[2].split('?')[0]}"
+    deadline = time.monotonic() + 10
+    while page in subprocess.check_output(["ps", "ax"], text=True):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
     with pytest.raises(OSError, match="refused"), urllib.request.urlopen(url, timeout=5):
         pass
-    assert f"--web-viewer-port {url.split(':')[2].split('?')[0]}" not in subprocess.check_output(
-        ["ps", "ax"], text=True
-    )
+
+
+def test_a_killed_command_leaves_no_viewer_behind(workspace: Path) -> None:
+    process = start_dmbench(["view", "squares-tiny", "--web"], workspace)
+    assert process.stdout is not None
+    assert select.select([process.stdout], [], [], 60)[0]
+    url = process.stdout.readline().strip()
+    with urllib.request.urlopen(url, timeout=30) as answer:
+        assert answer.status == 200
+    process.kill()
+    finish(process)
+    assert_nobody_serves(url)

@@ -184,7 +184,7 @@ FAULTS = (
     ),
     Fault(
         name="the leaderboard's server listens to everybody",
-        file="leaderboard/server.py",
+        file="dmotion_bench/loopback_server.py",
         right='LOOPBACK: Final = "127.0.0.1"',
         wrong='LOOPBACK: Final = "0.0.0.0"',
         tests=("tests/leaderboard/test_server.py",),

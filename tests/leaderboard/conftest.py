@@ -35,10 +35,10 @@ def _model(monkeypatch: pytest.MonkeyPatch) -> None:
 def scored_workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
     """Read only; ``workspace`` is a copy."""
     workspace = Workspace(tmp_path_factory.mktemp("workspace"))
-    recipe = DatasetRecipe(environment="grid_world", policy="random", seed=3, episodes=30, frames=12)
+    recipe = DatasetRecipe(environment="grid_world", parameters={"version": 2}, seed=3, episodes=30, frames=12)
     with DatasetWriter.create_or_resume(workspace.data / "grid_world-tiny", recipe, FACTS) as writer:
         for index in writer.missing:
-            writer.write_shard(index, record_episodes(GridWorld(), recipe, writer.episodes_of(index)))
+            writer.write_shard(index, record_episodes(GridWorld, recipe, writer.episodes_of(index)))
         writer.finish()
     dataset = Dataset.open(workspace.data / "grid_world-tiny")
     with pytest.MonkeyPatch.context() as patch:

@@ -12,6 +12,7 @@ import pytest
 from leaderboard.board import Board, Row, make_boards
 from leaderboard.curves import assign_styles, legend
 from leaderboard.entry import Entry
+from leaderboard.page import make_page
 from leaderboard.standings import control_standings
 
 Changed = Callable[..., Entry]
@@ -49,6 +50,23 @@ def _published(model: str = "dmotion", mse: float = 14.3) -> Entry:
             "note": "somewhere",
         }
     )
+
+
+def test_versions_of_an_environment_have_boards_of_their_own(result: Callable[..., Entry]) -> None:
+    errors = np.linspace(1, 3, 40)
+    later = result("new", errors)  # the conftest records version 2
+    first = {name: value for name, value in later.content["dataset"].items() if name != "version"}
+    old = result("old", errors, dataset=first)
+
+    boards = make_boards([old, later, _published()])
+
+    assert [board.title for board in boards] == ["Grid World, version 2", "Grid World"]
+    measured = [[row.name for row in board.rows if row.kind == "measured"] for board in boards]
+    assert measured == [["new"], ["old"]]
+    page = make_page([old, later, _published()])
+    assert page.count("is of version 1 of grid_world: drawn on the 128 x 128 pixels themselves") == 1
+    assert "records version 2: drawn as the paper&#x27;s published code does" in page
+    assert "is of version" not in make_page([later, _published()])
 
 
 def _row(board: Board, name: str) -> Row:
@@ -235,13 +253,13 @@ def test_in_control_those_lead_that_cannot_be_told_from_the_best(result: Callabl
 def planned(result: Callable[..., Entry]) -> Callable[..., Entry]:
     """Makes an entry whose distance a version of the planner brought about."""
 
-    def make(model: str, distance: float, code: str, *, seed: int = 0) -> Entry:
+    def make(model: str, distance: float, by: int | str, *, seed: int = 0) -> Entry:
         entry = result(model, np.ones(len(EPISODES)), seed=seed)
         figure = {"mean": distance, "std": 0.2, "low": None, "high": None, "n": len(EPISODES)}
         sums = {"episode": EPISODES, "n": [1] * len(EPISODES), "sum": [distance] * len(EPISODES)}
         content = dict(entry.content) | {"figures": {**entry.figures, "control_distance[100]": figure}}
         content |= {"by_episode": {**entry.by_episode, "control_distance[100]": sums}}
-        content |= {"settings": content["settings"] | {"control_code": code}}
+        content |= {"settings": content["settings"] | {f"control_{'version' if isinstance(by, int) else 'code'}": by}}
         return Entry(content | {"reference": content["reference"] | {"oracle": {"control_distance[100]": figure}}})
 
     return make
@@ -250,12 +268,12 @@ def planned(result: Callable[..., Entry]) -> Callable[..., Entry]:
 def test_what_different_planners_did_is_neither_averaged_nor_compared(
     planned: Callable[..., Entry], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("leaderboard.board.planning_version", lambda: "this")
+    monkeypatch.setattr("leaderboard.board.CONTROL_VERSION", 7)
     entries = [
-        planned("both", 0.9, "that"),
-        planned("both", 0.5, "this", seed=1),
-        planned("old", 0.3, "that"),
-        planned("old", 0.2, "that", seed=1),
+        planned("both", 0.9, "0.1.0+2140d529a1bd"),
+        planned("both", 0.5, 7, seed=1),
+        planned("old", 0.3, "0.1.0+2140d529a1bd"),
+        planned("old", 0.2, "0.1.0+2140d529a1bd", seed=1),
     ]
 
     (board,) = make_boards(entries)
@@ -272,14 +290,14 @@ def test_what_different_planners_did_is_neither_averaged_nor_compared(
 
 
 def test_an_oracle_of_another_planner_is_marked(planned: Callable[..., Entry], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("leaderboard.board.planning_version", lambda: "this")
-    present = planned("new", 0.5, "this")
+    monkeypatch.setattr("leaderboard.board.CONTROL_VERSION", 7)
+    present = planned("new", 0.5, 7)
     references = {name: one for name, one in present.content["reference"].items() if name != "oracle"}
     blind = Entry(dict(present.content) | {"reference": references})
 
     for entries, marked in (
-        ([present, planned("old", 0.3, "that")], False),
-        ([blind, planned("old", 0.3, "that")], True),
+        ([present, planned("old", 0.3, "0.1.0+2140d529a1bd")], False),
+        ([blind, planned("old", 0.3, "0.1.0+2140d529a1bd")], True),
     ):
         (board,) = make_boards(entries)
         (oracle,) = (row for row in board.rows if row.kind == "reference" and "simulator" in row.name)

@@ -103,7 +103,8 @@ def test_what_the_entry_says_of_itself_counts(
     ("content", "said"),
     [
         ({"weights": "0" * 64}, "weights: no run"),
-        ({"code": "0.1.0+000000000000"}, "code: the entry was scored by"),
+        ({"code": "0.1.0+000000000000"}, "version: the entry was scored by version '0.1.0+0000"),
+        ({"scoring_version": 7}, "version: the entry was scored by version 7, this is version 1"),
         ({"dataset": {"name": "away", "environment": "grid_world", "fingerprint": "0" * 64}}, "data set: none"),
     ],
 )
@@ -121,6 +122,7 @@ def test_what_is_not_here_makes_an_entry_neither_sound_nor_wrong(
     [
         ("dataset", {"name": "grid_world-paper"}, "dataset.name: "),
         ("dataset", {"environment": "robot_push"}, "dataset.environment: "),
+        ("dataset", {"version": 3}, "dataset.version: the entry says 3, it is 2"),
         ("samples", {"sha256": "0" * 64}, "samples.sha256: "),
         ("samples", {"rows": 3}, "samples.rows: "),
         ("settings", {"resamples": 3}, "figures, from the samples: "),

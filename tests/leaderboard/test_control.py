@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -51,7 +52,9 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def controlled(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """A run scored for control, the oracle beside it; read only."""
     workspace = Workspace(tmp_path_factory.mktemp("controlled"))
-    recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=4)
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", episodes=30, frames=32, tasks=4
+    )
     record_dataset(workspace.data / "pushed-tiny", recipe)
     dataset = Dataset.open(workspace.data / "pushed-tiny")
     with pytest.MonkeyPatch.context() as patch:
@@ -134,14 +137,45 @@ def test_what_the_entry_says_of_its_control_counts(
 
 def test_what_another_version_planned_is_repeated_and_not_planned_anew(controlled: Workspace, entry: Entry) -> None:
     content = _content(entry)
+    del content["settings"]["control_version"]
     content["settings"]["control_code"] = "0.0"
 
     verdict = check_entry(Entry(content), controlled)
     assert (verdict.findings, verdict.holds) == ((), False)
-    assert [one.startswith("code: control was planned by '0.0'") for one in verdict.missing] == [True]
+    assert [one.startswith("version: control was planned by version '0.0'") for one in verdict.missing] == [True]
 
     content["control"]["model"][0]["actions"] = " ".join(reversed(content["control"]["model"][0]["actions"].split()))
     assert check_entry(Entry(content), controlled).findings
+
+
+def test_an_entry_that_names_code_holds_as_the_version_that_the_code_stands_for(
+    controlled: Workspace, entry: Entry
+) -> None:
+    content = _content(entry)
+    del content["scoring_version"], content["planning"], content["settings"]["control_version"]
+    content["code"] = "0.1.0+f4b222bec15f"
+    content["settings"]["control_code"] = "0.1.0+4fa30b762c67"
+    report = controlled.runs / RUN / "report/report.json"
+    now = report.read_text()
+    old = json.loads(now)
+    del old["scoring_version"], old["planning"]
+    report.write_text(json.dumps(old | {"code": content["code"], "settings": content["settings"]}))
+    try:
+        assert entry_of_run(controlled.runs / RUN).content == content
+        verdict = check_entry(Entry(content), controlled)
+    finally:
+        report.write_text(now)
+
+    assert (verdict.findings, verdict.missing, verdict.holds) == ((), (), True)
+
+
+def test_another_planner_than_the_version_s_is_found(controlled: Workspace, entry: Entry) -> None:
+    content = _content(entry)
+    content["planning"]["planner"]["samples"] += 1
+
+    findings = check_entry(Entry(content), controlled, QUICK).findings
+    assert any(one.startswith("planning: the entry says") for one in findings)
+    assert any(one.startswith("planning.planner: the entry says") for one in findings)
 
 
 def test_figures_of_control_that_nobody_scored_are_found(controlled: Workspace, entry: Entry) -> None:

@@ -20,13 +20,15 @@ from leaderboard.entry_file import read_entries, read_entry, remove_unused_refer
 from leaderboard.paper import label_count
 
 Changed = Callable[..., Entry]
+PUBLISHED = Path(__file__).parents[2] / "docs/leaderboard/entries"
 
 
 def test_the_schema_has_every_field_of_a_report() -> None:
     measured = schema()["$defs"]["measured"]
 
     assert {field.name for field in dataclasses.fields(Report)} <= set(measured["properties"])
-    assert set(measured["required"]) == set(measured["properties"])
+    required = {*measured["required"], *measured["else"]["required"], *measured["if"]["required"]}
+    assert required == set(measured["properties"])
 
 
 def test_patterns_are_of_the_whole_text() -> None:
@@ -47,6 +49,28 @@ def test_an_entry_is_its_report_and_reads_back(sound: Entry, scored_workspace: A
     assert read_entry(write_entry(sound, tmp_path)) == sound
     assert read_entries(tmp_path) == [sound]
     assert (sound.environment, sound.labels, sound.label_count) == ("grid_world", "one-shot", 4)
+
+
+def test_published_entries_are_of_the_versions_that_their_code_stands_for() -> None:
+    """What was published before versions were named holds: the schema, the entries' names, and who is compared."""
+    entries = {path.stem: read_entry(path) for path in PUBLISHED.glob("*.json")}
+    measured = [entry for entry in entries.values() if entry.is_measured]
+
+    assert measured
+    assert all(entry.slug == name for name, entry in entries.items())
+    assert {entry.scored_by for entry in measured if "code" in entry.content} <= {1}
+    earlier = [entry for entry in measured if "control_code" in entry.content["settings"]]
+    for entry in earlier:
+        code = entry.content["settings"]["control_code"]
+        assert entry.planned_by == (1 if code == "0.1.0+4fa30b762c67" else code)
+
+
+@pytest.mark.parametrize("names", [("scoring_version",), ("planning",), ("code", "planning", "scoring_version")])
+def test_an_entry_names_a_version_or_the_code(sound: Entry, names: tuple[str, ...]) -> None:
+    content = {name: value for name, value in sound.content.items() if name not in names}
+    with pytest.raises(EntryInvalid, match=f"lacks '{'scoring_version' if 'scoring_version' in names else names[0]}'"):
+        Entry(content)
+    Entry(content | {"code": "0.1.0+f4b222bec15f"})
 
 
 def test_what_entries_share_stands_once_beside_them(sound: Entry, changed: Changed, tmp_path: Path) -> None:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import http.client
+import socket
+import struct
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from dmotion_bench import loopback_server
 from dmotion_bench.errors import UsageError
+from dmotion_bench.loopback_server import MOST_CONNECTIONS
 from leaderboard.server import LeaderboardServer
 
 
@@ -84,3 +89,49 @@ def test_what_cannot_be_served_is_said(tmp_path: Path, server: LeaderboardServer
         LeaderboardServer(tmp_path)
     with pytest.raises(UsageError, match="--port"):
         LeaderboardServer(server.folder, server.server_address[1])
+
+
+def _silent(server: LeaderboardServer, said: bytes) -> socket.socket:
+    """A connection that says something and then nothing."""
+    connection = socket.create_connection(("127.0.0.1", server.port), timeout=30)
+    connection.sendall(said)
+    return connection
+
+
+def _wait_until(true: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: 127"])
+def test_half_open_connections_make_room_for_others(server: LeaderboardServer, said: bytes) -> None:
+    silent = [_silent(server, said) for _ in range(MOST_CONNECTIONS + 20)]
+    _wait_until(lambda: len(server._open) == MOST_CONNECTIONS)
+    assert all(connection.recv(100) == b"" for connection in silent[:20])  # the oldest were closed
+    assert _get(server, "/")[2] == "<p>page"
+    for connection in silent:
+        connection.close()
+    _wait_until(lambda: not server._open)
+
+
+def test_a_silent_connection_is_closed_after_a_while(
+    server: LeaderboardServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loopback_server._Handler, "timeout", 0.1)
+    with _silent(server, b"GET /") as connection:
+        assert connection.recv(100) == b""
+    _wait_until(lambda: not server._open)
+
+
+def test_whoever_leaves_in_the_middle_is_no_error(server: LeaderboardServer, capfd: pytest.CaptureFixture[str]) -> None:
+    (server.folder / "index.html").write_bytes(bytes(32 * 2**20))
+    asked = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode()
+    for said in (asked, b"GET /\x00 HTTP/9\r\n\r\n"):
+        connection = _silent(server, said)
+        assert connection.recv(10)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # a reset, not a farewell
+        connection.close()
+    _wait_until(lambda: not server._open)
+    assert capfd.readouterr() == ("", "")

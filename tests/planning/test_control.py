@@ -284,7 +284,7 @@ def test_a_simulator_that_does_not_repeat_the_recording_is_noticed(problems: lis
         def reset(self, **options: Any) -> Any:
             return super().reset(seed=options["seed"] + 1)
 
-    with pytest.raises(DatasetError, match="does not repeat what was recorded"):
+    with pytest.raises(DatasetError, match="does not reproduce the recording"):
         control(IdleController(), problems[:1], OtherVersion)
 
 

@@ -14,7 +14,8 @@ from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Trip
 from dmotion_bench.planning.planner import Moment
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import Supervision
-from recorders.grid_world import CELLS, FACTS, advance, draw
+from recorders.grid_drawing import CELLS, Version
+from recorders.grid_world import FACTS, advance, draw
 
 MOVES = torch.tensor([(0, -1), (0, 1), (-1, 0), (1, 0)])
 
@@ -84,8 +85,9 @@ class PerfectGridModel(ForwardModel[None]):
     paper: ClassVar[str] = "none"
     Config: ClassVar[type] = type(None)
 
-    def __init__(self) -> None:
+    def __init__(self, version: Version = 1) -> None:
         super().__init__(None, ModelInputs(height=128, width=128, actions=4))
+        self._version = version
         self._finder = PositionFinder(FACTS)
         self.frames = 0
 
@@ -103,4 +105,4 @@ class PerfectGridModel(ForwardModel[None]):
         after, there = advance(cells, there, action.numpy())
         stays = ~((after[:, 0] >= 0) & (after[:, 0] < CELLS)).all(-1)
         after[stays], there[:, 0] = cells[stays], True
-        return to_model(torch.from_numpy(draw(after, there)[0]))
+        return to_model(torch.from_numpy(draw(after, there, self._version).frames))

@@ -42,6 +42,17 @@ def test_damaged_shards_and_tables_come_back_byte_for_byte(dataset: Path) -> Non
     assert files_of(dataset) == before
 
 
+def test_a_cache_that_is_damaged_as_well_is_deleted(dataset: Path) -> None:
+    cache = Dataset.open(dataset).cache_file
+    Dataset.open(dataset).cache()
+    with cache.path.open("r+b") as file:
+        file.seek(100_000)
+        file.write(b"other pixels")
+    (dataset / "video" / "shard-00000.mcap").write_bytes(b"nothing left")
+    assert repair_dataset(dataset).how == "restored"
+    assert check_dataset(dataset).damages == ()
+
+
 def test_labels_that_were_taken_away_come_back(dataset: Path) -> None:
     before = files_of(dataset)
     shutil.rmtree(dataset / "labels")

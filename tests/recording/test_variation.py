@@ -142,7 +142,7 @@ def test_factors_are_a_set_and_settings_have_their_parameters_types() -> None:
         ("planar_push", {"vary": ["colours"]}, UnknownName, "did you mean 'colour'.*camera, colour, .*, mass"),
         ("grid_world", {"vary": ["light"]}, InvalidSetting, "nothing varies in grid_world.*planar_push"),
         ("robot_push", {"ranges": "shifted"}, InvalidSetting, "name some with '--vary'"),
-        ("grid_world", {"vary": ["light"], "ranges": "shifted"}, InvalidSetting, "leave '--ranges' away"),
+        ("grid_world", {"vary": ["light"], "ranges": "shifted"}, InvalidSetting, "leave out '--ranges'"),
         ("robot_push", {"settings": ["objcts=3"]}, UnknownName, "setting of robot_push named 'objcts'.*'objects'"),
         ("robot_push", {"settings": ["objects=three"]}, InvalidSetting, "it must be a whole number"),
         ("robot_push", {"settings": ["objects=7"]}, InvalidSetting, "1 to 6"),

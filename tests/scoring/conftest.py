@@ -44,8 +44,9 @@ class Oracle(Known):
         return to_model(torch.from_numpy(np.stack(frames)))
 
 
-def write_dataset(path: Path, *, episodes: int = 30, frames: int = FRAMES, seed: int = 3) -> Dataset:
-    recipe = DatasetRecipe(environment="grid_world", policy="random", seed=seed, episodes=episodes, frames=frames)
+def write_dataset(path: Path, *, episodes: int = 30, frames: int = FRAMES, seed: int = 3, version: int = 2) -> Dataset:
+    parameters = {} if version == 1 else {"version": version}
+    recipe = DatasetRecipe(environment="grid_world", parameters=parameters, seed=seed, episodes=episodes, frames=frames)
     with DatasetWriter.create_or_resume(path, recipe, FACTS) as writer:
         for shard in writer.missing:
             writer.write_shard(shard, record_episodes(GridWorld, recipe, writer.episodes_of(shard)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,8 +19,9 @@ from torch import Tensor
 
 from dmotion_bench.errors import DatasetError, FolderInUse
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.control import ControlProgress
+from dmotion_bench.planning.control import CONTROL_VERSION, ControlProgress
 from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
+from dmotion_bench.planning.planner import make_planner
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, known_references, require_tasks, score_reference
 from dmotion_bench.scoring.prediction import Execution
@@ -45,7 +47,9 @@ def _few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def tasks(tmp_path: Path) -> Dataset:
     """A Grid World with tasks; its cache is empty."""
-    recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=4)
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", episodes=30, frames=32, tasks=4
+    )
     record_dataset(tmp_path / "grid", recipe)
     return Dataset.open(tmp_path / "grid")
 
@@ -134,23 +138,23 @@ def test_control_is_kept_while_it_is_true(run: Run) -> None:
     assert "control by the model" in asked
 
 
-def test_other_scoring_code_leaves_control_true_and_other_planning_code_does_not(
+def test_another_version_of_scoring_leaves_control_true_and_one_of_control_does_not(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
     how = Execution(progress=lambda what, done, total: asked.append(what.partition(",")[0]))
     before = score(run, "prediction", "control")
     control = {name: one for name, one in before.figures.items() if name.startswith("control_")}
-    monkeypatch.setattr("dmotion_bench.scoring.score.scoring_version", lambda: "newer")
+    monkeypatch.setattr("dmotion_bench.scoring.score.SCORING_VERSION", 2)
 
     renewed = score(run, "prediction", how=how, renew=False)
 
     assert "single steps" in asked
     assert not any(what.startswith("control by") for what in asked)
-    assert renewed.code == "newer"
+    assert renewed.scoring_version == 2
     assert {name: one for name, one in renewed.figures.items() if name.startswith("control_")} == control
     assert score(run, "control", how=how, renew=False) == renewed
-    monkeypatch.setattr("dmotion_bench.scoring.control.planning_version", lambda: "newer")
+    monkeypatch.setattr("dmotion_bench.scoring.control.CONTROL_VERSION", 2)
     assert not any(name.startswith("control_") for name in score(run, "prediction").figures)
 
 
@@ -198,3 +202,37 @@ def test_progress_counts_control_steps(tasks: Dataset) -> None:
     assert (seen[-1].steps, seen[-1].total) == (9, 9)
     kept = json.loads(next((tasks.path / "cache").glob("control-random-*.json")).read_text())
     assert np.array([one["distance"] for one in kept["tasks"].values()]).shape == (3, 4)
+
+
+def test_a_report_names_the_planner_and_the_cost_in_full(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    report = score(run, "prediction", "control")
+    assert report.settings["control_version"] == CONTROL_VERSION
+    assert report.planning["planner"]["class"] == "CrossEntropyPlanner"
+    assert (report.planning["planner"]["samples"], report.planning["planner"]["haste"]) == (3, 0.0)
+    assert (report.planning["cost"]["name"], report.planning["cost"]["tracking.CLEAR"]) == ("tracked", 0.85)
+    assert report.planning["arithmetic"] in ("float32", "bfloat16")
+    assert score(run, "prediction").planning == report.planning
+
+    monkeypatch.setattr("dmotion_bench.planning.tracking.CLEAR", 0.8)
+    assert not any(name.startswith("control_") for name in score(run, "prediction").figures)
+
+
+def test_a_reference_that_was_kept_under_a_hash_of_the_code_is_kept(tasks: Dataset) -> None:
+    """The oracle takes hours: what it did is not done again because versions have names now."""
+    result = score_reference("oracle", tasks, SCORING)
+    (new,) = (tasks.path / "cache").glob("control-oracle-*.json")
+    content, planner = json.loads(new.read_text()), make_planner("cem")
+    common = {name: content["key"][name] for name in ("dataset", "who", "device", "steps", "seed", "group")}
+    key = {"code": "0.1.0+4fa30b762c67", "planner": repr(planner), "cost": None} | common
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:12]
+    new.unlink()
+    old = new.with_name(f"control-oracle-{digest}.json")
+
+    old.write_text(json.dumps(content | {"key": key | {"code": "0.1.0+2140d529a1bd"}}))
+    assert score_reference("oracle", tasks, SCORING).planned == 9
+    old.write_text(json.dumps(content | {"key": key}))
+    assert "oracle" in known_references(tasks, SCORING)
+    again = score_reference("oracle", tasks, replace(SCORING, tasks=4))
+    assert again.planned == 6  # of the last group alone
+    np.testing.assert_array_equal(again.actions[:3], result.actions)
+    assert score_reference("oracle", tasks, replace(SCORING, tasks=4)).planned == 0

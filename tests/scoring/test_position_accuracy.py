@@ -19,9 +19,12 @@ from dmotion_bench.storage.dataset import Dataset
 EPISODES = 12
 
 
-def _sightings(path: Path, environment: str, policy: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sightings(
+    path: Path, environment: str, policy: str, **parameters: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of every object in every frame: the share that is seen, whether it is found, and how far off [px]."""
-    record_dataset(path, DatasetRecipe(environment=environment, policy=policy, episodes=EPISODES, frames=40))
+    recipe = DatasetRecipe(environment=environment, parameters=parameters, policy=policy, episodes=EPISODES, frames=40)
+    record_dataset(path, recipe)
     dataset = Dataset.open(path)
     finder, rows = PositionFinder(dataset.spec), []
     for episode in range(len(dataset)):
@@ -35,13 +38,18 @@ def _sightings(path: Path, environment: str, policy: str) -> tuple[np.ndarray, n
 
 
 @pytest.mark.parametrize(
-    ("environment", "policy", "median", "most"),
-    [("grid_world", "random", 0.0, 0.0), ("planar_push", "push", 0.1, 0.3), ("robot_push", "push", 0.15, 0.4)],
+    ("environment", "parameters", "policy", "median", "most"),
+    [
+        ("grid_world", {}, "random", 0.0, 0.0),
+        ("grid_world", {"version": 2}, "random", 0.0, 0.0),
+        ("planar_push", {}, "push", 0.1, 0.3),
+        ("robot_push", {}, "push", 0.15, 0.4),
+    ],
 )
 def test_what_is_seen_whole_is_found_and_what_is_not_seen_never(
-    tmp_path: Path, environment: str, policy: str, median: float, most: float
+    tmp_path: Path, environment: str, parameters: dict[str, int], policy: str, median: float, most: float
 ) -> None:
-    seen, found, error = _sightings(tmp_path / "data", environment, policy)
+    seen, found, error = _sightings(tmp_path / "data", environment, policy, **parameters)
     whole = seen > 0.999
 
     assert whole.sum() > 500

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import colorsys
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from hypothesis import strategies as st
 from dmotion_bench import positions
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec, ObjectSpec
-from dmotion_bench.storage.dataset import Dataset
+
+from .conftest import write_dataset
 
 COLORS = ((255, 0, 0), (0, 0, 255), (255, 255, 0), (255, 0, 255))
 
@@ -157,7 +159,9 @@ def test_any_leading_axes() -> None:
     assert nested.found.shape == (2, 3, 4)
 
 
-def test_finds_what_grid_world_says_is_there(grid: Dataset) -> None:
+@pytest.mark.parametrize("version", [1, 2])
+def test_finds_what_grid_world_says_is_there(tmp_path: Path, version: int) -> None:
+    grid = write_dataset(tmp_path / "grid", episodes=4, version=version)
     finder = PositionFinder(grid.spec)
     for episode in range(4):
         labels = grid.labels(episode)

@@ -15,7 +15,7 @@ from dmotion_bench.errors import LabelsNotAvailable, RunCorrupt, RunMismatch, Ru
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.references import PublishedFigure, PublishedResult, published_for
-from dmotion_bench.scoring.report import read_report
+from dmotion_bench.scoring.report import SCORING_VERSION, read_report
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS
 from dmotion_bench.scoring.score import ReferenceScores, ScoreSettings, score_model, score_run
 from dmotion_bench.storage.dataset import Dataset
@@ -89,6 +89,7 @@ def test_the_report_says_how_it_was_made(make_run: MakeRun, grid: Dataset, tmp_p
         "name": "grid_world-tiny",
         "environment": "grid_world",
         "fingerprint": grid.fingerprint,
+        "version": 2,
     }
     assert report["labels"] == {"asked": "one-shot", "given": {"demonstrations": 4}, "total": 4}
     assert report["training"]["seconds"] == 1.5
@@ -229,3 +230,25 @@ def test_the_columns_of_the_figures_are_in_the_samples(grid: Dataset, oracle: Or
     assert set(FIGURE_COLUMNS) <= set(samples.column_names)
     # 3 test episodes of 12 triplets; 4 rollouts of 3 steps each; 2 references, 1 of them rolled out
     assert len(samples) == 3 * 12 * 3 + 3 * 4 * 3 * 2
+
+
+def test_a_report_that_names_code_is_of_the_version_that_the_code_stands_for(make_run: MakeRun, tmp_path: Path) -> None:
+    """Reports of before versions were named open, and are scored again only if their code was another."""
+    now = score_run(make_run(tmp_path / "run").path, settings=QUICK)
+    file = tmp_path / "run/report/report.json"
+    stored = json.loads(file.read_text())
+    assert stored.pop("scoring_version") == SCORING_VERSION
+    assert stored.pop("planning") == {}
+    stored["settings"]["control_code"] = "0.1.0+4fa30b762c67"
+
+    file.write_text(json.dumps(stored | {"code": "0.1.0+f4b222bec15f"}))
+    known = read_report(file.parent)
+    assert known is not None
+    assert known.settings == now.settings | {"control_version": 1}
+    assert score_run(tmp_path / "run", settings=QUICK, renew=False) == known
+
+    file.write_text(json.dumps(stored | {"code": "0.1.0+c526c1fffaf4"}))
+    older = read_report(file.parent)
+    assert older is not None
+    assert older.scoring_version == "0.1.0+c526c1fffaf4"
+    assert score_run(tmp_path / "run", settings=QUICK, renew=False).scoring_version == SCORING_VERSION

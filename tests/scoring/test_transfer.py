@@ -59,6 +59,7 @@ def test_it_is_marked_and_stands_beside_the_run_s_own(
         "name": "other",
         "environment": "grid_world",
         "fingerprint": other.fingerprint,
+        "version": 2,
         "trained_on": {"name": grid.name, "fingerprint": grid.fingerprint},
     }
     assert report.trained_on == grid.name
@@ -91,6 +92,17 @@ def test_episodes_that_the_run_was_trained_on_are_refused(make_run: MakeRun, gri
     assert known
     with pytest.raises(RunMismatch, match=rf"{len(known)} of the 6 test episodes .* \(episodes {known[0]}.*--seed"):
         _score(make_run(tmp_path / "run"), longer)
+
+
+def test_another_version_of_an_episode_is_no_new_episode(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
+    """Version 1 draws the same episodes with other pixels; with another seed it is a transfer like any other."""
+    drawn_otherwise = write_dataset(tmp_path / "data/first", episodes=60, version=1)
+    run = make_run(tmp_path / "run")
+    with pytest.raises(RunMismatch, match=r"of the 6 test episodes .* begin as episodes do"):
+        _score(run, drawn_otherwise)
+    report = _score(run, write_dataset(tmp_path / "data/elsewhere", seed=4, version=1))
+    assert "version" not in report.dataset  # it is 1
+    assert report.trained_on == grid.name
 
 
 def test_the_same_seed_with_the_same_split_holds_out_the_same(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:

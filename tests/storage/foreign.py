@@ -16,7 +16,7 @@ from foxglove.mcap import MCAPWriteOptions
 from foxglove.messages import CompressedImage, RawImage, Timestamp
 from jaxtyping import UInt8
 from PIL import Image
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 START = 1_700_000_000_000_000_000  # [ns]
@@ -125,16 +125,21 @@ def foxglove_compressed_file(path: Path, pictures: Iterable[bytes], times: Seque
 def ros_file(
     folder: Path,
     messages: Sequence[tuple[str, str, int, Any]],
+    compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
     """A ROS 2 bag with MCAP storage; messages are topic, type, time, and the fields but the header."""
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+    if compression is not CompressionMode.NONE:
+        bag.set_compression(compression, CompressionFormat.ZSTD)
+    with bag as writer:
         connections: dict[str, Any] = {}
         for topic, kind, t_ns, fields in messages:
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=ROS)
             message = ROS.types[kind](**fields)
             writer.write(connections[topic], t_ns, ROS.serialize_cdr(message, kind))
-    return folder / f"{folder.name}.mcap"
+    (file,) = folder.glob("*.mcap*")
+    return file
 
 
 def ros_image(t_ns: int, height: int, width: int, encoding: str, step: int, data: bytes) -> dict[str, Any]:

@@ -59,7 +59,9 @@ def test_an_interrupted_recording_names_the_command_that_goes_on(tmp_path: Path)
     recipe = DatasetRecipe(environment="grid_world", episodes=7, frames=8, tasks=3, seed=5)
     with DatasetWriter.create_or_resume(tmp_path / "d", recipe, noise_spec()):
         pass
-    command = f"dmbench record grid_world --episodes 7 --frames 8 --tasks 3 --seed 5 --out {tmp_path / 'd'}"
+    command = (
+        f"dmbench record grid_world --episodes 7 --frames 8 --tasks 3 --seed 5 --set version=1 --out {tmp_path / 'd'}"
+    )
     with pytest.raises(DatasetIncomplete, match=command):
         Dataset.open(tmp_path / "d")
 

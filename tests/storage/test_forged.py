@@ -24,6 +24,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.limits import most_frames
 from dmotion_bench.storage.mcap_reader import DamagedFile, MessageView
 from dmotion_bench.storage.messages import decode_states, encode_states
+from dmotion_bench.storage.parquet_pages import list_pages
 from dmotion_bench.storage.schema import ACTION, STATES
 from dmotion_bench.storage.shard import shard_path
 from dmotion_bench.storage.writer import DatasetWriter
@@ -100,7 +101,64 @@ def test_a_word_that_is_a_megabyte_is_not_multiplied(path: Path) -> None:
     table = pq.read_table(path / "episodes.parquet")
     long = table.set_column(5, table.schema.field("split"), pa.array(["x" * 2**20] * len(table)))
     replace_table(path, "episodes.parquet", long)
-    refused(path, "bytes for a column of 7 rows")
+    refused(path, "bytes for the column split of 7 rows")
+
+
+def _varint(value: int) -> bytes:
+    """As Thrift writes a positive number."""
+    value, written = value << 1, b""
+    while value > 127:
+        written, value = written + bytes([value & 127 | 128]), value >> 7
+    return written + bytes([value])
+
+
+def test_a_page_that_is_larger_than_the_footer_says_is_not_unpacked(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """32 KB took 4 GB: a dictionary of one word that nobody uses, and a footer that claims 100 bytes."""
+    table = pq.read_table(path / "episodes.parquet")
+    words = pa.array(["train", "x" * (16 * 2**20)])
+    column = pa.DictionaryArray.from_arrays(pa.array([0] * len(table), pa.int32()), words)
+    bomb = pa.table({**{name: table[name] for name in table.schema.names}, "split": column})
+    bomb = bomb.cast(pa.schema([field.with_nullable(False) for field in bomb.schema]))
+    pq.write_table(bomb, path / "episodes.parquet", compression="zstd", dictionary_pagesize_limit=2**30)
+    size = pq.read_metadata(path / "episodes.parquet").row_group(0).column(5).total_uncompressed_size
+    assert size > 16 * 2**20 > 100 * (path / "episodes.parquet").stat().st_size
+    true, raw = _varint(size), (path / "episodes.parquet").read_bytes()
+    lie = bytes([100 << 1 & 127 | 128, 1 | 128]) + b"\x80" * (len(true) - 3) + b"\x00"  # of the same length
+    (path / "episodes.parquet").write_bytes(raw.replace(true, lie))
+    rehash(path, "episodes.parquet")
+    assert pq.read_metadata(path / "episodes.parquet").row_group(0).column(5).total_uncompressed_size == 100
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *_, **__: pytest.fail("it was read"))
+    refused(path, "claims 16,777,[0-9]+ bytes for the column split of 7 rows")
+
+
+def test_an_encoding_that_repeats_what_came_before_is_refused(path: Path) -> None:
+    """Each word may take over all of the one before, so that rows cost their square."""
+    table = pq.read_table(path / "episodes.parquet")
+    replace_table(path, "episodes.parquet", table, use_dictionary=False, column_encoding={"split": "DELTA_BYTE_ARRAY"})
+    refused(path, "column split in an encoding that is not ours")
+
+
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+@pytest.mark.parametrize("rows", [0, 1, 7, 50_000])
+def test_the_pages_of_a_sound_table_are_found(tmp_path: Path, version: str, rows: int) -> None:
+    numbers = np.random.default_rng(0).integers(0, 2**62, rows)
+    table = pa.table({"a": numbers, "b": numbers % 3, "c": pa.array((numbers % 5).astype(str))})
+    file = tmp_path / "t.parquet"
+    pq.write_table(table, file, compression="zstd", data_page_version=version, row_group_size=20_000)
+    about = pq.read_metadata(file)
+    with file.open("rb") as opened:
+        for group in range(about.num_row_groups):
+            for index in range(3):
+                column = about.row_group(group).column(index)
+                start = column.dictionary_page_offset if column.has_dictionary_page else column.data_page_offset
+                pages = list(list_pages(opened, start, column.total_compressed_size))
+                assert sum(page.values for page in pages if not page.is_dictionary) == column.num_values
+                with pytest.raises(ValueError, match="page"):
+                    list(list_pages(opened, start, column.total_compressed_size - 1))
+                with pytest.raises(ValueError, match="page"):
+                    list(list_pages(opened, start + 1, column.total_compressed_size - 1))
 
 
 @pytest.mark.parametrize("name", ["episodes.parquet", "tasks.parquet"])
@@ -126,6 +184,14 @@ def test_a_table_of_other_columns_is_refused(path: Path, name: str, change: Call
     refused(path, "has other columns")
 
 
+def test_a_column_that_holds_columns_is_refused(path: Path) -> None:
+    table = pq.read_table(path / "episodes.parquet")
+    nested = pa.array([[{"word": word}] for word in table["ended"].to_pylist()])
+    place = table.column_names.index("ended")
+    replace_table(path, "episodes.parquet", table.set_column(place, "ended", nested))
+    refused(path, "has other columns")
+
+
 @pytest.mark.parametrize("name", ["episodes.parquet", "tasks.parquet"])
 @settings(deadline=None, derandomize=True, max_examples=150)
 @given(data=st.data())
@@ -138,7 +204,8 @@ def test_any_bytes_in_a_table_are_read_or_refused(sound: Path, name: str, data: 
     (sound / name).write_bytes(spoiled[: data.draw(st.integers(0, len(whole)) | st.just(len(whole)))])
     rehash(sound, name)
     try:
-        assert len(Dataset.open(sound).tasks()) == 0
+        opened = Dataset.open(sound)
+        assert (len(opened.lengths), len(opened.tasks())) == (7, 0)
     except DatasetError as error:
         assert len(str(error)) < 1500  # noqa: PT017 (either outcome is right)
     finally:

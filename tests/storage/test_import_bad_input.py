@@ -7,6 +7,7 @@ import struct
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import foxglove
@@ -123,14 +124,6 @@ def test_a_camera_that_never_sent_a_picture(tmp_path: Path) -> None:
     refused(tmp_path / "a.mcap", tmp_path, "has no pictures: there is no message on '/camera'")
 
 
-def test_video_streams_are_named(tmp_path: Path) -> None:
-    context = foxglove.Context()
-    with foxglove.open_mcap(tmp_path / "a.mcap", context=context):
-        schema = foxglove.Schema(name="foxglove.CompressedVideo", encoding="protobuf", data=b"")
-        foxglove.Channel("/v", schema=schema, message_encoding="protobuf", context=context).log(b"", log_time=START)
-    refused(tmp_path / "a.mcap", tmp_path, "a video stream; re-record it as images", ImportOptions(camera="/v"))
-
-
 def test_mixed_sizes(tmp_path: Path) -> None:
     frames = [*video(3, 32, 32), *video(3, 24, 40)]
     file = foxglove_file(tmp_path / "a.mcap", frames, steady(6))
@@ -222,22 +215,25 @@ def test_too_few_pictures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "match"),
     [
-        (b"", "it is empty"),
-        (b"no recording at all", "does not begin with MCAP's eight bytes"),
+        (b"", "is empty"),
+        (b"no recording at all", "is no recording that can be imported: MCAP .*'ffmpeg -i IN OUT.mkv'"),
+        (b"\x89MCAP9\r\n", "is no MCAP file: it does not begin with MCAP's eight bytes"),
         (b"#ROSBAG V2.0\n", "a ROS 1 bag; convert it with 'rosbags-convert"),
         (b"SQLite format 3\0", "ROS 2 bag in SQLite; convert it"),
-        (zstandard.compress(b"x" * 100), "unpack it with 'unzstd'"),
+        (zstandard.compress(b"x" * 100), "holds no MCAP file, but is compressed as a whole"),
+        (compressed(video(1)[0], "png"), "is a single picture; name the folder that it is in"),
+        (compressed(video(1)[0], "webp"), "is a single picture"),
     ],
 )
 def test_other_files(tmp_path: Path, content: bytes, match: str) -> None:
     (tmp_path / "a.mcap").write_bytes(content)
-    refused(tmp_path / "a.mcap", tmp_path, f"is no MCAP file: .*{match}")
+    refused(tmp_path / "a.mcap", tmp_path, f"a.mcap' .*{match}")
 
 
 def test_what_is_not_there(tmp_path: Path) -> None:
     refused(tmp_path / "nothing.mcap", tmp_path, "there is no .*nothing.mcap")
     (tmp_path / "empty").mkdir()
-    refused(tmp_path / "empty", tmp_path, "holds no .mcap file and is no LeRobot data set")
+    refused(tmp_path / "empty", tmp_path, "holds no recording: no MCAP .* no pictures .* no LeRobot data set")
 
 
 @given(cut=st.floats(0, 1))
@@ -246,7 +242,7 @@ def test_a_file_cut_anywhere_is_refused(good: Path, tmp_path_factory: pytest.Tem
     folder = tmp_path_factory.mktemp("cut")
     whole = good.read_bytes()
     (folder / "a.mcap").write_bytes(whole[: int(cut * (len(whole) - 30))])
-    refused(folder / "a.mcap", folder, "is cut off|no MCAP file")
+    refused(folder / "a.mcap", folder, "is cut off|no MCAP file|is empty|is no recording")
 
 
 def test_a_cut_file_can_be_salvaged(good: Path, tmp_path: Path) -> None:
@@ -295,6 +291,50 @@ def test_a_chunk_that_inflates_to_more_than_it_declares(tmp_path: Path) -> None:
     bomb = zstandard.compress(unknown + b"\0" * 50 * MIB)
     file = by_hand(tmp_path / "a.mcap", chunk(bomb, declared=len(unknown)))
     assert peak_of(lambda: refused(file, tmp_path, "inflates to more than it declares")) < 8 * MIB
+
+
+def test_a_compressed_file_that_is_cut_off_or_damaged(tmp_path: Path) -> None:
+    packed = zstandard.compress(foxglove_file(tmp_path / "a.mcap", video(12, 128, 128), steady(12)).read_bytes())
+    (tmp_path / "short.mcap.zst").write_bytes(packed[:50])
+    refused(tmp_path / "short.mcap.zst", tmp_path, "short.mcap.zst' is cut off")
+    (tmp_path / "a.mcap.zst").write_bytes(packed[: len(packed) * 2 // 3])
+    refused(tmp_path / "a.mcap.zst", tmp_path, "is cut off|holds less than it declares; .*'--salvage'")
+    salvaged = import_recordings([tmp_path / "a.mcap.zst"], tmp_path / "out", ImportOptions(size=32, salvage=True))
+    assert 4 <= salvaged.frames < 12
+    damaged = bytearray(packed)
+    damaged[len(packed) // 2 :] = bytes(len(packed) - len(packed) // 2)
+    (tmp_path / "b.mcap.zst").write_bytes(damaged)
+    refused(tmp_path / "b.mcap.zst", tmp_path, "is cut off|is damaged near byte")
+
+
+def test_a_compressed_file_that_inflates_without_end(tmp_path: Path) -> None:
+    compressor = zstandard.ZstdCompressor().compressobj()
+    unknown = record(0x7F, bytes(MIB))
+    packed = b"".join(compressor.compress(unknown) for _ in range(300)) + compressor.flush()
+    content = zstandard.compress(by_hand(tmp_path / "b.mcap").read_bytes()[:-50])  # up to the end of its data
+    (tmp_path / "a.mcap.zst").write_bytes(content + packed)
+    tight = ImportOptions(limits=ImportLimits(chunk_bytes=MIB))
+    match = "it inflates to more than 1,000 times its size"
+    assert peak_of(lambda: refused(tmp_path / "a.mcap.zst", tmp_path, match, tight)) < 16 * MIB
+
+
+def test_a_compressed_message_that_inflates_without_end(tmp_path: Path) -> None:
+    bomb, wrong = zstandard.compress(bytes(50 * MIB)), zstandard.compress(b"x" * 500)[:-5] + b"12345"
+    for name, data, match in (
+        ("bomb", bomb, "inflates to more than the 10 MiB"),
+        ("wrong", wrong, "cannot be inflated"),
+    ):
+        with (tmp_path / f"{name}.mcap").open("wb") as opened:
+            writer = OfficialWriter(opened)
+            writer.start()
+            channel = writer.register_channel(
+                "/c", "cdr", writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"")
+            )
+            writer.add_message(channel, START, data, START)
+            writer.finish()
+        options = ImportOptions(limits=ImportLimits(message_bytes=10 * MIB))
+        run = partial(refused, tmp_path / f"{name}.mcap", tmp_path, match, options)
+        assert peak_of(run) < 32 * MIB
 
 
 def test_a_chunk_that_inflates_to_less_than_it_declares(tmp_path: Path) -> None:

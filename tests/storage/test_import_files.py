@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
+from rosbags.rosbag2 import CompressionMode
 from storage.foreign import (
     START,
     compressed,
@@ -70,6 +72,33 @@ def test_ros_cdr(tmp_path: Path, encoding: str) -> None:
     expected = grey(frames) if encoding.startswith("mono") else frames
     np.testing.assert_array_equal(dataset.video(0), expected)
     assert dataset.recipe.parameters["camera"] == "/camera/image_raw"
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_bags_that_rosbag2_has_compressed(tmp_path: Path, mode: CompressionMode) -> None:
+    frames = video(6)
+    messages: list[tuple[str, str, int, dict[str, object]]] = []
+    for t_ns, frame in zip(steady(6), frames, strict=True):
+        picture = ros_image(t_ns, 32, 32, "rgb8", 96, frame.tobytes())
+        messages += [("/camera", "sensor_msgs/msg/Image", t_ns, picture)]
+        messages += [("/action", "std_msgs/msg/String", t_ns, {"data": f"push {len(messages) % 4}"})]
+    file = ros_file(tmp_path / "bag", messages, mode)
+    assert file.name == ("bag.mcap.zstd" if mode is CompressionMode.FILE else "bag.mcap")
+    for path, out in ((file, "file"), (file.parent, "folder")):
+        report = import_recordings([path], tmp_path / out, ImportOptions(size=32, actions="/action"))
+        dataset = Dataset.open(report.path)
+        np.testing.assert_array_equal(dataset.video(0), frames)
+        assert [dataset.spec.actions[number] for number in dataset.states(0).actions] == ["push 1", "push 3"] * 2 + [
+            "push 1"
+        ]
+
+
+def test_a_file_that_was_compressed_as_a_whole_in_several_parts(tmp_path: Path) -> None:
+    frames = video(5)
+    whole = foxglove_file(tmp_path / "a.mcap", frames, steady(5)).read_bytes()
+    half = len(whole) // 2
+    (tmp_path / "a.mcap.zst").write_bytes(zstandard.compress(whole[:half]) + zstandard.compress(whole[half:]))
+    np.testing.assert_array_equal(imported(tmp_path / "a.mcap.zst", tmp_path).video(0), frames)
 
 
 def test_a_bag_is_named_by_its_folder(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_an_interruption_leaves_nothing_and_says_so(
     ended = finish(process)
     assert ended.code == 128 + sign
     assert ended.sentence() == (
-        f"dmbench: interrupted; nothing is left of the {command}, the same command starts it anew.\n"
+        f"dmbench: interrupted; the unfinished {command} was removed. Run the same command again to start over.\n"
     )
     assert names(workspace) == []
 
@@ -182,3 +182,9 @@ def test_two_at_once_never_share_a_folder(tmp_path: Path) -> None:
         staged(tmp_path / "made", ".importing"),
     ):
         raise AssertionError("it began")
+
+
+def test_the_root_of_all_folders_cannot_be_made_anew(recording: Path, workspace: Path) -> None:
+    said = finish(start_dmbench([*words("import", recording, workspace)[:-1], "/"], workspace))
+    assert said.code == 2
+    assert "name another folder with '--out DIR'" in said.sentence()

@@ -90,3 +90,12 @@ def test_tasks_are_ranked_by_enough_interactions_then_held_out_then_interactions
     for count in range(7):
         assert choose_tasks(found, {2}, count) == sorted(order[:count])
     assert choose_tasks(found, {2}, 99) == sorted(order)
+
+
+def test_a_long_episode_takes_no_time_that_grows_with_its_square() -> None:
+    """Hours, if each start were compared with all that are taken."""
+    frames = 200_000
+    positions = np.cumsum(np.ones((frames, 1, 3)), axis=0)
+    found = candidates(positions, np.ones(frames - 1, bool), 1e-3)
+    # equally good but for the last, which have less before them: the first, and from there as near as is allowed
+    assert sorted(one.start for one in found) == list(range(0, frames - FEWEST_INTERACTIONS, START_SPACING))

@@ -32,7 +32,9 @@ from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.statistics import PixelCounts, Summary, of_numbers
 from dmotion_bench.storage.staging import staged
-from dmotion_bench.storage.video import H264, Codec, VideoReader, VideoWriter
+from dmotion_bench.storage.video.codecs import H264, Codec
+from dmotion_bench.storage.video.file import VideoFile
+from dmotion_bench.storage.video.writer import VideoWriter
 
 CAMERA: Final = "observation.images.camera"
 ACTION: Final = "action"
@@ -284,8 +286,8 @@ class _Export:
         for file in sorted({one.file for one in placed}):
             inside = [number for number, one in enumerate(placed) if one.file == file]
             count = sum(placed[number].length for number in inside)
-            with VideoReader(self._video(file), pixels=spec.height * spec.width) as video:
-                decoded = video.frames(range(count), float(self._fps))
+            with VideoFile(self._video(file), pixels=spec.height * spec.width) as video:
+                decoded = video.frames_at(range(count), float(self._fps))
                 for number in inside:
                     self._progress("measuring the loss", number, len(placed))
                     for frame in self._dataset.video(number):

@@ -1,4 +1,4 @@
-"""Camera messages of foxglove and ROS 2, in CDR, protobuf or JSON -> pictures not yet unpacked.
+"""Camera messages of foxglove and ROS 2, in CDR, protobuf or JSON -> pictures or packets of video, not yet unpacked.
 
 ROS messages are decoded by their published definitions (those below), not by the text a file carries:
 a schema from elsewhere is a program for the decoder, and the well-known ones never differ.
@@ -35,9 +35,34 @@ ROS_DEFINITIONS = {
     "foxglove_msgs/CompressedImage": (
         "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
     ),
+    "foxglove_msgs/CompressedVideo": (
+        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+    ),
+    "ffmpeg_image_transport_msgs/FFMPEGPacket": _HEADER.format(
+        fields="int32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\nbool is_bigendian\nuint8[] data"
+    ),
 }
 RAW = frozenset({"sensor_msgs/Image", "foxglove_msgs/RawImage", "foxglove.RawImage"})
 COMPRESSED = frozenset({"sensor_msgs/CompressedImage", "foxglove_msgs/CompressedImage", "foxglove.CompressedImage"})
+VIDEO = frozenset(
+    {"foxglove.CompressedVideo", "foxglove_msgs/CompressedVideo", "ffmpeg_image_transport_msgs/FFMPEGPacket"}
+)
+CAMERAS = RAW | COMPRESSED | VIDEO
+_FOXGLOVE = frozenset(name for name in CAMERAS if name.startswith("foxglove."))
+_CODECS = {
+    "h264": ("h264", "x264", "avc"),
+    "hevc": ("h265", "hevc", "x265"),
+    "av1": ("av1",),
+    "vp9": ("vp9",),
+    "vp8": ("vp8",),
+}
+"""What an encoder's or format's name has in it, by FFmpeg's name of the codec."""
+
+
+KNOWN = (
+    "known are foxglove.RawImage, foxglove.CompressedImage, foxglove.CompressedVideo, sensor_msgs/msg/Image, "
+    "sensor_msgs/msg/CompressedImage and ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+)
 
 
 class BadPicture(Exception):
@@ -71,7 +96,16 @@ class CompressedPicture:
     data: bytes
 
 
-Picture = RawPicture | CompressedPicture
+@dataclass(frozen=True, slots=True)
+class VideoPacket:
+    """What one message of a video topic holds: a picture, drawn on top of those before it."""
+
+    stamp_ns: int
+    codec: str
+    data: bytes
+
+
+Picture = RawPicture | CompressedPicture | VideoPacket
 PictureDecoder = Callable[[bytes], Picture]
 
 
@@ -82,7 +116,13 @@ def well_known(topic: TopicInfo) -> str:
 
 def is_camera(topic: TopicInfo) -> bool:
     """Whether the topic's messages are pictures that can be imported."""
-    return well_known(topic) in RAW | COMPRESSED
+    return well_known(topic) in CAMERAS
+
+
+def codec_of(form: str) -> str | None:
+    """The codec that a message's format names, ``"h264;yuv420p;bgr8"`` or ``"libx264"``; None for a picture's."""
+    name = form.partition(";")[0].lower()
+    return next((codec for codec, parts in _CODECS.items() if any(part in name for part in parts)), None)
 
 
 def picture_decoder(topic: TopicInfo) -> PictureDecoder:
@@ -92,15 +132,12 @@ def picture_decoder(topic: TopicInfo) -> PictureDecoder:
         RecordingImportError: The messages are no pictures, or written in a way that is not known.
     """
     name = well_known(topic)
-    if name not in RAW | COMPRESSED:
-        video = " (a video stream; re-record it as images)" if name.endswith("CompressedVideo") else ""
+    if name not in CAMERAS:
         raise RecordingImportError(
-            f"{topic.topic!r} carries {topic.schema_name or 'messages without a schema'}{video}, not pictures; "
-            "known are foxglove.RawImage, foxglove.CompressedImage, sensor_msgs/msg/Image and "
-            "sensor_msgs/msg/CompressedImage."
+            f"{topic.topic!r} carries {topic.schema_name or 'messages without a schema'}, not pictures; {KNOWN}."
         )
     decode = message_decoder(topic)
-    build = _raw if name in RAW else _compressed
+    build = _raw if name in RAW else _compressed if name in COMPRESSED else _video
 
     def picture(data: bytes) -> Picture:
         fields = decode(data)
@@ -121,7 +158,7 @@ def message_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
     name = well_known(topic)
     if topic.message_encoding == "cdr" and name in ROS_DEFINITIONS:
         decode = ros_decoder(name, ROS_DEFINITIONS[name])
-    elif topic.message_encoding == "protobuf" and name.startswith("foxglove."):
+    elif topic.message_encoding == "protobuf" and name in _FOXGLOVE:
         decode = _foxglove_decoder(name)
     elif topic.message_encoding == "json":
         decode = json.loads
@@ -161,10 +198,15 @@ def ros_decoder(name: str, definition: str) -> Callable[[bytes], Any]:
 
 def _foxglove_decoder(name: str) -> Callable[[bytes], Any]:
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+    from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
     from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-    message = RawImage if name == "foxglove.RawImage" else CompressedImage
-    decode: Callable[[bytes], Any] = message.FromString
+    messages: dict[str, Any] = {
+        "foxglove.RawImage": RawImage,
+        "foxglove.CompressedImage": CompressedImage,
+        "foxglove.CompressedVideo": CompressedVideo,
+    }
+    decode: Callable[[bytes], Any] = messages[name].FromString
     return decode
 
 
@@ -180,8 +222,20 @@ def _raw(message: Any) -> RawPicture:
     )
 
 
-def _compressed(message: Any) -> CompressedPicture:
-    return CompressedPicture(stamp_ns=_stamp(message), format=_text(message, "format"), data=_bytes(message))
+def _compressed(message: Any) -> CompressedPicture | VideoPacket:
+    form = _text(message, "format")
+    codec = codec_of(form)
+    if codec is not None:
+        return VideoPacket(stamp_ns=_stamp(message), codec=codec, data=_bytes(message))
+    return CompressedPicture(stamp_ns=_stamp(message), format=form, data=_bytes(message))
+
+
+def _video(message: Any) -> VideoPacket:
+    form = _text(message, "encoding" if _has(message, "encoding") else "format")
+    codec = codec_of(form)
+    if codec is None:
+        raise ValueError(f"its format is {form[:40]!r}; known are {', '.join(_CODECS)}")
+    return VideoPacket(stamp_ns=_stamp(message), codec=codec, data=_bytes(message))
 
 
 _MISSING = object()

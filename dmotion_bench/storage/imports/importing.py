@@ -8,7 +8,6 @@ moved there when it is whole, so a failed import leaves nothing behind.
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +21,11 @@ from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, EpisodeLabels,
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.advice import advice, no_episode
 from dmotion_bench.storage.imports.commands import Commands, in_force, ordered_names
+from dmotion_bench.storage.imports.confinement import Confinement
 from dmotion_bench.storage.imports.fitting import fitted
-from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording, is_lerobot
-from dmotion_bench.storage.imports.mcap_recording import McapRecording
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Recording, Survey
+from dmotion_bench.storage.imports.sources import open_recording, sources_in
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
@@ -50,41 +49,13 @@ class _Planned:
     actions: Int64[np.ndarray, " t-1"] | None
 
 
-def recordings_in(paths: Sequence[Path]) -> list[Path]:
-    """The recordings that are meant: files as they are, folders by their ``.mcap`` files or as LeRobot data sets.
-
-    Raises:
-        RecordingImportError: A path is not there, or a folder holds no recording.
-    """
-    found: list[Path] = []
-    for path in paths:
-        if not path.exists():
-            raise RecordingImportError(f"there is no {str(path)!r}.")
-        if path.is_file() or is_lerobot(path):
-            found.append(path)
-            continue
-        inside = sorted((file for file in path.glob("*.mcap") if file.is_file()), key=_natural)
-        if not inside:
-            sqlite = any(path.glob("*.db3"))
-            bag = (
-                "It is a ROS 2 bag in SQLite; convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'."
-            )
-            raise RecordingImportError(
-                f"{str(path)!r} holds no .mcap file and is no LeRobot data set. {bag if sqlite else ''}".strip()
-            )
-        found += inside
-    if len({path.resolve() for path in found}) < len(found):
-        raise UsageError("a recording is named twice.")
-    return found
-
-
 def import_recordings(
     paths: Sequence[Path], out: Path, options: ImportOptions, progress: Progress = lambda what, done, total: None
 ) -> ImportReport:
     """Make a data set of foreign recordings.
 
     Args:
-        paths: MCAP files, folders of such, LeRobot data sets.
+        paths: Files, folders of such, folders of pictures, LeRobot data sets; see ``sources``.
         out: The data set's folder; one that this very import has made is left as it is.
         options: How.
         progress: Is told how far it is.
@@ -96,34 +67,33 @@ def import_recordings(
     """
     sweep(out, UNFINISHED)
     standing = _standing(out)
-    recordings = [_open(path, options) for path in recordings_in(paths)]
-    surveys: list[Survey] = []
-    for number, recording in enumerate(recordings):
-        progress("looking through the recordings", number, len(recordings))
-        surveys.append(recording.survey())
-    _check_sizes(recordings, surveys)
-    names = _action_names(surveys, options)
-    pieces = _pieces(surveys, options)
-    planned, left_out = _plan(surveys, pieces, names, options)
-    if not planned:
-        raise no_episode(surveys, options)
-    recipe = _recipe(recordings, surveys, planned, options)
-    spec = EnvSpec(
-        id=IMPORTED,
-        actions=names,
-        agent=AGENT,
-        objects=(),
-        height=options.size,
-        width=options.size,
-        step_ns=round(1e9 / options.hz),
-    )
-    if standing is None:
-        _write(out, recipe, spec, recordings, planned, options, progress)
-    elif (standing.recipe, standing.spec) != (recipe, spec):
-        raise RecipeMismatch(
-            f"{str(out)!r} holds a data set of other recordings or options; name another folder with '--out DIR', "
-            "or delete it first."
+    with Confinement(options) as confinement:
+        found = sources_in(paths, options.camera)
+        recordings = [open_recording(source, options, confinement) for source in found]
+        surveys = [_survey(recording, number, len(found), progress) for number, recording in enumerate(recordings)]
+        _check_sizes(recordings, surveys)
+        names = _action_names(surveys, options)
+        pieces = _pieces(surveys, options)
+        planned, left_out = _plan(surveys, pieces, names, options)
+        if not planned:
+            raise no_episode(surveys, options)
+        recipe = _recipe(recordings, surveys, planned, options)
+        spec = EnvSpec(
+            id=IMPORTED,
+            actions=names,
+            agent=AGENT,
+            objects=(),
+            height=options.size,
+            width=options.size,
+            step_ns=round(1e9 / options.hz),
         )
+        if standing is None:
+            _write(out, recipe, spec, recordings, planned, options, progress)
+        elif (standing.recipe, standing.spec) != (recipe, spec):
+            raise RecipeMismatch(
+                f"{str(out)!r} holds a data set of other recordings or options; name another folder with '--out DIR', "
+                "or delete it first."
+            )
     return ImportReport(
         path=out,
         episodes=len(planned),
@@ -140,6 +110,12 @@ def import_recordings(
     )
 
 
+def _survey(recording: Recording, number: int, count: int, progress: Progress) -> Survey:
+    looking = f"looking through {recording.path.name}"
+    progress(looking, number, count)
+    return recording.survey(lambda pictures: progress(f"{looking}: {pictures:,} pictures", number, count))
+
+
 def _standing(out: Path) -> Manifest | None:
     """The whole data set that is there already."""
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
@@ -147,19 +123,6 @@ def _standing(out: Path) -> Manifest | None:
     if not (out / DATASET_MANIFEST).is_file():
         raise UsageError(f"{str(out)!r} is there already and is no data set; name another folder with '--out DIR'.")
     return Dataset.open(out).manifest
-
-
-def _open(path: Path, options: ImportOptions) -> Recording:
-    if path.is_dir():
-        return LeRobotRecording(path, camera=options.camera, actions=options.actions, limits=options.limits)
-    return McapRecording(
-        path,
-        camera=options.camera,
-        actions=options.actions,
-        clock=options.clock,
-        limits=options.limits,
-        salvage=options.salvage,
-    )
 
 
 def _check_sizes(recordings: Sequence[Recording], surveys: Sequence[Survey]) -> None:
@@ -230,6 +193,8 @@ def _recipe(
         "min_frames": options.min_frames,
         "salvage": options.salvage,
     }
+    if options.source_hz is not None:
+        parameters["source_hz"] = options.source_hz
     for number, recording in enumerate(recordings):
         parameters[f"file_{number}"] = recording.path.name
         parameters[f"sha256_{number}"] = recording.sha256()
@@ -310,8 +275,3 @@ def _source_hz(surveys: Sequence[Survey]) -> float:
     longest = max((segment.times_ns for survey in surveys for segment in survey.segments), key=len)
     interval = float(np.median(np.diff(longest))) if len(longest) > 1 else 0.0
     return 1e9 / interval if interval else 0.0
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """``bag_2.mcap`` before ``bag_10.mcap``."""
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", path.name)]

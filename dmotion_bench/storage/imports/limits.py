@@ -19,6 +19,8 @@ class ImportLimits:
         pixels: Of one picture, before it is decoded.
         frames: Of all episodes together, after resampling.
         actions: Distinct actions; more than this is a measurement, not a choice.
+        reader_bytes: Memory of the process that reads videos, HDF5 and LeRobot data sets.
+        reader_seconds: Of its processor, without another picture.
     """
 
     chunk_bytes: int = 1024 * MIB
@@ -27,3 +29,5 @@ class ImportLimits:
     pixels: int = 64 * MIB
     frames: int = 20_000_000
     actions: int = 64
+    reader_bytes: int = 1024 * MIB
+    reader_seconds: int = 60

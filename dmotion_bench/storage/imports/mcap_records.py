@@ -4,6 +4,9 @@ The ``mcap`` package's readers inflate a whole chunk at once, to whatever size t
 and allocate what a length field says. Here a chunk is inflated as a stream and stopped at its declared size,
 so a message is the largest thing ever held. The layout of records is https://mcap.dev/spec; their opcodes
 and the parsing of channels and schemas are that package's own.
+
+rosbag2 compresses in two more ways of its own: the file as a whole (``.mcap.zstd``) or each message for itself. Both
+are inflated as they are read.
 """
 
 from __future__ import annotations
@@ -11,9 +14,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from io import BytesIO
+from io import BufferedReader, BytesIO, RawIOBase
 from pathlib import Path
-from typing import IO, Final, cast
+from typing import IO, BinaryIO, Final, cast
 
 import lz4.frame
 import zstandard
@@ -32,6 +35,8 @@ CHUNK_HEAD: Final = struct.Struct("<QQQI")
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 FOOTER: Final = struct.Struct("<QQI")
 ZSTD_WINDOW: Final = 128 * MIB  # the zstd command's own limit; a frame may ask for 3 GiB
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"  # CDR begins with a zero
+MOST_INFLATED: Final = 1000  # times its size, of a file as a whole; clean video in zstd is a hundred times smaller
 LATEST: Final = 2**63 - 1  # [ns] times are kept as signed 64-bit integers
 
 
@@ -113,10 +118,17 @@ class McapFile:
         try:
             with path.open("rb") as file:
                 start = file.read(len(MAGIC))
-        except OSError as error:
-            raise RecordingImportError(f"cannot read {str(path)!r}: {error.strerror}.") from error
+                self._packed = start.startswith(ZSTD_MAGIC)
+                if self._packed:
+                    file.seek(0)
+                    start = _inflating(file).read(len(MAGIC))
+        except (OSError, zstandard.ZstdError) as error:
+            raise RecordingImportError(f"cannot read {str(path)!r}: {error}.") from error
+        if self._packed and len(start) < len(MAGIC):
+            raise RecordingTruncated(f"{str(path)!r} is cut off: nothing can be inflated of what it holds.")
         if start != MAGIC:
-            raise RecordingImportError(f"{str(path)!r} is no MCAP file: {_what_else(start)}")
+            where = "holds no MCAP file, but is compressed as a whole" if self._packed else "is no MCAP file"
+            raise RecordingImportError(f"{str(path)!r} {where}: it does not begin with MCAP's eight bytes.")
 
     def topics(self) -> list[TopicInfo]:
         """Every channel, sorted by topic: from the summary at the end, or from the whole file without one."""
@@ -140,11 +152,19 @@ class McapFile:
     def _messages(self, topics: frozenset[str], known: _Directory) -> Iterator[RawMessage]:
         size = self.path.stat().st_size
         with self.path.open("rb") as file:
-            whole = Span(file, size, lambda distance: file.seek(distance, 1))
+            if self._packed:
+                most = max(self.limits.chunk_bytes, MOST_INFLATED * size)
+                source = BufferedReader(cast("RawIOBase", _inflating(file)), MIB)
+                whole: Span = Inflated(source, most, "the file")
+            else:
+                whole = Span(file, size, lambda distance: file.seek(distance, 1))
             try:
                 whole.exactly(len(MAGIC))
                 yield from self._walk(whole, topics, known)
             except Cut:
+                if isinstance(whole, Inflated) and whole.goes_on():
+                    self._damaged(file.tell(), Broken(f"it inflates to more than {MOST_INFLATED:,} times its size"))
+                    return
                 if self.salvage:
                     return
                 raise RecordingTruncated(
@@ -213,9 +233,7 @@ class McapFile:
                 raise Broken("an uncompressed chunk declares another size than it has")
             return crc, packed
         if compression == "zstd":
-            source: Readable = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW).stream_reader(
-                cast("IO[bytes]", packed)
-            )
+            source: Readable = _inflating(packed)
         elif compression == "lz4":
             source = lz4.frame.LZ4FrameFile(packed)
         else:
@@ -246,7 +264,10 @@ class McapFile:
                 )
             if log_ns > LATEST:
                 raise Broken(f"a message on {topic.topic!r} has the impossible time {log_ns} ns")
-            return RawMessage(topic, log_ns, body.exactly(body.left))
+            data = body.exactly(body.left)
+            if topic.message_encoding == "cdr" and data.startswith(ZSTD_MAGIC):
+                data = self._inflated(topic, data)
+            return RawMessage(topic, log_ns, data)
         if not opcode:  # the specification forbids it; a chunk of zeros would be a hundred million of them
             raise Broken("a record is of kind 0, which no record is")
         if opcode == Opcode.SCHEMA:
@@ -255,11 +276,24 @@ class McapFile:
             known.add_channel(body, self.limits.schema_bytes)
         return None
 
+    def _inflated(self, topic: TopicInfo, data: bytes) -> bytes:
+        """A message that rosbag2 has compressed for itself."""
+        try:
+            message = _inflating(BytesIO(data)).read(self.limits.message_bytes + 1)
+        except zstandard.ZstdError as error:
+            raise Broken(f"a compressed message on {topic.topic!r} cannot be inflated ({error})") from error
+        if len(message) > self.limits.message_bytes:
+            raise Broken(
+                f"a message on {topic.topic!r} inflates to more than the {self.limits.message_bytes // MIB} MiB that "
+                "one may have"
+            )
+        return message
+
     def _summary_topics(self) -> list[TopicInfo]:
         """The channels that the summary section repeats; none where there is no summary or it is damaged."""
         tail = RECORD_HEAD.size + FOOTER.size + len(MAGIC)
         size = self.path.stat().st_size
-        if size < tail + len(MAGIC):
+        if self._packed or size < tail + len(MAGIC):
             return []
         known = _Directory()
         with self.path.open("rb") as file:
@@ -285,11 +319,7 @@ def _short_string(body: Span) -> str:
     return body.exactly(length).decode()
 
 
-def _what_else(start: bytes) -> str:
-    if start.startswith(b"#ROSBAG"):
-        return "it is a ROS 1 bag; convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'."
-    if start.startswith(b"SQLite"):
-        return "it is a ROS 2 bag in SQLite; convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'."
-    if start.startswith(b"\x28\xb5\x2f\xfd"):
-        return "it is compressed as a whole; unpack it with 'unzstd' first."
-    return "it does not begin with MCAP's eight bytes." if start else "it is empty."
+def _inflating(packed: BinaryIO | Span) -> zstandard.ZstdDecompressionReader:
+    """What bytes inflate to, as a stream."""
+    decompressor = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW)
+    return decompressor.stream_reader(cast("IO[bytes]", packed), read_across_frames=True)

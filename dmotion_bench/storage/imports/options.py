@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.storage.imports.fitting import Fit
@@ -16,11 +18,14 @@ class ImportOptions:
     """How recordings become episodes.
 
     Attributes:
-        camera: Topic (MCAP) or feature (LeRobot) of the pictures; None for the only one there is.
+        camera: Of the pictures: a topic (MCAP), a feature (LeRobot), a path (HDF5), a folder (pictures), the number of
+            a stream (video); None for the only one there is.
         actions: Topic or feature of the actions; None imports the video alone.
         size: Side of a frame [px].
         hz: Frames a second.
         fit: What becomes of a picture that is not square.
+        source_hz: Pictures a second of recordings without times; they have ``hz``, or what the file says, where this is
+            None. It also replaces the times of a video.
         clock: Which time counts as the time of a frame.
         max_gap_s: A longer time without a picture ends an episode [s]; None: see ``timeline.longest_gap_ns``.
         min_frames: A shorter episode is left out.
@@ -34,6 +39,7 @@ class ImportOptions:
     actions: str | None = None
     size: int = 128
     hz: float = 10.0
+    source_hz: float | None = None
     fit: Fit = Fit.CROP
     clock: Clock = Clock.LOG
     max_gap_s: float | None = None
@@ -47,11 +53,14 @@ class ImportOptions:
         for name, low, high in (
             ("size", 8, 4096),
             ("hz", 0.01, 1000),
+            ("source_hz", 0.001, 10_000),
             ("min_frames", 3, 1_000_000),
             ("frames_per_episode", 3, 1_000_000),
             ("seed", 0, 2**63 - 1),
         ):
             value = getattr(self, name)
+            if value is None:
+                continue
             if not low <= value <= high:
                 raise InvalidSetting(f"{name} is {value}; allowed is {low} ... {high}.")
         if self.max_gap_s is not None and not self.max_gap_s > 0:
@@ -60,6 +69,14 @@ class ImportOptions:
             raise InvalidSetting(
                 f"min_frames is {self.min_frames}, more than the {self.frames_per_episode} frames_per_episode."
             )
+
+
+def options_from(fields: Mapping[str, Any]) -> ImportOptions:
+    """Options out of what ``dataclasses.asdict`` and JSON have made of them."""
+    given = dict(fields)
+    limits = ImportLimits(**given.pop("limits"))
+    fit, clock = Fit(given.pop("fit")), Clock(given.pop("clock"))
+    return ImportOptions(fit=fit, clock=clock, limits=limits, **given)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,20 +1,22 @@
 """Pixel encodings of ROS and foxglove -> RGB, 8 bits.
 
 mono16 keeps its upper 8 bits; an alpha channel is dropped; YUV 4:2:2 is full-range BT.601, as Foxglove shows
-it; ``8UC3`` is BGR, as OpenCV and Foxglove have it. Depth (16UC1, 32FC1) is no picture and is refused.
+it; ``8UC3`` is BGR, as OpenCV and Foxglove have it. Depth (16UC1, 32FC1) is no picture and is refused. A JPEG or WebP
+file that says how the camera was held is turned upright.
 """
 
 from __future__ import annotations
 
+import struct
 import warnings
 from collections.abc import Callable
 from io import BytesIO
 
 import numpy as np
 from jaxtyping import Integer, UInt8
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, UnidentifiedImageError
 
-from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture, Picture
+from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture, Picture, RawPicture, VideoPacket
 from dmotion_bench.storage.imports.limits import ImportLimits
 
 RGB = UInt8[np.ndarray, "h w 3"]
@@ -86,6 +88,16 @@ UNPACK: dict[str, tuple[int, Callable[[Rows], RGB]]] = {
 
 ENCODINGS = sorted([*UNPACK, *BAYER, "mono16"])
 PICTURE_FILES = ("JPEG", "PNG", "WEBP")
+_UPRIGHT = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""What turns a picture upright, by EXIF's number of how the camera was held."""
 
 
 def size_of(picture: Picture, limits: ImportLimits) -> tuple[int, int]:
@@ -94,9 +106,11 @@ def size_of(picture: Picture, limits: ImportLimits) -> tuple[int, int]:
     Raises:
         BadPicture: It is too large, too short for its size, or of an encoding that is not known.
     """
+    if isinstance(picture, VideoPacket):
+        raise BadPicture(f"is a packet of {picture.codec} among pictures")
     if isinstance(picture, CompressedPicture):
         with _opened(picture, limits) as image:
-            return image.height, image.width
+            return (image.width, image.height) if _orientation(image) >= 5 else (image.height, image.width)
     height, width = picture.height, picture.width
     _check_size(height, width, limits)
     row = width * _bytes_a_pixel(picture.encoding)
@@ -124,6 +138,7 @@ def to_rgb(picture: Picture, limits: ImportLimits) -> RGB:
     if isinstance(picture, CompressedPicture):
         return _decompress(picture, limits)
     height, width = size_of(picture, limits)
+    assert isinstance(picture, RawPicture)
     row = width * _bytes_a_pixel(picture.encoding)
     rows: Rows = np.ndarray((height, row), np.uint8, buffer=picture.data, strides=(picture.step or row, 1))
     if picture.encoding in BAYER:
@@ -173,12 +188,28 @@ def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
     return image
 
 
+def _orientation(image: Image.Image) -> int:
+    """EXIF's number of how the camera was held; 1, upright, where the file does not say or says nonsense."""
+    if image.format == "PNG":  # it would be decoded for an answer that cameras never give in PNG
+        return 1
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            number = image.getexif().get(ExifTags.Base.Orientation, 1)
+    except (OSError, ValueError, SyntaxError, LookupError, TypeError, OverflowError, struct.error, Warning):
+        return 1
+    return number if number in _UPRIGHT else 1
+
+
 def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
     with _opened(picture, limits) as image:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 image.load()
+                turn = _UPRIGHT.get(_orientation(image))
+                if turn is not None:
+                    return np.array(image.convert("RGB").transpose(turn))
                 if image.mode.startswith("I;16"):
                     return _gray((np.asarray(image) >> 8).astype(np.uint8))
                 return np.array(image.convert("RGB"))

@@ -1,8 +1,8 @@
-"""What the import asks of a foreign recording, whatever its format."""
+"""What the import asks of a foreign recording, whatever its container."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Int64, UInt8
 
+from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.commands import Commands
 
 
@@ -68,8 +69,12 @@ class Recording(Protocol):
     path: Path
     unreadable: int
 
-    def survey(self) -> Survey:
-        """Read through it once and check all that can be checked without unpacking."""
+    def survey(self, progress: Callable[[int], None] = lambda pictures: None) -> Survey:
+        """Read through it once and check all that can be checked without making frames.
+
+        Args:
+            progress: Is told how many pictures were found so far.
+        """
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Some frames of a segment.
@@ -81,3 +86,18 @@ class Recording(Protocol):
 
     def sha256(self) -> str:
         """Of its bytes, in hexadecimal."""
+
+
+def steady_times(count: int, hz: float, path: Path) -> Int64[np.ndarray, " {count}"]:
+    """When the pictures of a recording without times were taken: the first at 0 [ns].
+
+    Raises:
+        RecordingImportError: The last one would be later than a time can be.
+    """
+    if count * 1e9 / hz >= 2**62:
+        raise RecordingImportError(
+            f"{str(path)!r} has {count:,} pictures at {hz:g} Hz, more than a century of them; say another rate with "
+            "'--source-hz'."
+        )
+    times: Int64[np.ndarray, " {count}"] = np.rint(np.arange(count) * (1e9 / hz)).astype(np.int64)
+    return times

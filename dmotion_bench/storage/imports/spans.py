@@ -81,11 +81,17 @@ class Span:
 
 
 class Inflated(Span):
-    """What a chunk inflates to, stopped where it grows beyond its declared size."""
+    """What something inflates to, stopped where it grows beyond its size.
 
-    def __init__(self, source: Readable, declared: int) -> None:
+    Args:
+        source: What inflates it.
+        declared: Its size, or the largest that it may have.
+        what: It is, for the error.
+    """
+
+    def __init__(self, source: Readable, declared: int, what: str = "a chunk") -> None:
         super().__init__(source, declared)
-        self._beyond = source
+        self._beyond, self._what = source, what
         self._checked = False
 
     def read(self, size: int = -1, /) -> bytes:
@@ -95,7 +101,14 @@ class Inflated(Span):
             if not self.left and not self._checked:
                 self._checked, beyond = True, self._beyond.read(1)
         except (zstandard.ZstdError, RuntimeError, EOFError, ValueError) as error:  # RuntimeError: all that lz4 raises
-            raise Broken(f"a chunk cannot be inflated ({error})") from error
+            raise Broken(f"{self._what} cannot be inflated ({error})") from error
         if beyond:
-            raise Broken("a chunk inflates to more than it declares")
+            raise Broken(f"{self._what} inflates to more than it declares")
         return data
+
+    def goes_on(self) -> bool:
+        """Whether there is more, beyond what may be read."""
+        try:
+            return bool(self._beyond.read(1))
+        except (zstandard.ZstdError, RuntimeError, EOFError, ValueError):
+            return False

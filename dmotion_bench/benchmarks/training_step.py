@@ -1,0 +1,74 @@
+"""A model's training step on made-up frames, to be timed: the model, its optimiser and a batch, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig, TripletBatch
+from dmotion_bench.learning.optimization import autocast, make_optimizer
+from dmotion_bench.learning.precision import Precision, settled
+from dmotion_bench.registry import model_class
+from dmotion_bench.specs import Preset, Supervision
+
+SIZE: Final = 128  # [px]
+ACTIONS: Final = 4
+
+
+class TrainingStep:
+    """Called, it trains one step.
+
+    Args:
+        name, arch: Of the model.
+        changes: What differs from how the model is trained at preset small, by the fields of ``TrainingConfig``.
+
+    Attributes:
+        config: How it is trained.
+        precision: Its own, or where it asks for ``"auto"``, bf16 where the hardware has it.
+    """
+
+    def __init__(self, name: str, arch: str, **changes: Any) -> None:
+        kind = model_class(name)
+        self.config: TrainingConfig = replace(kind.training_defaults(Preset.SMALL, arch), **changes)
+        self.precision: Precision = settled(self.config.precision, 0, torch.device("cpu")) or "bf16"
+        self._model = untrained(name, arch).laid_out(channels_last=self.config.channels_last)
+        self._optimizer = make_optimizer(self._model, self.config)
+        self._model.enter(max(self._model.phases(), key=lambda phase: phase.fraction))
+        self._model.train()
+        self._batch = _noise(self.config.batch_size, kind.supervision is Supervision.ACTIONS)
+
+    def __call__(self) -> None:
+        """One step: loss, gradient, update."""
+        with autocast(self.precision, torch.device("cpu")):
+            losses = self._model.losses(self._batch)
+        torch.autograd.backward(losses.total)
+        self._optimizer.step()
+        self._optimizer.zero_grad(set_to_none=True)
+
+    def operations(self) -> float:
+        """Floating-point operations of a triplet, in matrix products and convolutions; a step is taken to count."""
+        with FlopCounterMode(display=False) as counter:
+            self()
+        return float(counter.get_total_flops() / self.config.batch_size)
+
+
+def untrained(name: str, arch: str) -> ForwardModel[Any]:
+    """A model with its first weights, the same each time."""
+    kind = model_class(name)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return kind(kind.configure(arch), ModelInputs(height=SIZE, width=SIZE, actions=ACTIONS))
+
+
+def _noise(size: int, labelled: bool) -> TripletBatch:
+    frames = np.random.default_rng(0).integers(0, 256, (size, 3, SIZE, SIZE, 3), dtype=np.uint8)
+    images = to_model(torch.from_numpy(frames))
+    previous, current, following = (images[:, step].contiguous(memory_format=torch.channels_last) for step in range(3))
+    action = torch.arange(size) % ACTIONS if labelled else None
+    episode = torch.arange(size) // 4
+    return TripletBatch(previous=previous, current=current, next=following, action=action, episode=episode)

@@ -1,0 +1,118 @@
+"""The process that reads a recording for ``confinement``: ``python -m dmotion_bench.storage.imports.confined_reader``.
+
+Before it opens anything it gives up what it does not need: memory beyond the limit, files to write, and more time for
+a single picture than any takes. It answers requests from its standard input until that ends.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.imports.confinement import packed_survey
+from dmotion_bench.storage.imports.limits import ImportLimits
+from dmotion_bench.storage.imports.options import ImportOptions, options_from
+from dmotion_bench.storage.imports.recording import Recording
+from dmotion_bench.storage.imports.wire import Hungup, receive, send
+
+SAY_EVERY_S: Final = 0.2
+Open = Callable[[Path, str, ImportOptions], Recording]
+
+
+class Reader:
+    """One end of the pipes.
+
+    Args:
+        requests, answers: The pipes.
+        opened: Opens a recording.
+    """
+
+    def __init__(self, requests: IO[bytes], answers: IO[bytes], opened: Open) -> None:
+        self._requests, self._answers, self._open = requests, answers, opened
+        self._options = options_from(receive(requests, most=0)[0]["options"])
+        self._recordings: dict[int, Recording] = {}
+        self._said = 0.0
+
+    def serve(self) -> None:
+        """Answer until nobody asks any more."""
+        limits = self._options.limits
+        confine(limits)
+        while True:
+            try:
+                request, body = receive(self._requests, most=8 * limits.frames)
+            except Hungup:
+                return
+            try:
+                self._answer(request, np.frombuffer(body, "<i8"))
+            except RecordingImportError as error:
+                send(self._answers, {"error": type(error).__name__, "sentence": str(error)})
+            except MemoryError:
+                send(self._answers, {"no_memory": True})
+            except Exception as error:  # whatever a hostile file leads a library to is the file's fault
+                sentence = f"the recording cannot be read: {type(error).__name__}: {str(error)[:200]}."
+                send(self._answers, {"error": "RecordingImportError", "sentence": sentence})
+
+    def _answer(self, request: dict[str, Any], wanted: np.ndarray[Any, Any]) -> None:
+        number, seconds = request["number"], self._options.limits.reader_seconds
+        if request["do"] == "open":
+            self._recordings[number] = self._open(Path(request["path"]), request["kind"], self._options)
+            send(self._answers, {})
+            return
+        recording = self._recordings[number]
+        if request["do"] == "sha256":
+            send(self._answers, {"sha256": recording.sha256()})
+            return
+        signal.setitimer(signal.ITIMER_PROF, seconds)
+        try:
+            if request["do"] == "survey":
+                head, body = packed_survey(recording.survey(self._found))
+                send(self._answers, head | {"unreadable": recording.unreadable}, body)
+                return
+            for picture in recording.pictures(request["segment"], wanted.astype(np.int64)):
+                height, width = picture.shape[:2]
+                head = {"height": height, "width": width, "unreadable": recording.unreadable}
+                send(self._answers, head, np.ascontiguousarray(picture).data.cast("B"))
+                signal.setitimer(signal.ITIMER_PROF, seconds)
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0)
+
+    def _found(self, pictures: int) -> None:
+        """Tell how far the survey is, now and then; the next picture has its own time."""
+        if time.monotonic() - self._said >= SAY_EVERY_S:
+            signal.setitimer(signal.ITIMER_PROF, self._options.limits.reader_seconds)
+            self._said = time.monotonic()
+            send(self._answers, {"pictures": pictures})
+
+
+def confine(limits: ImportLimits) -> None:
+    """Give up for good what reading does not need."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the import, which ends this process
+    resource.setrlimit(resource.RLIMIT_DATA, (limits.reader_bytes, limits.reader_bytes))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def main(opened: Open) -> None:
+    """Serve on this process's own pipes; whatever a library prints goes nowhere."""
+    answers = os.fdopen(os.dup(1), "wb")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        Reader(sys.stdin.buffer, answers, opened).serve()
+    except BrokenPipeError:  # the import has ended
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    from dmotion_bench.storage.imports.sources import open_here
+
+    main(open_here)

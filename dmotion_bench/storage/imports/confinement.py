@@ -1,0 +1,243 @@
+"""Recordings that are read in a process apart: what FFmpeg, HDF5 and Arrow make of a hostile file stays there.
+
+Those libraries are written in C and read whatever a file says. In a process of its own, a crash ends that process
+and is a sentence here; memory and time have limits that the system keeps; and it can write no file. The process is
+started with the first recording that needs it and serves all of an import. ``confined_reader`` is what runs in it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self
+
+import numpy as np
+from jaxtyping import Int64, UInt8
+
+import dmotion_bench
+from dmotion_bench.errors import RecordingImportError, RecordingTruncated
+from dmotion_bench.storage.imports.commands import Commands
+from dmotion_bench.storage.imports.limits import MIB
+from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.recording import Segment, Survey
+from dmotion_bench.storage.imports.wire import Hungup, receive, send
+
+READER: Final = (sys.executable, "-B", "-P", "-m", "dmotion_bench.storage.imports.confined_reader")
+_KINDS: Final = {"RecordingImportError": RecordingImportError, "RecordingTruncated": RecordingTruncated}
+
+
+class Confinement:
+    """The process, once it is needed; leave the ``with`` block and it is gone.
+
+    Args:
+        options: Of the import; the process keeps their limits.
+        command: What is started.
+    """
+
+    def __init__(self, options: ImportOptions, command: Sequence[str] = READER) -> None:
+        self.options, self._command = options, command
+        self._process: subprocess.Popen[bytes] | None = None
+        self._opened = 0
+
+    def open(self, path: Path, kind: str) -> ConfinedRecording:
+        """A recording of the kind that ``sources`` calls so.
+
+        Raises:
+            RecordingImportError: As the file deserves it.
+        """
+        number, self._opened = self._opened, self._opened + 1
+        self.ask(path, {"do": "open", "number": number, "path": os.fspath(path), "kind": kind})
+        return ConfinedRecording(self, number, path)
+
+    def ask(self, path: Path, request: dict[str, Any], body: bytes | memoryview = b"") -> dict[str, Any]:
+        """Send a request and wait for its answer.
+
+        Args:
+            path: Of the recording that it is about, for the error.
+            request: What is asked.
+            body: Bytes that belong to it.
+
+        Raises:
+            RecordingImportError: The reader says so, or is gone.
+        """
+        self.request(path, request, body)
+        return self.answer(path)[0]
+
+    def request(self, path: Path, request: dict[str, Any], body: bytes | memoryview = b"") -> None:
+        """Send a request whose answers are fetched one by one."""
+        if self._process is None:
+            self._process = self._start()
+        try:
+            send(_pipe(self._process.stdin), request, body)
+        except OSError:
+            raise self._gone(path) from None
+
+    def answer(self, path: Path) -> tuple[dict[str, Any], bytearray]:
+        """The next answer.
+
+        Raises:
+            RecordingImportError: The reader says so, or is gone.
+        """
+        assert self._process is not None
+        limits = self.options.limits
+        try:
+            head, body = receive(_pipe(self._process.stdout), most=max(3 * limits.pixels, 16 * limits.frames))
+        except (Hungup, OSError, ValueError):
+            raise self._gone(path) from None
+        if "error" in head:
+            raise _KINDS.get(head["error"], RecordingImportError)(_printable(head["sentence"]))
+        if "no_memory" in head:
+            raise self._too_large(path)
+        return head, body
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._end()
+            self._process = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        source = str(Path(dmotion_bench.__file__).parents[1])  # found there even if it was never installed
+        paths = [source, *filter(None, [os.environ.get("PYTHONPATH")])]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "ARROW_DEFAULT_MEMORY_POOL": "system"}
+        process = subprocess.Popen(
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,  # FFmpeg's and its encoders' chatter
+            env=environment,
+        )
+        send(_pipe(process.stdin), {"options": dataclasses.asdict(self.options)})
+        return process
+
+    def _end(self) -> int:
+        """Close the pipes and wait for the process."""
+        assert self._process is not None
+        with contextlib.suppress(BrokenPipeError):
+            _pipe(self._process.stdin).close()
+        _pipe(self._process.stdout).close()
+        return self._process.wait()
+
+    def _gone(self, path: Path) -> RecordingImportError:
+        """Why the process has ended, as an error."""
+        code = self._end()
+        if code == -signal.SIGPROF:
+            seconds = self.options.limits.reader_seconds
+            return RecordingImportError(
+                f"{str(path)!r} keeps its decoder busy for more than {seconds} s with a single picture; it is damaged, "
+                "or made to do so."
+            )
+        if code in (-signal.SIGKILL, -signal.SIGTERM):
+            return RecordingImportError(f"reading {str(path)!r} was stopped from outside; the machine may lack memory.")
+        how = signal.Signals(-code).name if code < 0 else f"code {code}"
+        return RecordingImportError(f"{str(path)!r} makes its decoder crash ({how}): it is damaged, or made to do so.")
+
+    def _too_large(self, path: Path) -> RecordingImportError:
+        most = self.options.limits.reader_bytes // MIB
+        return RecordingImportError(
+            f"{str(path)!r} takes more than {most:,} MiB of memory to be decoded; if you trust the file, allow more "
+            f"with '--max-memory {2 * most}'."
+        )
+
+
+def _printable(sentence: str) -> str:
+    """Without what would move a terminal's cursor: a library's words may hold names out of the file."""
+    return "".join(letter if letter.isprintable() or letter == "\n" else "?" for letter in sentence)
+
+
+def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
+    assert pipe is not None
+    return pipe
+
+
+class ConfinedRecording:
+    """A recording that another process reads; see ``Recording``."""
+
+    def __init__(self, confinement: Confinement, number: int, path: Path) -> None:
+        self._confinement, self._number, self.path, self.unreadable = confinement, number, path, 0
+
+    def sha256(self) -> str:
+        """Of its bytes, in hexadecimal."""
+        digest: str = self._confinement.ask(self.path, {"do": "sha256", "number": self._number})["sha256"]
+        return digest
+
+    def survey(self, progress: Callable[[int], None] = lambda pictures: None) -> Survey:
+        """Read through it once, over there."""
+        self._confinement.request(self.path, {"do": "survey", "number": self._number})
+        while True:
+            head, body = self._confinement.answer(self.path)
+            if "segments" in head:
+                break
+            progress(int(head["pictures"]))
+        self.unreadable = head["unreadable"]
+        return unpacked_survey(head, body)
+
+    def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        """Some frames of a segment, decoded over there while this process works on those before."""
+        request = {"do": "pictures", "number": self._number, "segment": segment}
+        self._confinement.request(self.path, request, wanted.astype("<i8").tobytes())
+        for _ in range(len(wanted)):
+            head, body = self._confinement.answer(self.path)
+            self.unreadable = head["unreadable"]
+            yield np.frombuffer(body, np.uint8).reshape(head["height"], head["width"], 3)
+
+
+def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
+    """A survey as a message."""
+    segments, arrays = [], []
+    for segment in survey.segments:
+        commands = None
+        arrays.append(segment.times_ns)
+        if segment.commands is not None:
+            known = {name: number for number, name in enumerate(dict.fromkeys(segment.commands.names))}
+            arrays.append(segment.commands.times_ns)
+            arrays.append(np.array([known[name] for name in segment.commands.names], np.int64))
+            vocabulary = list(segment.commands.vocabulary)
+            commands = {"count": len(segment.commands.names), "names": list(known), "vocabulary": vocabulary}
+        segments.append({"count": len(segment.times_ns), "commands": commands})
+    head = {
+        "camera": survey.camera,
+        "height": survey.height,
+        "width": survey.width,
+        "segments": segments,
+        "hints": list(survey.hints),
+    }
+    return head, b"".join(array.astype("<i8").tobytes() for array in arrays)
+
+
+def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
+    """The survey in a message."""
+    numbers, position = np.frombuffer(body, "<i8"), 0
+
+    def array(count: int) -> Int64[np.ndarray, " n"]:
+        nonlocal position
+        position += count
+        return numbers[position - count : position].astype(np.int64)
+
+    segments = []
+    for segment in head["segments"]:
+        times, commands, given = array(segment["count"]), None, segment["commands"]
+        if given is not None:
+            given_at, which = array(given["count"]), array(given["count"])
+            names = [given["names"][number] for number in which.tolist()]
+            commands = Commands(times_ns=given_at, names=names, vocabulary=given["vocabulary"])
+        segments.append(Segment(times_ns=times, commands=commands))
+    return Survey(
+        camera=head["camera"], height=head["height"], width=head["width"], segments=segments, hints=head["hints"]
+    )

@@ -1,0 +1,236 @@
+"""Where a LeRobot data set keeps what: the formats v2.0, v2.1 and v3.
+
+Layout (github.com/huggingface/lerobot, ``lerobot/datasets/utils.py``): ``meta/info.json`` names the features and the
+frame rate. Where an episode stands is said by ``meta/episodes/*/*.parquet`` (v3: many episodes in a file) or
+``meta/episodes.jsonl`` (v2: each in files of its own). ``data/`` holds the numbers of each frame, ``videos/`` the
+pictures; features of the kind ``image`` have theirs in ``data/`` as PNG files, or in ``images/``. The templates for
+paths that ``info.json`` carries are not used: no path from a file is trusted.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.imports.limits import MIB, ImportLimits
+
+INFO: Final = Path("meta") / "info.json"
+EPISODES_V2: Final = Path("meta") / "episodes.jsonl"
+ACTION_NAMES: Final = "dmbench_actions"
+"""Where ``data export`` leaves the actions' names within the feature, beside LeRobot's own keys."""
+_KEY: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
+_CAMERA_KINDS: Final = ("video", "image")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Where an episode stands.
+
+    Attributes:
+        data: The file of its numbers.
+        video: The file of its pictures, None where they are no video.
+        first: The number of its first picture in that file.
+    """
+
+    number: int
+    frames: int
+    data: Path
+    video: Path | None
+    first: int = 0
+
+
+class LeRobotLayout:
+    """A data set's description.
+
+    Args:
+        path: The folder.
+        limits: What its files may make us do.
+
+    Attributes:
+        features: By their names.
+        fps: Frames a second.
+
+    Raises:
+        RecordingImportError: It is damaged, or of a version that is not known.
+    """
+
+    def __init__(self, path: Path, limits: ImportLimits) -> None:
+        self.path, self._limits = path, limits
+        info = self._read_info()
+        features = info.get("features")
+        if not isinstance(features, dict):
+            raise self.bad("has no features in its info.json")
+        self.features: Mapping[str, Any] = features
+        fps = info.get("fps")
+        if not isinstance(fps, int | float) or not 0.001 <= fps <= 10_000:
+            raise self.bad(f"says that it has {str(fps)[:40]!r} frames a second")
+        self.fps = float(fps)
+        size = info.get("chunks_size", 1000)
+        self._chunk_episodes = size if isinstance(size, int) and size > 0 else 1000
+
+    def camera(self, asked: str | None) -> str:
+        """The camera that is meant: by its name, or by the last part of it.
+
+        Raises:
+            RecordingImportError: There is none, or more than one.
+        """
+        kinds = {key: self.kind(key) for key in self.features}
+        cameras = sorted(key for key, kind in kinds.items() if kind in _CAMERA_KINDS and _KEY.fullmatch(key))
+        found = cameras if asked is None else [key for key in cameras if key == asked or key.endswith(f".{asked}")]
+        if asked in found:
+            return asked
+        if len(found) == 1:
+            return found[0]
+        listed = ", ".join(map(repr, cameras)) or "none"
+        if asked is None:
+            raise self.bad(f"has {len(cameras)} cameras; choose one with '--camera KEY': {listed}")
+        raise self.bad(f"has {'no' if not found else 'more than one'} camera {asked!r}; its cameras are: {listed}")
+
+    def kind(self, key: str) -> str:
+        """A feature's kind: ``"video"``, ``"image"``, ``"float32"`` ..."""
+        feature = self.features.get(key)
+        return str(feature.get("dtype", "")) if isinstance(feature, Mapping) else ""
+
+    def action_names(self, key: str) -> list[Any]:
+        """What the file says the actions are called, in the order of their numbers; nothing where it does not."""
+        feature = self.features.get(key)
+        known = feature.get(ACTION_NAMES) if isinstance(feature, Mapping) else None
+        return known if isinstance(known, list) else []
+
+    def episodes(self, camera: str) -> list[Placed]:
+        """Where each episode with frames stands.
+
+        Raises:
+            RecordingImportError: The table is damaged, or names files that are not there.
+        """
+        with_video = self.kind(camera) == "video"
+        found = self._episodes_v2(camera, with_video) if self.is_v2 else self._episodes_v3(camera, with_video)
+        placed: list[Placed] = []
+        frames = 0
+        for one in found:
+            frames += one.frames
+            if frames > self._limits.frames:
+                raise self.bad("declares more frames than can be imported at once")
+            if one.frames:
+                placed.append(one)
+        if not placed:
+            raise self.bad("has no episodes")
+        return placed
+
+    def files(self, camera: str) -> list[Path]:
+        """The files that are read, in the order of their names."""
+        pictures = f"videos/{camera}/*/*.mp4" if self.kind(camera) == "video" else f"images/{camera}/*/*"
+        if self.is_v2 and self.kind(camera) == "video":
+            pictures = f"videos/*/{camera}/*.mp4"
+        return sorted([self.path / INFO, *self.path.glob("data/*/*.parquet"), *self.path.glob(pictures)])
+
+    def picture_file(self, camera: str, episode: int, frame: int) -> Path:
+        """A picture that lies beside the tables.
+
+        Raises:
+            RecordingImportError: It is not there.
+        """
+        names = [f"images/{camera}/episode{dash}{episode:06d}/frame{dash}{frame:06d}.png" for dash in "-_"]
+        return next((self.path / name for name in names if (self.path / name).is_file()), None) or self._inside(
+            names[0]
+        )
+
+    def table(self, file: Path, columns: Sequence[str]) -> Any:
+        """Some columns of a table, without what LeRobot keeps beside them (statistics of every feature).
+
+        Raises:
+            RecordingImportError: It is damaged or lacks them.
+        """
+        import pyarrow.parquet as parquet
+        from pyarrow import ArrowException
+
+        try:
+            with parquet.ParquetFile(file) as table:
+                missing = [name for name in columns if name not in table.schema_arrow.names]
+                if missing:
+                    raise self.bad(f"lacks the columns {', '.join(missing)} in {file.name!r}")
+                if table.metadata.num_rows > self._limits.frames:
+                    raise self.bad(f"has {table.metadata.num_rows} rows in {file.name!r}, more than can be imported")
+                return table.read(columns=list(columns))
+        except (ArrowException, OSError) as error:
+            raise self.bad(f"has a damaged table {file.name!r}: {str(error)[:120]}") from error
+
+    def bad(self, reason: str) -> RecordingImportError:
+        """The error for this data set."""
+        return RecordingImportError(f"the LeRobot data set {str(self.path)!r} {reason}.")
+
+    def _episodes_v3(self, camera: str, with_video: bool) -> Iterator[Placed]:
+        video = f"videos/{camera}"
+        columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
+        if with_video:
+            columns += [f"{video}/chunk_index", f"{video}/file_index", f"{video}/from_timestamp"]
+        for file in sorted(self.path.glob("meta/episodes/*/*.parquet")):
+            table = self.table(file, columns)
+            for number, frames, *place in zip(*(table.column(name).to_pylist() for name in columns), strict=True):
+                start_s = place.pop() if with_video else 0.0
+                if not isinstance(start_s, int | float) or not math.isfinite(start_s) or not 0 <= start_s < 2**31:
+                    raise self.bad(f"says that an episode starts at {str(start_s)[:40]!r} s of its video")
+                if not all(isinstance(value, int) and 0 <= value < 2**31 for value in (number, frames, *place)):
+                    raise self.bad(f"has an episode without a place: {str((number, frames, *place))[:120]}")
+                yield Placed(
+                    number=number,
+                    frames=frames,
+                    data=self._inside("data/chunk-{:03d}/file-{:03d}.parquet".format(*place)),
+                    video=self._inside(f"{video}/chunk-{place[2]:03d}/file-{place[3]:03d}.mp4") if with_video else None,
+                    first=round(start_s * self.fps),
+                )
+
+    def _episodes_v2(self, camera: str, with_video: bool) -> Iterator[Placed]:
+        for line in self._lines(self.path / EPISODES_V2):
+            try:
+                row = json.loads(line)
+                number, frames = row["episode_index"], row["length"]
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
+                raise self.bad(f"has a damaged {EPISODES_V2.name!r}: {str(error)[:120]}") from error
+            if not all(isinstance(value, int) and 0 <= value < 2**31 for value in (number, frames)):
+                raise self.bad(f"has an episode without a place: {str((number, frames))[:120]}")
+            chunk, name = f"chunk-{number // self._chunk_episodes:03d}", f"episode_{number:06d}"
+            yield Placed(
+                number=number,
+                frames=frames,
+                data=self._inside(f"data/{chunk}/{name}.parquet"),
+                video=self._inside(f"videos/{chunk}/{camera}/{name}.mp4") if with_video else None,
+            )
+
+    def _lines(self, file: Path) -> Iterator[bytes]:
+        try:
+            with file.open("rb") as opened:
+                while line := opened.readline(16 * MIB):
+                    if line.strip():
+                        yield line
+        except OSError as error:
+            raise self.bad(f"has no {EPISODES_V2.name!r} that can be read: {error.strerror}") from error
+
+    def _read_info(self) -> Mapping[str, Any]:
+        try:
+            with (self.path / INFO).open("rb") as file:
+                raw = file.read(16 * MIB)
+            info = json.loads(raw)
+        except (OSError, ValueError, RecursionError) as error:
+            raise self.bad(f"has a damaged info.json: {str(error)[:120]}") from error
+        version = str(info.get("codebase_version")) if isinstance(info, dict) else "None"
+        if not version.startswith(("v2", "v3")):
+            raise self.bad(
+                f"is of LeRobot's format {version[:20]!r}; v2 and v3 can be read. Convert it with the scripts in "
+                "'lerobot.datasets' of its time"
+            )
+        self.is_v2 = version.startswith("v2")
+        found: Mapping[str, Any] = info
+        return found
+
+    def _inside(self, relative: str) -> Path:
+        file = self.path / relative
+        if not file.is_file():
+            raise self.bad(f"lacks the file {relative!r}")
+        return file

@@ -1,0 +1,89 @@
+"""An MCAP file whose camera sends a video, a packet in each message: H.264, H.265, AV1, VP9 or VP8.
+
+A picture is drawn on top of those before it, so all of the video is decoded, in the survey and again for the pictures.
+What stands before the first picture that can be decoded, since the recording began in the middle of the video, is left
+out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from av.error import FFmpegError
+from av.packet import Packet
+from av.video.frame import VideoFrame
+from jaxtyping import Int64, UInt8
+
+from dmotion_bench.storage.imports.cameras import Picture, VideoPacket, picture_decoder
+from dmotion_bench.storage.imports.mcap_recording import McapRecording, Size
+from dmotion_bench.storage.imports.mcap_records import TopicInfo
+from dmotion_bench.storage.video.stream import DamagedPicture, PictureStream, shown_size, to_rgb
+
+
+class McapVideo(McapRecording):
+    """One MCAP file; arguments and errors as for ``McapRecording``."""
+
+    _stream: PictureStream | None = None
+    _codec = ""
+
+    def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        """Decode the video up to the last wanted picture."""
+        self._stream = None
+        numbers = iter(wanted.tolist())
+        number = next(numbers, None)
+        for count, (message, frame) in enumerate(self._frames()):
+            if number is None:
+                return
+            if count == number:
+                try:
+                    yield to_rgb(frame)
+                except (FFmpegError, ValueError) as error:
+                    raise self._bad(message, self._camera, f"cannot be made RGB: {str(error)[:120]}") from error
+                number = next(numbers, None)
+        if number is not None:
+            raise self._changed()
+
+    def _frames(self) -> Iterator[tuple[int, VideoFrame]]:
+        decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
+        for count, message in self._camera_messages():
+            yield from self._fed(self._decode(message, count, decoders, picture_decoder), count)
+        yield from self._fed(None, -1)
+
+    def _look(self, picture: Picture, number: int) -> Iterator[tuple[int, Size]]:
+        if number == 0:
+            self._stream = None
+        for message, frame in self._fed(picture, number):
+            yield message, shown_size(frame)
+
+    def _look_on(self) -> Iterator[tuple[int, Size]]:
+        for message, frame in self._fed(None, -1):
+            yield message, shown_size(frame)
+        self.unreadable = self._stream.damaged if self._stream is not None else 0
+
+    def _fed(self, picture: Picture | None, number: int) -> Iterator[tuple[int, VideoFrame]]:
+        """The pictures that a message completes, each with the number of its own message."""
+        packet = None
+        if picture is not None:
+            if not isinstance(picture, VideoPacket):
+                raise self._bad(number, self._camera, "is a picture among packets of video")
+            if self._stream is None:
+                self._codec = picture.codec
+                pixels = self._limits.pixels
+                self._stream = PictureStream.of_codec(picture.codec, pixels=pixels, salvage=self._salvage)
+            if picture.codec != self._codec:
+                raise self._bad(number, self._camera, f"is {picture.codec} among {self._codec}")
+            if not picture.data:
+                return
+            packet = Packet(picture.data)
+            packet.pts = number
+        try:
+            frames = self._stream.decode(packet) if self._stream is not None else []
+        except DamagedPicture as error:
+            way_out = "import the others with '--salvage'"
+            raise self._bad(number, self._camera, f"{error}; {way_out}") from error
+        for frame in frames:
+            if frame.height * frame.width > self._limits.pixels:
+                raise self._bad(number, self._camera, f"is {frame.width}x{frame.height} pixels large")
+            yield number if frame.pts is None else frame.pts, frame

@@ -1,0 +1,140 @@
+"""A folder of pictures as a recording: each folder with pictures is an episode, in the natural order of their names.
+
+Pictures have no times; they count as taken at a steady rate.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Int64, UInt8
+
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
+from dmotion_bench.storage.imports.limits import ImportLimits
+from dmotion_bench.storage.imports.natural_order import natural
+from dmotion_bench.storage.imports.pixels import size_of, to_rgb
+from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
+
+PICTURES: Final = (".jpeg", ".jpg", ".png", ".webp")
+_HEAD: Final = 1 << 20  # of a picture's file: its size stands there, if not behind a large thumbnail
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """The pictures that lie in a folder, in natural order; hidden files are none."""
+    files = [file for file in folder.iterdir() if file.suffix.lower() in PICTURES and not file.name.startswith(".")]
+    return sorted((file for file in files if file.is_file()), key=lambda file: natural(file.name))
+
+
+def episode_folders(path: Path, camera: str | None) -> list[Path]:
+    """The folders whose pictures are an episode each: the folder itself, those in it, or a camera's in those."""
+    if pictures_in(path):
+        return [path]
+    inside = [folder for folder in path.iterdir() if folder.is_dir() and not folder.name.startswith(".")]
+    inside.sort(key=lambda folder: natural(folder.name))
+    if camera is not None:
+        below = [folder / camera for folder in inside if Path(camera).name == camera]
+        inside = [folder for folder in below if folder.is_dir()] or [one for one in inside if one.name == camera]
+    return [folder for folder in inside if pictures_in(folder)]
+
+
+class PictureFolder:
+    """A folder of pictures, or of folders of pictures.
+
+    Args:
+        path: The folder.
+        camera: The name of the folder in each episode's folder that the pictures are in; None where they lie in the
+            episode's folder itself.
+        source_hz: Pictures a second.
+        limits: What a file may make us do.
+        salvage: In a damaged picture's place take the one before it.
+    """
+
+    def __init__(
+        self, path: Path, *, camera: str | None, source_hz: float, limits: ImportLimits, salvage: bool = False
+    ) -> None:
+        self.path, self._source_hz, self._limits, self._salvage = path, source_hz, limits, salvage
+        self._camera, self.unreadable = camera, 0
+        self._folders = episode_folders(path, camera)
+
+    def sha256(self) -> str:
+        """Over the names and the contents of all pictures."""
+        digest = hashlib.sha256()
+        for file in self._files():
+            digest.update(f"{file.relative_to(self.path).as_posix()}\0".encode(errors="surrogateescape"))
+            with file.open("rb") as opened:
+                digest.update(hashlib.file_digest(opened, "sha256").digest())
+        return digest.hexdigest()
+
+    def survey(self, progress: Callable[[int], None] = lambda pictures: None) -> Survey:
+        """Look at the size of every picture.
+
+        Raises:
+            RecordingImportError: They are of several sizes, too many, or no pictures.
+        """
+        first: tuple[Path, tuple[int, int]] | None = None
+        segments, count = [], 0
+        for folder in self._folders:
+            files = pictures_in(folder)
+            for file in files:
+                size = self._size(file, first[1] if first is not None and self._salvage else None)
+                first = first or (file, size)
+                if size != first[1]:
+                    raise RecordingImportError(
+                        f"the pictures in {str(self.path)!r} have several sizes: {first[1][1]}x{first[1][0]} pixels in "
+                        f"{str(first[0])!r}, {size[1]}x{size[0]} in {str(file)!r}; import them one size at a time."
+                    )
+                count += 1
+                progress(count)
+            if count > self._limits.frames:
+                raise RecordingImportError(f"{str(self.path)!r} holds more pictures than can be imported at once.")
+            segments.append(Segment(times_ns=steady_times(len(files), self._source_hz, self.path)))
+        if first is None:
+            raise RecordingImportError(f"{str(self.path)!r} holds no pictures ({', '.join(PICTURES)}).")
+        return Survey(camera=self._camera or "pictures", height=first[1][0], width=first[1][1], segments=segments)
+
+    def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        """Unpack some of an episode's pictures."""
+        files = pictures_in(self._folders[segment])
+        shown: UInt8[np.ndarray, "h w 3"] | None = None
+        for number in wanted.tolist():
+            if number >= len(files):
+                raise RecordingImportError(f"{str(self.path)!r} changed while it was imported; import it again.")
+            file = files[number]
+            try:
+                shown = to_rgb(self._read(file, None), self._limits)
+            except BadPicture as error:
+                if not self._salvage or shown is None:
+                    way_out = "" if self._salvage else "; import the others with '--salvage'"
+                    raise RecordingImportError(f"the picture {str(file)!r} {error}{way_out}.") from error
+                self.unreadable += 1
+            yield shown
+
+    def _files(self) -> Iterator[Path]:
+        for folder in self._folders:
+            yield from pictures_in(folder)
+
+    def _size(self, file: Path, otherwise: tuple[int, int] | None) -> tuple[int, int]:
+        """Height and width; ``otherwise`` for a picture that is damaged, unless that is None."""
+        try:
+            try:
+                return size_of(self._read(file, _HEAD), self._limits)
+            except BadPicture:
+                return size_of(self._read(file, None), self._limits)
+        except BadPicture as error:
+            if otherwise is not None:
+                return otherwise
+            raise RecordingImportError(f"the picture {str(file)!r} {error}.") from error
+
+    def _read(self, file: Path, most: int | None) -> CompressedPicture:
+        try:
+            if file.stat().st_size > self._limits.message_bytes:
+                raise BadPicture(f"is a file of more than {self._limits.message_bytes >> 20} MiB")
+            with file.open("rb") as opened:
+                return CompressedPicture(stamp_ns=0, format=file.suffix[1:], data=opened.read(most))
+        except OSError as error:
+            raise RecordingImportError(f"cannot read {str(file)!r}: {error.strerror}.") from error

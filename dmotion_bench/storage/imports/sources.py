@@ -1,0 +1,225 @@
+"""What somebody names on the command line -> recordings: which kind of thing stands at a path, and who reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Final, TypedDict
+
+from dmotion_bench.errors import RecordingImportError, UsageError
+from dmotion_bench.storage.imports.confinement import Confinement
+from dmotion_bench.storage.imports.lerobot_layout import INFO
+from dmotion_bench.storage.imports.limits import ImportLimits
+from dmotion_bench.storage.imports.mcap_recording import McapRecording
+from dmotion_bench.storage.imports.natural_order import natural
+from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.picture_folder import PICTURES, PictureFolder, episode_folders
+from dmotion_bench.storage.imports.recording import Clock, Recording
+
+
+class Kind(StrEnum):
+    """A container of recordings, one class each."""
+
+    MCAP = "mcap"
+    MCAP_VIDEO = "mcap_video"
+    VIDEO = "video"
+    HDF5 = "hdf5"
+    PICTURES = "pictures"
+    LEROBOT = "lerobot"
+
+
+SUFFIXES: Final = {
+    ".mcap": Kind.MCAP,
+    ".mcap.zst": Kind.MCAP,
+    ".mcap.zstd": Kind.MCAP,
+    ".mp4": Kind.VIDEO,
+    ".m4v": Kind.VIDEO,
+    ".mov": Kind.VIDEO,
+    ".mkv": Kind.VIDEO,
+    ".webm": Kind.VIDEO,
+    ".avi": Kind.VIDEO,
+    ".hdf5": Kind.HDF5,
+    ".h5": Kind.HDF5,
+}
+"""What is looked for in a folder. A file that is named itself may be called anything: its first bytes decide."""
+KNOWN: Final = "MCAP (.mcap, .mcap.zst), video (.mp4 .mov .mkv .webm .avi), HDF5 (.hdf5 .h5)"
+_CONVERT: Final = "convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A recording that is not opened yet."""
+
+    path: Path
+    kind: Kind
+
+
+def sources_in(paths: Sequence[Path], camera: str | None) -> list[Source]:
+    """The recordings that are meant: files as they are, folders by what is in them.
+
+    Args:
+        paths: Files and folders.
+        camera: The camera that was asked for; in folders of pictures it is a folder.
+
+    Raises:
+        RecordingImportError: A path is not there, or holds no recording.
+        UsageError: A recording is named twice.
+    """
+    found: list[Source] = []
+    for path in paths:
+        if not path.exists():
+            raise RecordingImportError(f"there is no {str(path)!r}.")
+        inside = _in_folder(path, camera) if path.is_dir() else [Source(path=path, kind=kind_of(path))]
+        if not inside:
+            raise _nothing_in(path)
+        found += inside
+    if len({source.path.resolve() for source in found}) < len(found):
+        raise UsageError("a recording is named twice.")
+    return found
+
+
+def kind_of(file: Path) -> Kind:
+    """What a file is, by its first bytes.
+
+    Raises:
+        RecordingImportError: It cannot be imported.
+    """
+    from dmotion_bench.storage.video.file import container_of
+
+    try:
+        with file.open("rb") as opened:
+            start = opened.read(16)
+    except OSError as error:
+        raise RecordingImportError(f"cannot read {str(file)!r}: {error.strerror}.") from error
+    if start.startswith((b"\x89MCAP", b"\x28\xb5\x2f\xfd")):
+        return Kind.MCAP
+    if start.startswith(b"\x89HDF\r\n\x1a\n"):
+        return Kind.HDF5
+    if container_of(start) is not None:
+        return Kind.VIDEO
+    raise RecordingImportError(f"{str(file)!r} {_what_else(start)}.")
+
+
+def open_recording(source: Source, options: ImportOptions, confinement: Confinement) -> Recording:
+    """The recording, read in a process apart where a library of C reads it.
+
+    Raises:
+        RecordingImportError: It cannot be imported.
+    """
+    if source.kind is Kind.PICTURES:
+        return open_here(source.path, source.kind, options)
+    if source.kind is Kind.MCAP:
+        recording = McapRecording(source.path, **_of_mcap(options))
+        return confinement.open(source.path, Kind.MCAP_VIDEO) if recording.is_stream else recording
+    return confinement.open(source.path, source.kind)
+
+
+def open_here(path: Path, kind: str, options: ImportOptions) -> Recording:
+    """The recording, read by this process.
+
+    Raises:
+        RecordingImportError: It cannot be imported.
+    """
+    limits = options.limits
+    if kind == Kind.MCAP_VIDEO:
+        from dmotion_bench.storage.imports.mcap_video import McapVideo
+
+        return McapVideo(path, **_of_mcap(options))
+    if kind == Kind.PICTURES:
+        return PictureFolder(
+            path,
+            camera=options.camera,
+            source_hz=options.source_hz or options.hz,
+            limits=limits,
+            salvage=options.salvage,
+        )
+    if kind == Kind.VIDEO:
+        from dmotion_bench.storage.imports.video_recording import VideoRecording
+
+        return VideoRecording(
+            path, camera=options.camera, source_hz=options.source_hz, limits=limits, salvage=options.salvage
+        )
+    if kind == Kind.HDF5:
+        from dmotion_bench.storage.imports.hdf5_recording import Hdf5Recording
+
+        return Hdf5Recording(
+            path,
+            camera=options.camera,
+            actions=options.actions,
+            source_hz=options.source_hz,
+            default_hz=options.hz,
+            limits=limits,
+        )
+    from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording
+
+    return LeRobotRecording(path, camera=options.camera, actions=options.actions, limits=limits)
+
+
+class _McapArguments(TypedDict):
+    camera: str | None
+    actions: str | None
+    clock: Clock
+    limits: ImportLimits
+    salvage: bool
+
+
+def _of_mcap(options: ImportOptions) -> _McapArguments:
+    return {
+        "camera": options.camera,
+        "actions": options.actions,
+        "clock": options.clock,
+        "limits": options.limits,
+        "salvage": options.salvage,
+    }
+
+
+def _in_folder(folder: Path, camera: str | None) -> list[Source]:
+    """The recordings in a folder, and in the folders in it."""
+    if (folder / INFO).is_file():
+        return [Source(path=folder, kind=Kind.LEROBOT)]
+    entries = sorted(
+        (one for one in folder.iterdir() if not one.name.startswith(".")), key=lambda one: natural(one.name)
+    )
+    found = [Source(path=one, kind=kind) for one in entries if one.is_file() and (kind := _suffix_kind(one))]
+    for inner in (one for one in entries if not found and one.is_dir()):
+        if (inner / INFO).is_file():
+            found.append(Source(path=inner, kind=Kind.LEROBOT))
+        else:
+            files = sorted((one for one in inner.iterdir() if one.is_file()), key=lambda one: natural(one.name))
+            found += [Source(path=one, kind=kind) for one in files if (kind := _suffix_kind(one))]
+    if not found and episode_folders(folder, camera):
+        return [Source(path=folder, kind=Kind.PICTURES)]
+    kinds = {source.kind for source in found}
+    if len(kinds) > 1:
+        raise RecordingImportError(
+            f"{str(folder)!r} holds recordings of several kinds ({', '.join(sorted(kinds))}); name the ones you mean."
+        )
+    return found
+
+
+def _suffix_kind(file: Path) -> Kind | None:
+    name = file.name.lower()
+    return next((kind for suffix, kind in SUFFIXES.items() if name.endswith(suffix)), None)
+
+
+def _nothing_in(folder: Path) -> RecordingImportError:
+    if any(folder.glob("*.db3*")):
+        return RecordingImportError(f"{str(folder)!r} is a ROS 2 bag in SQLite; {_CONVERT}.")
+    return RecordingImportError(
+        f"{str(folder)!r} holds no recording: no {KNOWN}, no pictures ({' '.join(PICTURES)}), and it is no LeRobot "
+        "data set."
+    )
+
+
+def _what_else(start: bytes) -> str:
+    if start.startswith(b"#ROSBAG"):
+        return f"is a ROS 1 bag; {_CONVERT}"
+    if start.startswith(b"SQLite"):
+        return f"is a ROS 2 bag in SQLite; {_CONVERT}"
+    if start.startswith((b"\xff\xd8\xff", b"\x89PNG")) or start[8:12] == b"WEBP":
+        return "is a single picture; name the folder that it is in"
+    if not start:
+        return "is empty"
+    return f"is no recording that can be imported: {KNOWN}; FFmpeg makes an MKV of other videos: 'ffmpeg -i IN OUT.mkv'"

@@ -1,0 +1,1 @@
+"""A fuzzer for every file that dmbench reads: see ``docs/robustness.md``."""

@@ -1,0 +1,35 @@
+"""Scoring comes to the figures that it came to when its version was named (``golden/scoring.py``)."""
+
+from __future__ import annotations
+
+import pytest
+from golden.scoring import ADVICE, RECIPES, WITHOUT_ACTIONS, figures, record, stored
+
+from dmotion_bench.scoring.report import SCORING_VERSION
+from dmotion_bench.storage.dataset import Dataset
+
+ROUNDING = 1e-6
+"""Relative; processors add the numbers of a picture up in different orders."""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Dataset]:
+    return record(tmp_path_factory.mktemp("golden"))
+
+
+def test_the_golden_file_is_of_this_version() -> None:
+    assert stored()["scoring_version"] == SCORING_VERSION, f"golden/scoring.json is of another version. {ADVICE}"
+
+
+@pytest.mark.parametrize("name", [*RECIPES, WITHOUT_ACTIONS])
+def test_every_figure_is_that_of_the_version(recorded: dict[str, Dataset], name: str) -> None:
+    wanted, found = stored()["figures"][name], figures(name, recorded[name])
+
+    assert found.pop("fingerprint") == wanted.pop("fingerprint"), (
+        "the recorded data are others, which scoring cannot be"
+    )
+    assert {who: list(own) for who, own in found.items()} == {who: list(own) for who, own in wanted.items()}
+    for who, own in wanted.items():
+        for figure, parts in own.items():
+            near = {part: one if one is None else pytest.approx(one, rel=ROUNDING) for part, one in parts.items()}
+            assert found[who][figure] == near, f"{figure} of {who} has changed. {ADVICE}"

@@ -1,0 +1,109 @@
+"""Whatever a decoder does in its own process is a sentence in this one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dmotion_bench.errors import RecordingImportError, RecordingTruncated
+from dmotion_bench.storage.imports.confinement import ConfinedRecording, Confinement
+from dmotion_bench.storage.imports.limits import MIB, ImportLimits
+from dmotion_bench.storage.imports.options import ImportOptions
+
+READER = (sys.executable, "-P", str(Path(__file__).parent / "misbehaving_reader.py"))
+OPTIONS = ImportOptions(size=77, limits=ImportLimits(reader_bytes=256 * MIB, reader_seconds=1))
+
+
+@pytest.fixture
+def confinement() -> Iterator[Confinement]:
+    with Confinement(OPTIONS, READER) as started:
+        yield started
+
+
+def opened(confinement: Confinement, name: str) -> ConfinedRecording:
+    return confinement.open(Path("/nowhere") / name, "video")
+
+
+def test_what_is_read_there_arrives_here(confinement: Confinement) -> None:
+    recording = opened(confinement, "fine")
+    survey = recording.survey()
+    assert (survey.camera, survey.height, survey.width, survey.hints) == ("eye", 2, 3, ["look closer."])
+    first, second = survey.segments
+    assert (first.times_ns.tolist(), second.times_ns.tolist()) == ([3, 7], [5, 9, 11])
+    assert first.commands is None
+    assert second.commands is not None
+    assert second.commands.times_ns.tolist() == [5, 9]
+    assert (second.commands.names, second.commands.vocabulary) == (["b", "a"], ["b", "a", "c"])
+    assert recording.unreadable == 3
+    assert recording.sha256() == "ab"
+
+    pictures = list(recording.pictures(1, np.array([0, 4])))
+    assert [int(picture[0, 0, 0]) for picture in pictures] == [10, 14]
+    assert pictures[0].shape == (2, 3, 3)
+    assert [int(one[0, 0, 0]) for one in opened(confinement, "other").pictures(0, np.array([1]))] == [1]
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("crash", r"'/nowhere/crash' makes its decoder crash \(SIGSEGV\): it is damaged, or made to do so"),
+        ("abort", r"makes its decoder crash \(SIGABRT\)"),
+        ("busy", "keeps its decoder busy for more than 1 s with a single picture"),
+        ("greedy", "takes more than 256 MiB of memory to be decoded; .*'--max-memory 512'"),
+        ("surprise", "the recording cannot be read: LookupError: "),
+        ("writes", "cannot be read: (OSError|FileNotFoundError|PermissionError)"),
+    ],
+)
+def test_misbehaviour_is_a_sentence(confinement: Confinement, name: str, sentence: str) -> None:
+    with pytest.raises(RecordingImportError, match=sentence) as caught:
+        opened(confinement, name).survey()
+    assert len(str(caught.value)) < 400
+    assert "\x1b" not in str(caught.value)
+
+
+def test_no_file_can_be_written(tmp_path: Path) -> None:
+    with Confinement(OPTIONS, READER) as confinement, pytest.raises(RecordingImportError, match="OSError"):
+        confinement.open(tmp_path / "writes", "video").survey()
+    assert [file.stat().st_size for file in tmp_path.iterdir()] in ([], [0])
+
+
+def test_errors_keep_their_kind(confinement: Confinement) -> None:
+    with pytest.raises(RecordingTruncated, match=r"the end is missing\."):
+        opened(confinement, "truncated").survey()
+    with pytest.raises(RecordingTruncated, match=r"no video of 77 pixels\."):
+        opened(confinement, "refused")
+
+
+def test_progress_buys_time_and_ctrl_c_is_not_for_the_reader(confinement: Confinement) -> None:
+    assert len(opened(confinement, "interrupted").survey().segments) == 2
+    told: list[int] = []
+
+    def enough(pictures: int) -> None:
+        told.append(pictures)
+        if len(told) == 8:  # more than the one second that a picture may take
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        opened(confinement, "hang").survey(enough)
+
+
+def test_a_crash_between_two_pictures(confinement: Confinement) -> None:
+    pictures = opened(confinement, "late").pictures(0, np.array([0, 1, 2, 3]))
+    assert [int(next(pictures)[0, 0, 0]) for _ in range(2)] == [0, 1]
+    with pytest.raises(RecordingImportError, match="SIGABRT"):
+        next(pictures)
+
+
+def test_the_process_ends_with_the_import() -> None:
+    with Confinement(OPTIONS, READER) as confinement:
+        opened(confinement, "fine")
+        process = confinement._process
+        assert process is not None
+        os.kill(process.pid, 0)
+    assert process.returncode is not None
+    assert confinement._process is None

@@ -1,0 +1,201 @@
+"""HDF5 in robomimic's layout: every demonstration comes in; a file cannot lead anywhere else."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from storage.foreign import video
+
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.imports.importing import import_recordings
+from dmotion_bench.storage.imports.options import ImportOptions
+
+OPTIONS = ImportOptions(size=32)
+
+
+def robomimic(
+    path: Path,
+    demonstrations: Mapping[str, np.ndarray],
+    *,
+    actions: Mapping[str, Sequence[Any]] | None = None,
+    control_freq: float | None = None,
+    **packing: Any,
+) -> Path:
+    """A file as robomimic's scripts write it."""
+    with h5py.File(path, "w") as file:
+        data = file.create_group("data")
+        data.attrs["total"] = sum(map(len, demonstrations.values()))
+        if control_freq is not None:
+            data.attrs["env_args"] = json.dumps({"env_name": "Lift", "env_kwargs": {"control_freq": control_freq}})
+        for name, frames in demonstrations.items():
+            group = data.create_group(name)
+            group.attrs["num_samples"] = len(frames)
+            group.create_dataset("obs/agentview_image", data=frames, **packing)
+            group.create_dataset("obs/robot0_eef_pos", data=np.zeros((len(frames), 3)))
+            given = actions[name] if actions is not None else np.zeros((len(frames), 7))
+            group.create_dataset("actions", data=given)
+    return path
+
+
+def imported(file: Path, options: ImportOptions = OPTIONS) -> Dataset:
+    return Dataset.open(import_recordings([file], file.parent / "out", options).path)
+
+
+def refused(file: Path, match: str, options: ImportOptions = OPTIONS) -> None:
+    with pytest.raises(RecordingImportError, match=match):
+        import_recordings([file], file.parent / "out", options)
+    assert not (file.parent / "out").exists()
+
+
+@pytest.mark.parametrize("packing", [{}, {"compression": "gzip", "chunks": (5, 16, 32, 3)}, {"compression": "lzf"}])
+def test_every_demonstration_is_an_episode(tmp_path: Path, packing: dict[str, Any]) -> None:
+    frames = video(20)
+    file = robomimic(
+        tmp_path / "a.hdf5", {"demo_10": frames[:8], "demo_2": frames[8:13], "demo_1": frames[13:]}, **packing
+    )
+    dataset = imported(file)
+    assert dataset.lengths.tolist() == [7, 5, 8]
+    np.testing.assert_array_equal(dataset.video(0), frames[13:])
+    np.testing.assert_array_equal(dataset.video(1), frames[8:13])
+    np.testing.assert_array_equal(dataset.video(2), frames[:8])
+    assert dataset.spec.actions == ()
+    assert dataset.recipe.parameters["camera"] == "obs/agentview_image"
+
+
+def test_the_environment_s_rate_counts(tmp_path: Path) -> None:
+    frames = video(20)
+    dataset = imported(robomimic(tmp_path / "a.hdf5", {"demo_0": frames}, control_freq=20))
+    np.testing.assert_array_equal(dataset.video(0), frames[::2])
+    told = import_recordings([tmp_path / "a.hdf5"], tmp_path / "all", ImportOptions(size=32, source_hz=10))
+    assert told.frames == 20
+
+
+@pytest.mark.parametrize(
+    ("given", "names", "numbers"),
+    [
+        (np.array([3, 3, -1, 3, 0]), ("-1", "0", "3"), [2, 2, 0, 2]),
+        (np.array([[1], [0], [0], [1], [1]], np.uint8), ("0", "1"), [1, 0, 0, 1]),
+        (np.array([True, False, False, True, True]), ("false", "true"), [1, 0, 0, 1]),
+        (["up", "down", "down", "up", "up"], ("down", "up"), [1, 0, 0, 1]),
+        (np.array([3, 3, -1, 3]), ("-1", "3"), [1, 1, 0, 1]),  # none for the last picture
+    ],
+)
+def test_discrete_actions(tmp_path: Path, given: Any, names: tuple[str, ...], numbers: list[int]) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)}, actions={"demo_0": given})
+    dataset = imported(file, ImportOptions(size=32, actions="actions"))
+    assert dataset.spec.actions == names
+    assert dataset.states(0).actions.tolist() == numbers
+
+
+def test_measurements_are_no_discrete_actions(tmp_path: Path) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)})
+    refused(
+        file, "a measurement and no choice out of a few; .*leaving '--actions' out", ImportOptions(actions="actions")
+    )
+    short = robomimic(tmp_path / "b.hdf5", {"demo_0": video(5)}, actions={"demo_0": [1, 2]})
+    refused(short, "has 2 int64 as actions in '/data/demo_0/actions'; .* 5 pictures", ImportOptions(actions="actions"))
+
+
+def test_cameras_are_found_by_path_or_by_name_and_listed(tmp_path: Path) -> None:
+    frames = video(8)
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": frames[:4]})
+    with h5py.File(file, "a") as opened:
+        opened["data/demo_0/obs"].create_dataset("wrist", data=frames[4:, ..., :1])
+    refused(file, "has 2 cameras; choose one:\n  --camera obs/agentview_image\n  --camera obs/wrist")
+    refused(
+        file,
+        "has no 'front' for '--camera'; in '/data/demo_0' are:\n  actions 4 x 7 float64\n",
+        ImportOptions(camera="front"),
+    )
+    refused(file, "has no 'q' for '--actions'", ImportOptions(camera="wrist", actions="q"))
+    grey = imported(file, ImportOptions(size=32, camera="wrist"))
+    np.testing.assert_array_equal(grey.video(0), np.repeat(frames[4:, ..., :1], 3, axis=3))
+
+
+def test_a_file_without_demonstrations_is_one(tmp_path: Path) -> None:
+    frames = video(6)
+    with h5py.File(tmp_path / "episode_0.h5", "w") as file:
+        file.create_dataset("observations/images/top", data=frames)
+        file.create_dataset("action", data=np.zeros((6, 14)))
+    np.testing.assert_array_equal(
+        imported(tmp_path / "episode_0.h5", ImportOptions(size=32, camera="top")).video(0), frames
+    )
+
+
+def test_a_file_cannot_lead_to_another(tmp_path: Path) -> None:
+    frames = video(4)
+    robomimic(tmp_path / "secret.h5", {"demo_0": frames})
+    (tmp_path / "secret.raw").write_bytes(frames.tobytes())
+    with h5py.File(tmp_path / "linked.h5", "w") as file:
+        file["data/demo_0/obs/image"] = h5py.ExternalLink("secret.h5", "/data/demo_0/obs/agentview_image")
+    refused(tmp_path / "linked.h5", "has no pictures .*; in '/data/demo_0' are: no data sets")
+    with h5py.File(tmp_path / "outside.h5", "w") as file:
+        external = [(str(tmp_path / "secret.raw"), 0, h5py.h5f.UNLIMITED)]
+        file.create_dataset("data/demo_0/obs/image", (4, 32, 32, 3), np.uint8, external=external)
+    refused(tmp_path / "outside.h5", "keeps '/data/demo_0/obs/image' in another file")
+    with h5py.File(tmp_path / "virtual.h5", "w") as file:
+        layout = h5py.VirtualLayout((4, 32, 32, 3), np.uint8)
+        layout[:] = h5py.VirtualSource(str(tmp_path / "secret.h5"), "data/demo_0/obs/agentview_image", (4, 32, 32, 3))
+        file.create_virtual_dataset("data/demo_0/obs/image", layout)
+    refused(tmp_path / "virtual.h5", "keeps '/data/demo_0/obs/image' in another file")
+
+
+def test_a_file_that_leads_in_circles(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        inner = file.create_group("data/demo_0/obs")
+        inner["again"] = file["data"]
+        inner["root"] = file["/"]
+    refused(tmp_path / "a.h5", "has no pictures")
+
+
+def test_what_a_file_declares_is_not_believed(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        shape = (10**9, 32, 32, 3)
+        file.create_dataset("data/demo_0/obs/image", shape, np.uint8, chunks=(1, 32, 32, 3), compression="gzip")
+    refused(tmp_path / "a.h5", "declares more than the 20,000,000 pictures")
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file.create_dataset("data/demo_0/obs/image", (3, 20_000, 20_000, 3), np.uint8, chunks=(1, 10, 10, 3))
+    refused(tmp_path / "b.h5", "declares pictures of 20000x20000 pixels")
+    with h5py.File(tmp_path / "c.h5", "w") as file:
+        file.create_dataset("data/demo_0/obs/image", (90_000, 64, 64, 3), np.uint8, chunks=(90_000, 64, 64, 3))
+    refused(tmp_path / "c.h5", "has chunks of 1,055 MiB")
+    for name, chunks in (("d", None), ("e", (10, 32, 32, 3))):
+        with h5py.File(tmp_path / f"{name}.h5", "w") as file:
+            file.create_dataset("data/demo_0/obs/image", (10_000, 32, 32, 3), np.uint8, chunks=chunks)
+        refused(tmp_path / f"{name}.h5", "declares 10,000 pictures in .*image' and holds fewer")
+
+
+def test_mixed_sizes_and_missing_pictures(tmp_path: Path) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(3), "demo_1": video(3, 24, 32)})
+    refused(file, "mixes picture sizes: 32x32 pixels at first, 32x24 in '/data/demo_1/obs/agentview_image'")
+    with h5py.File(file, "a") as opened:
+        del opened["data/demo_1/obs"]
+    refused(file, "lacks 'obs/agentview_image' in '/data/demo_1'")
+
+
+def test_a_cut_file(tmp_path: Path) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(30)})
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    refused(file, "a.hdf5' (cannot be read|is damaged)")
+
+
+def test_a_changed_byte_never_surprises(tmp_path: Path) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(4), "demo_1": video(4)}, compression="gzip")
+    whole = file.read_bytes()
+    for seed in range(15):
+        chance, content = random.Random(seed), bytearray(whole)
+        for _ in range(4):
+            content[chance.randrange(len(content))] = chance.randrange(256)
+        file.write_bytes(content)
+        try:
+            import_recordings([file], tmp_path / f"out{seed}", OPTIONS)
+        except RecordingImportError:
+            assert not (tmp_path / f"out{seed}").exists()

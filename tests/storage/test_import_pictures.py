@@ -1,0 +1,145 @@
+"""Folders of pictures: one an episode, in the order that people mean, upright."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+from storage.foreign import compressed, video
+
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.imports.fitting import Fit
+from dmotion_bench.storage.imports.importing import import_recordings
+from dmotion_bench.storage.imports.limits import ImportLimits
+from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
+
+OPTIONS = ImportOptions(size=32)
+
+
+def fill(folder: Path, frames: np.ndarray, first: int = 0, name: str = "img{}.png") -> Path:
+    """A folder with a numbered picture for each frame, written backwards."""
+    folder.mkdir(parents=True)
+    for number in reversed(range(len(frames))):
+        (folder / name.format(first + number)).write_bytes(compressed(frames[number], "png"))
+    return folder
+
+
+def imported(folder: Path, options: ImportOptions = OPTIONS) -> tuple[ImportReport, Dataset]:
+    report = import_recordings([folder], folder.parent / "out", options)
+    return report, Dataset.open(report.path)
+
+
+def refused(folder: Path, match: str, options: ImportOptions = OPTIONS) -> None:
+    with pytest.raises(RecordingImportError, match=match):
+        import_recordings([folder], folder.parent / "out", options)
+    assert not (folder.parent / "out").exists()
+
+
+def test_the_second_picture_comes_before_the_tenth(tmp_path: Path) -> None:
+    frames = video(12)
+    folder = fill(tmp_path / "run", frames, first=1)
+    (folder / ".thumbnail.png").write_bytes(b"hidden")
+    (folder / "notes.txt").write_text("no picture")
+    report, dataset = imported(folder)
+    np.testing.assert_array_equal(dataset.video(0), frames)
+    assert (report.source_frames, report.source_hz, report.repeated) == (12, 10, 0)
+
+
+def test_each_folder_is_an_episode(tmp_path: Path) -> None:
+    frames = video(15)
+    fill(tmp_path / "runs/episode10", frames[:4])
+    fill(tmp_path / "runs/episode9", frames[4:9])
+    fill(tmp_path / "runs/episode11", frames[9:])
+    (tmp_path / "runs/empty").mkdir()
+    _, dataset = imported(tmp_path / "runs")
+    assert dataset.lengths.tolist() == [5, 4, 6]
+    np.testing.assert_array_equal(dataset.video(0), frames[4:9])
+    np.testing.assert_array_equal(dataset.video(2), frames[9:])
+
+
+def test_a_camera_is_a_folder_in_each_episode(tmp_path: Path) -> None:
+    frames = video(16)
+    for number, camera in enumerate(("top", "wrist")):
+        for episode in range(2):
+            start = 8 * number + 4 * episode
+            fill(tmp_path / f"runs/{episode}/{camera}", frames[start : start + 4])
+    refused(tmp_path / "runs", "holds no recording", ImportOptions(camera="../top"))
+    refused(tmp_path / "runs", "holds no recording")
+    _, dataset = imported(tmp_path / "runs", ImportOptions(size=32, camera="wrist"))
+    np.testing.assert_array_equal(np.concatenate([dataset.video(0), dataset.video(1)]), frames[8:])
+
+
+def test_the_rate_of_the_pictures_can_be_told(tmp_path: Path) -> None:
+    frames = video(30)
+    report, dataset = imported(fill(tmp_path / "run", frames), ImportOptions(size=32, source_hz=30))
+    np.testing.assert_array_equal(dataset.video(0), frames[::3])
+    assert report.source_hz == pytest.approx(30)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_pictures_are_turned_upright(tmp_path: Path, orientation: int) -> None:
+    upright = np.zeros((32, 48, 3), np.uint8)
+    upright[:16, :24] = 200
+    undo = {
+        2: Image.Transpose.FLIP_LEFT_RIGHT,
+        3: Image.Transpose.ROTATE_180,
+        4: Image.Transpose.FLIP_TOP_BOTTOM,
+        5: Image.Transpose.TRANSPOSE,
+        6: Image.Transpose.ROTATE_90,
+        7: Image.Transpose.TRANSVERSE,
+        8: Image.Transpose.ROTATE_270,
+    }
+    taken = Image.fromarray(upright)
+    if orientation in undo:
+        taken = taken.transpose(undo[orientation])
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    (tmp_path / "run").mkdir()
+    for number in range(3):
+        taken.save(tmp_path / f"run/{number}.jpg", quality=100, subsampling=0, exif=exif)
+    report, dataset = imported(tmp_path / "run", ImportOptions(size=32, fit=Fit.STRETCH))
+    assert (report.source_height, report.source_width) == (32, 48)
+    frame = dataset.video(0)[0].astype(int)
+    assert frame[:14, :14].min() > 180
+    assert max(frame[18:].max(), frame[:, 18:].max()) < 20
+
+
+def test_pictures_of_several_sizes(tmp_path: Path) -> None:
+    folder = fill(tmp_path / "run", video(3))
+    (folder / "img7.png").write_bytes(compressed(video(1, 24, 32)[0], "png"))
+    refused(folder, r"several sizes: 32x32 pixels in .*img0.png', 32x24 in .*img7.png'")
+
+
+def test_a_damaged_picture(tmp_path: Path) -> None:
+    frames = video(6)
+    folder = fill(tmp_path / "run", frames)
+    whole = (folder / "img4.png").read_bytes()
+    (folder / "img4.png").write_bytes(whole[: len(whole) // 2])
+    (folder / "img5.png").write_bytes(b"")
+    refused(folder, r"the picture .*img5.png' has the format 'png', but its 0 bytes are no JPEG, PNG or WebP file")
+    (folder / "img5.png").write_bytes(whole)
+    refused(folder, r"the picture .*img4.png' is a damaged PNG file.*; import the others with '--salvage'")
+    (folder / "img5.png").write_bytes(b"")
+    report, dataset = imported(folder, ImportOptions(size=32, salvage=True))
+    assert report.unreadable == 2
+    np.testing.assert_array_equal(dataset.video(0), frames[[0, 1, 2, 3, 3, 3]])
+
+
+def test_a_picture_bomb_is_not_unpacked(tmp_path: Path) -> None:
+    folder = fill(tmp_path / "run", np.zeros((3, 600, 600, 3), np.uint8))
+    refused(
+        folder, "declares 600x600 pixels, more than the 100,000", ImportOptions(limits=ImportLimits(pixels=100_000))
+    )
+    refused(folder, "is a file of more than 0 MiB", ImportOptions(limits=ImportLimits(message_bytes=500)))
+
+
+def test_the_same_pictures_make_the_same_data_set_and_others_do_not(tmp_path: Path) -> None:
+    folder = fill(tmp_path / "run", video(5))
+    first = imported(folder)[0]
+    assert imported(folder)[0] == first
+    (folder / "img9.png").write_bytes((folder / "img0.png").read_bytes())
+    with pytest.raises(Exception, match="holds a data set of other recordings"):
+        imported(folder)

@@ -5,14 +5,13 @@ Where no precision is asked for, a model and an optimiser that are thrown away a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import cast
+from collections.abc import Callable, Sequence
 
 import torch
 
 from dmotion_bench.learning.curriculum import Part
 from dmotion_bench.learning.optimization import learning_rate, make_optimizer, set_learning_rate
-from dmotion_bench.learning.precision import Precision, faster, settled, timed
+from dmotion_bench.learning.precision import Precision, settled, timed
 from dmotion_bench.learning.run_manifest import Conditions, RunSpec
 from dmotion_bench.learning.step import Stepper
 
@@ -26,12 +25,12 @@ def choose_conditions(spec: RunSpec, parts: Sequence[Part], device: torch.device
         device: Where it runs.
         processes: How many share a batch.
     """
-    precision = settled(spec.training_config.precision, parts[-1].stop, device)
     threads = torch.get_num_threads()
+    precision = settled(spec.training_config.precision, parts[-1].stop, device)
     if precision is not None:
         return Conditions(threads=threads, precision=precision)
-    seconds = timed(_trial(spec, parts, device, processes), device)
-    return Conditions(threads=threads, precision=faster(seconds), probe=cast("Mapping[str, float]", seconds))
+    rounds = timed(_trial(spec, parts, device, processes), device)
+    return Conditions(threads=threads, precision=rounds.faster, probe=rounds.medians)
 
 
 def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int) -> Callable[[Precision], object]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,18 +14,16 @@ from typing import Any, ClassVar
 from dmotion_bench.storage.dataset import Dataset
 from tests.fuzz.case import Answers, Case, Checksums, Fault, Probe
 from tests.fuzz.command import dmbench
+from tests.fuzz.foreign import SIDE, VIDEOS, makers
 from tests.fuzz.mutations import pick
 from tests.fuzz.mutations.boxes import spoil_video
+from tests.fuzz.mutations.hdf5_file import spoil_hdf5
 from tests.fuzz.mutations.json_text import spoil_json, spoil_lines
 from tests.fuzz.mutations.mcap_file import spoil_mcap
 from tests.fuzz.mutations.parquet_table import spoil_parquet
 from tests.fuzz.mutations.plain import spoil_bytes
 from tests.fuzz.targets import Target
 from tests.fuzz.targets.dataset import frames_of
-
-FRAMES = 14
-SIDE = 16  # [px]
-Maker = Callable[[Path], Path]
 
 
 @dataclass
@@ -107,6 +104,7 @@ class RecordingTarget(Target):
             ".jsonl": spoil_lines,
             ".parquet": spoil_parquet,
             ".mp4": spoil_video,
+            ".hdf5": spoil_hdf5,
         }.get(file.suffix, spoil_bytes)
 
     def probes(self, case: Case, spoilt: SpoiltRecording) -> Iterator[Probe]:
@@ -159,84 +157,6 @@ def _nothing_left(folder: Path, before: list[Path]) -> None:
         raise Fault("left behind", ", ".join(path.name for path in left))
 
 
-def makers() -> dict[str, Maker]:
-    """How each original is made, by software that is not dmbench's."""
-    sys.path.insert(0, str(Path(__file__).parents[2]))
-    from storage.foreign import (
-        compressed,
-        foxglove_compressed_file,
-        foxglove_file,
-        foxglove_json_file,
-        ros_file,
-        ros_header,
-        ros_image,
-        steady,
-        video,
-    )
-
-    frames, times = video(FRAMES, SIDE, SIDE), steady(FRAMES)
-    actions = [(t_ns, ("left", "right")[number % 2]) for number, t_ns in enumerate(times)]
-
-    def ros(folder: Path) -> Path:
-        kind, command = "sensor_msgs/msg/Image", "std_msgs/msg/String"
-        messages: list[Any] = []
-        for frame, t_ns, (_, action) in zip(frames, times, actions, strict=True):
-            messages.append(
-                ("/camera", kind, t_ns, ros_image(t_ns, SIDE, SIDE, "bgr8", SIDE * 3, frame[..., ::-1].tobytes()))
-            )
-            messages.append(("/action", command, t_ns, {"data": action}))
-        return ros_file(folder / "bag", messages)
-
-    def ros_compressed(folder: Path) -> Path:
-        import numpy as np
-
-        kind = "sensor_msgs/msg/CompressedImage"
-        messages = [
-            (
-                "/camera",
-                kind,
-                t_ns,
-                {
-                    "header": ros_header(t_ns),
-                    "format": "jpeg",
-                    "data": np.frombuffer(compressed(frame, "JPEG"), np.uint8),
-                },
-            )
-            for frame, t_ns in zip(frames, times, strict=True)
-        ]
-        return ros_file(folder / "bag", messages)
-
-    def lerobot(folder: Path) -> Path:
-        file = foxglove_file(folder / "source.mcap", frames, times, actions=actions)
-        data = folder / "source"
-        dmbench(
-            "data",
-            "import",
-            str(file),
-            *_common(("--actions", "/action", "--frames-per-episode", "5")),
-            "--out",
-            str(data),
-            "--json",
-        ).json()
-        dmbench("data", "export", str(data), "--out", str(folder / "lerobot")).done()
-        return folder / "lerobot"
-
-    return {
-        "foxglove": lambda folder: foxglove_file(folder / "a.mcap", frames, times, actions=actions),
-        "bgra": lambda folder: foxglove_file(folder / "a.mcap", frames, times, encoding="bgra8"),
-        "json": lambda folder: foxglove_json_file(folder / "a.mcap", frames, times),
-        "jpeg": lambda folder: foxglove_compressed_file(
-            folder / "a.mcap", [compressed(frame, "JPEG") for frame in frames], times, "jpeg"
-        ),
-        "png": lambda folder: foxglove_compressed_file(
-            folder / "a.mcap", [compressed(frame, "PNG") for frame in frames], times, "png"
-        ),
-        "ros": ros,
-        "ros-compressed": ros_compressed,
-        "lerobot": lerobot,
-    }
-
-
 OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "foxglove": ((), ("--actions", "/action"), ("--camera", "/camera", "--fit", "pad")),
     "bgra": ((),),
@@ -246,6 +166,11 @@ OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "ros": ((), ("--actions", "/action")),
     "ros-compressed": ((),),
     "lerobot": ((), ("--actions", "action")),
+    "pictures": ((),),
+    "packed": ((), ("--actions", "/action")),
+    "stream": ((),),
+    "hdf5": ((), ("--actions", "actions"), ("--camera", "obs/agentview_image")),
+    **{f"{kind}.{suffix}": ((),) for kind, suffix in VIDEOS},
 }
 """The options that each original can be imported with."""
 

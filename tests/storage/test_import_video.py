@@ -264,6 +264,13 @@ def test_a_video_that_takes_too_much_memory(tmp_path: Path) -> None:
     refused(file, tmp_path, "takes more than 96 MiB of memory to be decoded; .*'--max-memory 192'", tight)
 
 
+def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
+    frames = [np.zeros((512, 512, 3), np.uint8)] * 400  # 300 MiB when they are decoded
+    file = video_file(tmp_path / "a.mp4", frames, encoder=("libx264", "yuv420p", {"preset": "ultrafast"}))
+    options = ImportOptions(size=32, limits=ImportLimits(reader_bytes=128 * MIB))
+    assert import_recordings([file], tmp_path / "out", options).frames == 400
+
+
 def test_more_pictures_than_can_be_imported(tmp_path: Path) -> None:
     file = video_file(tmp_path / "a.mp4", moving(20))
     refused(file, tmp_path, "more than the 10 pictures", ImportOptions(size=48, limits=ImportLimits(frames=10)))

@@ -1,6 +1,11 @@
-"""Recordings of other systems: MCAP with foxglove or ROS 2 cameras, LeRobot data sets, read into ``dmbench/1``.
+"""Recordings of other systems, read into ``dmbench/1``: MCAP, videos, folders of pictures, HDF5, LeRobot data sets.
 
-``mcap_records`` reads files it does not trust, ``cameras`` and ``commands`` decode their messages, ``pixels``
-and ``fitting`` make frames, ``timeline`` resamples, ``mcap_recording`` and ``lerobot_recording`` answer the
-same questions for their kinds of file, and ``importing`` writes the data set.
+``sources`` tells what stands at a path. Each kind has a file that answers the questions of ``recording``:
+``mcap_recording``, ``mcap_video``, ``video_recording``, ``picture_folder``, ``hdf5_recording``, ``lerobot_recording``.
+What libraries of C read is read in a process apart: ``confinement`` is this end of it, ``confined_reader`` the other,
+and ``wire`` what they say to each other.
+
+``mcap_records`` reads MCAP files without trust, ``cameras`` and ``commands`` decode their messages, ``pixels`` and
+``fitting`` make frames, ``timeline`` resamples, ``importing`` writes the data set, and ``advice`` says what would make
+a better one.
 """

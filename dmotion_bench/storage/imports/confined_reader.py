@@ -53,10 +53,13 @@ class Reader:
                 return
             try:
                 self._answer(request, np.frombuffer(body, "<i8"))
-            except RecordingImportError as error:
-                send(self._answers, {"error": type(error).__name__, "sentence": str(error)})
             except MemoryError:
                 send(self._answers, {"no_memory": True})
+            except RecordingImportError as error:
+                if peak_bytes() > 0.75 * limits.reader_bytes:  # decoders call a lack of memory damage
+                    send(self._answers, {"no_memory": True})
+                else:
+                    send(self._answers, {"error": type(error).__name__, "sentence": str(error)})
             except Exception as error:  # whatever a hostile file leads a library to is the file's fault
                 sentence = f"the recording cannot be read: {type(error).__name__}: {str(error)[:200]}."
                 send(self._answers, {"error": "RecordingImportError", "sentence": sentence})
@@ -91,6 +94,15 @@ class Reader:
             signal.setitimer(signal.ITIMER_PROF, self._options.limits.reader_seconds)
             self._said = time.monotonic()
             send(self._answers, {"pictures": pictures})
+
+
+def peak_bytes() -> int:
+    """The most memory that this process has held so far; 0 where the system does not tell."""
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM:")), 0)
 
 
 def confine(limits: ImportLimits) -> None:

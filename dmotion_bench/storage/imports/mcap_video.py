@@ -19,7 +19,7 @@ from jaxtyping import Int64, UInt8
 from dmotion_bench.storage.imports.cameras import Picture, VideoPacket, picture_decoder
 from dmotion_bench.storage.imports.mcap_recording import McapRecording, Size
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
-from dmotion_bench.storage.video.stream import DamagedPicture, PictureStream, shown_size, to_rgb
+from dmotion_bench.storage.video.stream import DamagedPicture, PictureStream
 
 
 class McapVideo(McapRecording):
@@ -33,19 +33,19 @@ class McapVideo(McapRecording):
         self._stream = None
         numbers = iter(wanted.tolist())
         number = next(numbers, None)
-        for count, (message, frame) in enumerate(self._frames()):
+        for count, (message, frame, stream) in enumerate(self._frames()):
             if number is None:
                 return
             if count == number:
                 try:
-                    yield to_rgb(frame)
+                    yield stream.rgb(frame)
                 except (FFmpegError, ValueError) as error:
                     raise self._bad(message, self._camera, f"cannot be made RGB: {str(error)[:120]}") from error
                 number = next(numbers, None)
         if number is not None:
             raise self._changed()
 
-    def _frames(self) -> Iterator[tuple[int, VideoFrame]]:
+    def _frames(self) -> Iterator[tuple[int, VideoFrame, PictureStream]]:
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
         for count, message in self._camera_messages():
             yield from self._fed(self._decode(message, count, decoders, picture_decoder), count)
@@ -54,16 +54,16 @@ class McapVideo(McapRecording):
     def _look(self, picture: Picture, number: int) -> Iterator[tuple[int, Size]]:
         if number == 0:
             self._stream = None
-        for message, frame in self._fed(picture, number):
-            yield message, shown_size(frame)
+        for message, frame, stream in self._fed(picture, number):
+            yield message, stream.size(frame)
 
     def _look_on(self) -> Iterator[tuple[int, Size]]:
-        for message, frame in self._fed(None, -1):
-            yield message, shown_size(frame)
+        for message, frame, stream in self._fed(None, -1):
+            yield message, stream.size(frame)
         self.unreadable = self._stream.damaged if self._stream is not None else 0
 
-    def _fed(self, picture: Picture | None, number: int) -> Iterator[tuple[int, VideoFrame]]:
-        """The pictures that a message completes, each with the number of its own message."""
+    def _fed(self, picture: Picture | None, number: int) -> Iterator[tuple[int, VideoFrame, PictureStream]]:
+        """The pictures that a message completes, each with the number of its own message and what decoded it."""
         packet = None
         if picture is not None:
             if not isinstance(picture, VideoPacket):
@@ -78,12 +78,14 @@ class McapVideo(McapRecording):
                 return
             packet = Packet(picture.data)
             packet.pts = number
+        if self._stream is None:
+            return
         try:
-            frames = self._stream.decode(packet) if self._stream is not None else []
+            frames = self._stream.decode(packet)
         except DamagedPicture as error:
             way_out = "import the others with '--salvage'"
             raise self._bad(number, self._camera, f"{error}; {way_out}") from error
         for frame in frames:
             if frame.height * frame.width > self._limits.pixels:
                 raise self._bad(number, self._camera, f"is {frame.width}x{frame.height} pixels large")
-            yield number if frame.pts is None else frame.pts, frame
+            yield number if frame.pts is None else frame.pts, frame, self._stream

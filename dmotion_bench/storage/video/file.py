@@ -25,7 +25,7 @@ from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from dmotion_bench.errors import RecordingImportError, RecordingTruncated
-from dmotion_bench.storage.video.stream import DamagedPicture, PictureStream, decoder_options, shown_size, to_rgb
+from dmotion_bench.storage.video.stream import DamagedPicture, PictureStream, decoder_options
 
 av.logging.set_level(av.logging.PANIC)
 
@@ -91,7 +91,7 @@ class VideoFile:
             self._first = next(self._coming, None)
             if self._first is None:
                 raise self._bad("has no picture that can be decoded")
-            self.height, self.width = shown_size(self._first[1])
+            self.height, self.width = self._decoder.size(self._first[1])
             self._opened = opened.pop_all()
 
     @property
@@ -145,7 +145,7 @@ class VideoFile:
         at = "" if frame.pts is None else f" at {self._time(frame.pts) / 1e9:.3f} s"
         self.check_size(frame)
         try:
-            return to_rgb(frame)
+            return self._decoder.rgb(frame)
         except (FFmpegError, ValueError) as error:
             raise self._bad(f"has a picture{at} that cannot be made RGB: {str(error)[:120]}") from error
 
@@ -155,7 +155,7 @@ class VideoFile:
         Raises:
             RecordingImportError: They differ.
         """
-        height, width = shown_size(frame)
+        height, width = self._decoder.size(frame)
         if (height, width) != (self.height, self.width):
             at = "" if frame.pts is None else f" at {self._time(frame.pts) / 1e9:.3f} s"
             raise self._bad(f"changes its size from {self.width}x{self.height} pixels to {width}x{height}{at}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, cast
 
 import numpy as np
 from av.codec.context import CodecContext
 from av.error import FFmpegError
 from av.packet import Packet
-from av.sidedata.sidedata import Type
+from av.sidedata.sidedata import SideDataContainer, Type
 from av.video.codeccontext import VideoCodecContext
 from av.video.frame import VideoFrame
 from av.video.reformatter import Interpolation
@@ -50,6 +51,7 @@ class PictureStream:
             context.options = decoder_options(pixels)
         self._context, self._salvage = context, salvage
         self._begun, self._lost, self.damaged = not midway, False, 0
+        self._turn, self._seen = Turn(), False
 
     @classmethod
     def of_codec(cls, codec: str, *, pixels: int, salvage: bool) -> PictureStream:
@@ -78,6 +80,21 @@ class PictureStream:
             return []
         return [frame for frame in frames if self._is_whole(frame)]
 
+    def size(self, frame: VideoFrame) -> tuple[int, int]:
+        """Height and width of a picture as it is shown."""
+        return (frame.width, frame.height) if self._turn.flat else (frame.height, frame.width)
+
+    def rgb(self, frame: VideoFrame) -> UInt8[np.ndarray, "h w 3"]:
+        """A picture's pixels, turned as the stream says.
+
+        Raises:
+            FFmpegError, ValueError: They cannot be made RGB.
+        """
+        pixels: UInt8[np.ndarray, "h w 3"] = frame.to_ndarray(format="rgb24", interpolation=FAITHFUL, threads=1)
+        if self._turn.flat:
+            pixels = pixels.swapaxes(0, 1)
+        return np.ascontiguousarray(pixels[:: -1 if self._turn.down else 1, :: -1 if self._turn.across else 1])
+
     def _is_whole(self, frame: VideoFrame) -> bool:
         if frame.is_corrupt:
             if self._begun:
@@ -86,6 +103,8 @@ class PictureStream:
         if self._lost and not frame.key_frame:
             self.damaged += 1
             return False
+        if not self._seen:
+            self._turn, self._seen = Turn.of(frame), True
         self._begun, self._lost = True, False
         return True
 
@@ -101,28 +120,27 @@ def decoder_options(pixels: int) -> dict[str, str]:
     return {"max_pixels": str(2 * pixels + (1 << 16))}
 
 
-def to_rgb(frame: VideoFrame) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture's pixels, turned as its file says."""
-    flat, across, down = _turn(frame)
-    pixels: UInt8[np.ndarray, "h w 3"] = frame.to_ndarray(format="rgb24", interpolation=FAITHFUL, threads=1)
-    if flat:
-        pixels = pixels.swapaxes(0, 1)
-    return np.ascontiguousarray(pixels[:: -1 if down else 1, :: -1 if across else 1])
+@dataclass(frozen=True, kw_only=True)
+class Turn:
+    """How a stream's pictures are to be shown: its display matrix, to a quarter turn.
 
+    Attributes:
+        flat: Rows and columns change places first.
+        across, down: Then it is mirrored left-right, up-down.
+    """
 
-def shown_size(frame: VideoFrame) -> tuple[int, int]:
-    """Height and width of a picture as it is shown."""
-    return (frame.width, frame.height) if _turn(frame)[0] else (frame.height, frame.width)
+    flat: bool = False
+    across: bool = False
+    down: bool = False
 
-
-def _turn(frame: VideoFrame) -> tuple[bool, bool, bool]:
-    """Whether to swap the axes, and then to mirror left-right and up-down: the display matrix, to a quarter turn."""
-    try:
-        side_data: Any = frame.side_data  # PyAV's types leave out what is found by its kind
-        matrix = side_data[Type.DISPLAYMATRIX]
-    except KeyError:
-        return False, False, False
-    a, b, _, c, d = np.frombuffer(bytes(matrix), "<i4", count=5).tolist()
-    if abs(b) + abs(c) > abs(a) + abs(d):
-        return True, c < 0, b < 0
-    return False, a < 0, d < 0
+    @classmethod
+    def of(cls, frame: VideoFrame) -> Turn:
+        """What a stream's first picture says; PyAV keeps a picture whose side data was asked for, so only that one."""
+        try:
+            matrix = cast("SideDataContainer", frame.side_data)[Type.DISPLAYMATRIX]
+        except KeyError:
+            return cls()
+        a, b, _, c, d = np.frombuffer(bytes(matrix), "<i4", count=5).tolist()
+        if abs(b) + abs(c) > abs(a) + abs(d):
+            return cls(flat=True, across=c < 0, down=b < 0)
+        return cls(across=a < 0, down=d < 0)

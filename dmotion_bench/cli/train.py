@@ -244,7 +244,7 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
 
     if run.result is not None:
         try:
-            run.require_weights()
+            run.weights()
         except (RunMissing, RunCorrupt) as error:
             note(f"{error}\ntraining {run.path} anew.")
             run.begin_anew()

@@ -227,22 +227,22 @@ class Run:
                 "a copy, or delete the folder and train again with 'dmbench train'."
             ) from None
 
-    def require_weights(self) -> None:
-        """See that the weights of a finished run can be read, and are those that the training wrote.
+    def weights(self) -> dict[str, Tensor]:
+        """The weights of a finished run, whatever model they may fit, as the training wrote them.
 
         Raises:
             RunMissing: Training is not done, or they are gone.
             RunCorrupt: They cannot be read, or are others.
             RunError: They may not be opened.
         """
-        self._weights(None)
+        return self._weights(None)
 
     @cached_property
     def model(self) -> ForwardModel[Any]:
         """The trained model, in evaluation mode, its actions aligned.
 
         Raises:
-            RunCorrupt: The weights do not fit the model; and what ``require_weights`` raises.
+            RunCorrupt: The weights do not fit the model; and what ``weights`` raises.
         """
         self._require_result()
         weights = self._weights(self.forms(self.best))

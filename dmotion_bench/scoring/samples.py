@@ -25,15 +25,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Shaped
 
+from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.frame_measures import OBJECTS_ONLY
 from dmotion_bench.storage.atomic import atomic_file
+from dmotion_bench.storage.limits import LONGEST_NAME
+from dmotion_bench.storage.mcap_reader import DamagedFile
+from dmotion_bench.storage.parquet_file import read_parquet
+from dmotion_bench.wording import shown
 
 PIXEL_COLUMNS = ("mse", "psnr", "ssim")
 POSITION_COLUMNS = ("position_error_paper", "position_error", "miss_rate", "false_positive_rate")
@@ -68,6 +74,12 @@ SCHEMA = pa.schema(
         ("control_lost", pa.int16()),
     ]
 )
+
+MOST_SAMPLES: Final = 2_000_000
+"""Rows of a table that is read: some 200 bytes of memory each."""
+_MOST_LISTED: Final = 2**25  # values in a column of lists
+_LISTS: Final = ("distance", "found", "found_truth", "motion")
+_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS
 
 
 class SampleRows:
@@ -123,14 +135,47 @@ def write_samples(path: Path, samples: pa.Table) -> None:
         pq.write_table(samples, file, compression="zstd")
 
 
-def read_samples(path: Path) -> pa.Table:
+def read_samples(path: Path, rows: int | None = None) -> pa.Table:
     """The table that ``write_samples`` wrote.
 
+    Args:
+        path: Its file.
+        rows: How many it must have, if that is known.
+
     Raises:
-        OSError, pa.ArrowInvalid: There is none, or it is no such table.
+        RunCorrupt: There is none, or it is no such table.
     """
-    table: Any = pq.read_table(path)
-    for field in SCHEMA:
-        if field.name not in table.column_names and field.name in RANK_COLUMNS + CONTROL_COLUMNS:  # of earlier versions
-            table = table.append_column(field, pa.nulls(len(table), field.type))
+    counts = range(MOST_SAMPLES + 1) if rows is None else range(rows, rows + 1)
+    try:
+        table = read_parquet(
+            path, SCHEMA, counts, said_by="report.json", most_listed=_MOST_LISTED, optional=_LATER_COLUMNS
+        )
+        for field in SCHEMA:
+            if field.name not in table.column_names:
+                table = table.append_column(field, pa.nulls(len(table), field.type))
+        return _checked(table.select(SCHEMA.names))
+    except DamagedFile as error:
+        raise RunCorrupt(
+            f"the samples {shown(str(path))} cannot be used: the table {error}; delete the folder of the report and "
+            "score the run again."
+        ) from None
+
+
+def _checked(table: pa.Table) -> pa.Table:
+    """The table with texts in place of words of a dictionary.
+
+    Raises:
+        DamagedFile: A value is missing or cannot be.
+    """
+    for name in ("metric", "predictor"):
+        words = set(pc.unique(table[name]).cast(pa.string()).to_pylist())
+        if wrong := [word for word in words if word is None or len(word) > LONGEST_NAME]:
+            raise DamagedFile(f"has a {name} that cannot be: {shown(wrong[0])}")
+    for name in ("episode", "step", "ahead"):
+        if table[name].null_count or (len(table) and pc.min(table[name]).as_py() < 0):
+            raise DamagedFile(f"has a row without {name}, or with one below zero")
+    for name in _LISTS:
+        lengths = pc.drop_null(pc.list_value_length(table[name]))
+        if len(lengths) and len(pc.unique(lengths)) > 1:
+            raise DamagedFile(f"has lists of different lengths in the column {name}")
     return table.cast(SCHEMA)

@@ -1,17 +1,15 @@
 """``episodes.parquet`` and ``tasks.parquet``: where each episode is, and what the control tasks are.
 
 Both are derived: ``dmbench data repair`` makes them again from the shards. A table is read as columns, after its size,
-its footer and the number of its rows have been held against the manifest.
+its footer and the number of its rows have been held against the manifest (``parquet_file.py``).
 """
 
 from __future__ import annotations
 
 import io
-import os
-import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Final, SupportsIndex, overload
+from typing import Any, Final, SupportsIndex, overload
 
 import numpy as np
 import pyarrow as pa
@@ -24,7 +22,7 @@ from dmotion_bench.storage.limits import INDEX_BYTES, LAST_NS, longest_episode, 
 from dmotion_bench.storage.manifest import TABLES, Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.mcap_writer import Span
-from dmotion_bench.storage.parquet_pages import Page, list_pages
+from dmotion_bench.storage.parquet_file import largest_file, read_parquet
 from dmotion_bench.storage.shard import EpisodeRow, ended_as, file_facts
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.storage.tasks import ControlTask
@@ -40,13 +38,6 @@ _EPISODE_SCHEMA: Final = pa.schema(
     ]
 )
 _TASK_SCHEMA: Final = pa.schema([pa.field(name, pa.int64(), False) for name in ControlTask._fields])
-_TAIL: Final = struct.Struct("<I4s")  # the footer's size, and the end of the file
-_LARGEST_FOOTER: Final = 2**16  # [bytes]
-_COLUMN_BYTES, _VALUE_BYTES = 4096, 24
-"""More than a column takes uncompressed: at all, and for each of its values."""
-_WRITER: Final = "parquet-cpp-arrow version "
-_ENCODINGS: Final = {0, 2, 8}
-"""Plain, and the two names of a dictionary: others make much of little."""
 Columns = Mapping[str, np.ndarray]
 
 
@@ -207,87 +198,11 @@ def _read(dataset: Path, name: str, schema: pa.Schema, manifest: Manifest, count
     path, facts = dataset / name, manifest.tables.get(name)
     if not path.is_file():
         raise DamagedFile("is missing")
-    most = _LARGEST_FOOTER + len(schema) * (_COLUMN_BYTES + counts[-1] * _VALUE_BYTES)
-    if facts is None or path.stat().st_size != facts.size or facts.size > most or file_facts(path) != facts:
+    small = facts is not None and facts.size <= largest_file(schema, counts[-1])
+    if not small or path.stat().st_size != facts.size or file_facts(path) != facts:
         raise DamagedFile("is not what was written")
-    _check_tail(path)
-    text = [field.name for field in schema if field.type == pa.string()]
-    try:
-        with pq.ParquetFile(
-            path,
-            read_dictionary=text,
-            page_checksum_verification=True,
-            thrift_string_size_limit=_LARGEST_FOOTER,
-            thrift_container_size_limit=_LARGEST_FOOTER,
-        ) as file:
-            _check_footer(file, schema, counts)
-            _check_columns(path, file.metadata, schema)
-            table = file.read(use_threads=False) if file.metadata.num_rows else schema.empty_table()
-            return {name: _column(table.column(name)) for name in schema.names}
-    except KeyError:  # what should be a column of text has columns of its own
-        raise DamagedFile("has other columns, some within others") from None
-    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        raise DamagedFile(f"cannot be read: {error}") from None
-
-
-def _check_tail(path: Path) -> None:
-    """See that the footer is not larger than a footer of ours: to be parsed it takes many times its size."""
-    with path.open("rb") as file:
-        file.seek(-min(_TAIL.size, path.stat().st_size), os.SEEK_END)
-        tail = file.read()
-    size, end = _TAIL.unpack(tail) if len(tail) == _TAIL.size else (0, b"")
-    if end != b"PAR1" or size > _LARGEST_FOOTER:
-        raise DamagedFile("is no Parquet file of ours")
-
-
-def _check_footer(file: pq.ParquetFile, schema: pa.Schema, counts: range) -> None:
-    """See what a table holds before any of it is read."""
-    about = file.metadata
-    if about.num_rows not in counts:
-        wanted = f"{counts[0]:,} to {counts[-1]:,}" if len(counts) > 1 else f"{counts[0]:,}"
-        raise DamagedFile(f"has {about.num_rows:,} rows; dataset.json says {wanted}")
-    plain = pa.schema([_plain(field) for field in file.schema_arrow])
-    if plain != schema:
-        raise DamagedFile(f"has other columns: {', '.join(plain.names)}")
-    if not about.created_by.startswith(_WRITER):
-        raise DamagedFile("was written by another program")
-
-
-def _check_columns(path: Path, about: pq.FileMetaData, schema: pa.Schema) -> None:
-    """See what Arrow will set memory aside for, and in what encodings."""
-    if about.num_rows == 0:
-        return  # nothing is read
-    groups = [about.row_group(index) for index in range(about.num_row_groups)]
-    if sum(group.num_rows for group in groups) != about.num_rows or any(group.num_rows < 1 for group in groups):
-        raise DamagedFile("contradicts itself about its rows")
-    with path.open("rb") as file:
-        for index, name in enumerate(schema.names):
-            pages = [page for group in groups for page in _pages(file, group.column(index))]
-            _check_pages(name, pages, about.num_rows)
-
-
-def _pages(file: BinaryIO, column: pq.ColumnChunkMetaData) -> Iterator[Page]:
-    start = column.data_page_offset
-    if column.has_dictionary_page and 0 < column.dictionary_page_offset < start:
-        start = column.dictionary_page_offset
-    return list_pages(file, start, column.total_compressed_size)
-
-
-def _check_pages(name: str, pages: Sequence[Page], rows: int) -> None:
-    size = sum(page.uncompressed for page in pages)
-    values = sum(page.values for page in pages if not page.is_dictionary)
-    if size > _COLUMN_BYTES + rows * _VALUE_BYTES:
-        raise DamagedFile(f"claims {size:,} bytes for the column {name} of {rows:,} rows")
-    if values != rows or any(page.values > rows for page in pages):
-        raise DamagedFile(f"holds {values:,} values in the column {name} of {rows:,} rows")
-    if not {page.encoding for page in pages} <= _ENCODINGS:
-        raise DamagedFile(f"holds the column {name} in an encoding that is not ours")
-
-
-def _plain(field: pa.Field) -> pa.Field:
-    """The field as it was written: text is read as a dictionary, so that a word that recurs takes its room once."""
-    kind = field.type
-    return field.with_type(kind.value_type) if pa.types.is_dictionary(kind) else field
+    table = read_parquet(path, schema, counts, said_by="dataset.json")
+    return {name: _column(table.column(name)) for name in schema.names}
 
 
 def _column(column: pa.ChunkedArray) -> np.ndarray:

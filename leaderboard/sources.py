@@ -6,13 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.transfer import require_transferable
+from dmotion_bench.storage.check import cache_damages
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import LABELS, VIDEO, file_facts, shard_path
 from dmotion_bench.storage.split import SPLIT_NAMES
@@ -68,11 +67,8 @@ def _damages(dataset: Dataset) -> Iterator[str]:
             if facts is not None and (not file.is_file() or file_facts(file) != facts):
                 yield f"{kind}/{file.name} is not what was recorded"
                 return
-    cache = dataset.cache()
-    for episode in range(len(dataset)):
-        if not np.array_equal(cache.episode(episode), dataset.video(episode)):
-            yield "cache/ holds other frames than the video; delete it"
-            return
+    for damage in cache_damages(dataset):
+        yield f"{damage.file} {damage.what}; delete it"
 
 
 def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> None:

@@ -124,6 +124,7 @@ class Checkpoints:
         hardness: Latest loss of each triplet, by phase.
         config: How the model is optimised.
         steps: Of the whole training.
+        starts: Steps at which a phase begins: there are no best weights of that phase yet.
     """
 
     run: Run
@@ -133,6 +134,7 @@ class Checkpoints:
     hardness: Mapping[str, Float[np.ndarray, " n"]]
     config: TrainingConfig
     steps: int
+    starts: frozenset[int]
 
     def save_best(self, facts: BestFacts) -> None:
         """Keep the model's weights as the best so far."""
@@ -173,7 +175,8 @@ class Checkpoints:
         tensors, read = checkpoint.load(path, required=required, optional=state | hardness)
         facts = _facts(LastFacts, read, path, self.steps)
         _require_whole_states(tensors, state, path)
-        if facts.best is not None and self._load_best()[1].step < facts.best_step:
+        is_known = facts.best is not None and facts.step not in self.starts
+        if is_known and self._load_best()[1].step < facts.best_step:
             raise damaged(self.run.best, f"is older than step {facts.best_step}, the best that {path.name!r} knows of")
         self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
         checkpoint.restore_optimizer(self.optimizer, tensors)

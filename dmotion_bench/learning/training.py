@@ -138,6 +138,7 @@ class _Trainer:
             hardness=self.hardness,
             config=self.config,
             steps=self.steps,
+            starts=frozenset(part.start for part in self.parts),
         )
         self.state = _State()
 

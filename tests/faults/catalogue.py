@@ -164,14 +164,14 @@ FAULTS = (
     Fault(
         name="a resumed training begins one step late",
         file="dmotion_bench/learning/training.py",
-        right='self.state.step = facts["step"]',
-        wrong='self.state.step = facts["step"] + 1',
+        right="self.state.step = facts.step",
+        wrong="self.state.step = facts.step + 1",
         tests=("tests/learning/test_training.py",),
     ),
     Fault(
         name="the hash of weights ignores their values",
         file="dmotion_bench/learning/checkpoint.py",
-        right="digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())",
+        right="digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)",
         wrong="digest.update(b'')",
         tests=("tests/learning/test_checkpoint.py",),
     ),

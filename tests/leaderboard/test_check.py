@@ -231,7 +231,8 @@ def test_missing_samples_are_found(workspace: Workspace, sound: Entry) -> None:
 
 def test_other_weights_under_the_same_hash_are_found(workspace: Workspace, sound: Entry) -> None:
     other = checkpoint.with_prefix("model", {"offset": torch.tensor([0.01])})
-    checkpoint.save(workspace.runs / RUN / "best.safetensors", other, {})
+    path = workspace.runs / RUN / "best.safetensors"
+    checkpoint.save(path, other, checkpoint.load(path)[1])
 
     findings = check_entry(sound, workspace).findings
     assert any("not those that the training wrote" in finding for finding in findings)

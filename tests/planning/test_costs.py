@@ -54,8 +54,8 @@ def test_each_frame_is_compared_with_the_goal_of_its_task() -> None:
 
 def test_pixels_and_features_can_stand_in() -> None:
     model, generator = PerfectGridModel(), torch.Generator().manual_seed(0)
-    goals = torch.randint(0, 256, (2, 8, 8, 3), generator=generator, dtype=torch.uint8)
-    image = torch.rand(3, 3, 8, 8, generator=generator) * 2 - 1
+    goals = torch.randint(0, 256, (2, 128, 128, 3), generator=generator, dtype=torch.uint8)
+    image = torch.rand(3, 3, 128, 128, generator=generator) * 2 - 1
     task = torch.tensor([0, 1, 1])
     wanted = goals.float().mul(2 / 255).sub(1).permute(0, 3, 1, 2)[task]
     by_hand = (image - wanted).square().mean((1, 2, 3))

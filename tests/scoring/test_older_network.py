@@ -28,7 +28,7 @@ from leaderboard.pictures import take_pictures
 
 @pytest.mark.parametrize("channels_last", [False, True])
 def test_it_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channels_last: bool) -> None:
-    for module in ("start", "run"):
+    for module in ("start", "run_manifest"):
         monkeypatch.setattr(f"dmotion_bench.learning.{module}.model_class", lambda name: OlderNetwork)
     quick = partial(CrossEntropyPlanner, samples=2, horizon=2, iterations=1, elites=1)
     monkeypatch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": quick})

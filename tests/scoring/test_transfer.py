@@ -98,7 +98,7 @@ def test_another_version_of_an_episode_is_no_new_episode(make_run: MakeRun, grid
     """Version 1 draws the same episodes with other pixels; with another seed it is a transfer like any other."""
     drawn_otherwise = write_dataset(tmp_path / "data/first", episodes=60, version=1)
     run = make_run(tmp_path / "run")
-    with pytest.raises(RunMismatch, match=r"of the 6 test episodes .* begin as episodes do"):
+    with pytest.raises(RunMismatch, match=r"of the 6 test episodes .* have the seed"):
         _score(run, drawn_otherwise)
     report = _score(run, write_dataset(tmp_path / "data/elsewhere", seed=4, version=1))
     assert "version" not in report.dataset  # it is 1

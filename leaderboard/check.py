@@ -27,7 +27,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Bool
 
-from dmotion_bench.errors import DmbenchError
+from dmotion_bench.errors import DmbenchError, RunCorrupt
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
@@ -235,8 +235,8 @@ def _stored_samples(check: Findings, folder: Path) -> pa.Table | None:
     check.expect("samples.sha256", said["sha256"], file_facts(path).sha256)
     try:
         samples = read_samples(path)
-    except (pa.ArrowException, OSError) as error:
-        check.wrong.append(f"samples: {str(path)!r} cannot be read: {error}")
+    except RunCorrupt as error:
+        check.wrong.append(f"samples: {error}")
         return None
     check.expect("samples.rows", said["rows"], len(samples))
     return samples

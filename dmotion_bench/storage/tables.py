@@ -198,8 +198,9 @@ def _read(dataset: Path, name: str, schema: pa.Schema, manifest: Manifest, count
     path, facts = dataset / name, manifest.tables.get(name)
     if not path.is_file():
         raise DamagedFile("is missing")
-    small = facts is not None and facts.size <= largest_file(schema, counts[-1])
-    if not small or path.stat().st_size != facts.size or file_facts(path) != facts:
+    if facts is None or facts.size > largest_file(schema, counts[-1]):
+        raise DamagedFile("is not what was written")
+    if path.stat().st_size != facts.size or file_facts(path) != facts:
         raise DamagedFile("is not what was written")
     table = read_parquet(path, schema, counts, said_by="dataset.json")
     return {name: _column(table.column(name)) for name in schema.names}

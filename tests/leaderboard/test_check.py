@@ -235,7 +235,7 @@ def test_other_weights_under_the_same_hash_are_found(workspace: Workspace, sound
     checkpoint.save(path, other, checkpoint.load(path)[1])
 
     findings = check_entry(sound, workspace).findings
-    assert any("not those that the training wrote" in finding for finding in findings)
+    assert any("other weights than those that the training wrote" in finding for finding in findings)
 
 
 @pytest.mark.parametrize("kind", ["video", "labels"])

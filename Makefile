@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PARALLEL := -n auto --dist worksteal  # a process a core; long tests come first (tests/conftest.py)
 
-.PHONY: install demo test test-fast check faults format bench results clean
+.PHONY: install demo test test-fast check faults fuzz kill format bench results clean
 
 install: $(STAMP)
 
@@ -25,6 +25,12 @@ test: check
 
 test-fast: install
 	$(BIN)/python -m pytest $(PARALLEL) -m 'not slow'
+
+fuzz: install
+	$(BIN)/python -m tests.fuzz --seconds 3600 --jobs 2
+
+kill: install
+	$(BIN)/python -m tests.kill --kills 200
 
 faults: install
 	$(BIN)/python -m tests.faults

@@ -31,7 +31,8 @@ def write_made_up(run: Run, mse: Mapping[int, Sequence[float]], column: str = "m
         )
     for metric, predictor in (("rollout", "model"), ("prediction", "copy_last")):
         other = SampleRows(metric, predictor)
-        other.add({"episode": np.array([7]), "mse": np.array([1e6], np.float32)})
+        only = {"episode": np.array([7]), "step": np.array([0]), "ahead": np.array([1])}
+        other.add({**only, "mse": np.array([1e6], np.float32)})
         rows._batches.extend(other._batches)
     mean = float(np.mean([value for values in mse.values() for value in values]))
     figures = {column: figure(mean), **{f"rollout_mse[{ahead}]": figure(10.0**ahead) for ahead in (1, 2, 3)}}

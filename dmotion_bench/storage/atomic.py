@@ -27,17 +27,22 @@ def sync_folder(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def atomic_file(path: Path) -> Iterator[BinaryIO]:
+def atomic_file(path: Path, *, make_folders: bool = True) -> Iterator[BinaryIO]:
     """A file that appears under ``path`` when the block ends well, and leaves nothing when it does not.
 
     A process that is killed leaves ``<name>.<token>.part``, which ``remove_leftovers`` takes away.
     Two processes may write the same file, even on two machines: the tokens keep their pieces apart.
 
+    Args:
+        path: The file.
+        make_folders: Whether missing folders above it are made. A folder that is moved away while it is written
+            into is made again by this; without it, that is a ``FileNotFoundError``.
+
     Raises:
         StorageFull: There is no space left.
     """
     try:
-        with _written(path) as file:
+        with _written(path, make_folders) as file:
             yield file
     except OSError as error:
         if error.errno not in FULL:
@@ -49,8 +54,9 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextlib.contextmanager
-def _written(path: Path) -> Iterator[BinaryIO]:
-    path.parent.mkdir(parents=True, exist_ok=True)
+def _written(path: Path, make_folders: bool) -> Iterator[BinaryIO]:
+    if make_folders:
+        path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}")
     try:
         with temporary.open("wb") as file:
@@ -64,9 +70,9 @@ def _written(path: Path) -> Iterator[BinaryIO]:
     sync_folder(path.parent)
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Replace a small file in one step."""
-    with atomic_file(path) as file:
+def write_atomically(path: Path, data: bytes, *, make_folders: bool = True) -> None:
+    """Replace a small file in one step; for ``make_folders`` see ``atomic_file``."""
+    with atomic_file(path, make_folders=make_folders) as file:
         file.write(data)
 
 

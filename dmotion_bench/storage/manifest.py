@@ -117,7 +117,8 @@ class Manifest:
             InvalidSetting: There can be no such data set; nothing is written.
         """
         self.require_possible()
-        write_atomically(dataset / DATASET_MANIFEST, (json.dumps(self.to_json(), indent=2) + "\n").encode())
+        content = json.dumps(self.to_json(), indent=2) + "\n"
+        write_atomically(dataset / DATASET_MANIFEST, content.encode(), make_folders=False)
 
     @classmethod
     def read(cls, dataset: Path) -> Manifest:

@@ -146,6 +146,12 @@ class _Hashing:
         return FileFacts(self._size, self._hash.hexdigest())
 
 
+def _shard_file(path: Path) -> contextlib.AbstractContextManager[BinaryIO]:
+    """A shard's file to write; the data set's own folder must be there."""
+    path.parent.mkdir(exist_ok=True)
+    return atomic_file(path, make_folders=False)
+
+
 def write_shard(
     dataset: Path, recipe: DatasetRecipe, spec: EnvSpec, index: int, episodes: Iterable[Episode | Footage]
 ) -> ShardReceipt:
@@ -156,17 +162,20 @@ def write_shard(
         recipe, spec: The data set's.
         index: The shard's number.
         episodes: Those of ``shard_range``, in order; either all or none have labels.
+
+    Raises:
+        FileNotFoundError: The data set's folder is gone; it is not made again, as what it held is lost.
     """
     rows, found = list[EpisodeRow](), list[tuple[Candidate, ...]]()
     video_path, labels_path = (shard_path(dataset, kind, index) for kind in (VIDEO, LABELS))
     with contextlib.ExitStack() as files:
-        video_file = _Hashing(files.enter_context(atomic_file(video_path)))
+        video_file = _Hashing(files.enter_context(_shard_file(video_path)))
         video = McapWriter(video_file, VIDEO_CHANNELS)
         labels_file: _Hashing | None = None
         labels: McapWriter | None = None
         for number, episode in zip(shard_range(recipe, index), episodes, strict=True):
             if episode.labels is not None and labels is None and not rows:
-                labels_file = _Hashing(files.enter_context(atomic_file(labels_path)))
+                labels_file = _Hashing(files.enter_context(_shard_file(labels_path)))
                 labels = McapWriter(labels_file, LABEL_CHANNELS)
             if (episode.labels is None) != (labels is None):
                 raise ValueError("either all episodes of a shard have labels or none has")

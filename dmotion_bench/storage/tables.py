@@ -113,7 +113,7 @@ def write_tasks(dataset: Path, tasks: Sequence[ControlTask]) -> None:
 def _write(path: Path, table: pa.Table) -> None:
     buffer = io.BytesIO()
     pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
-    write_atomically(path, buffer.getvalue())
+    write_atomically(path, buffer.getvalue(), make_folders=False)
 
 
 def read_episodes(dataset: Path, manifest: Manifest) -> EpisodeTable:

@@ -158,21 +158,25 @@ class DatasetWriter:
         possible = [found for receipt in receipts for found in receipt.candidates]
         split = split_episodes(self.recipe.seed, self.recipe.episodes)
         tasks = choose_tasks(dict(enumerate(possible)), set(split["test"].tolist()), self.recipe.tasks)
-        write_episodes(self.path, rows, split)
-        write_tasks(self.path, tasks)
-        manifest = Manifest(
-            recipe=self.recipe,
-            spec=self.spec,
-            complete=True,
-            salvaged=salvaged,
-            versions=made_with or versions(_PACKAGES),
-            tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
-            shards=tuple(
-                ShardEntry(episodes=len(one.rows), frames=one.frames, video=one.video, labels=one.labels)
-                for one in receipts
-            ),
-        )
-        manifest.write(self.path)
+        try:
+            write_episodes(self.path, rows, split)
+            write_tasks(self.path, tasks)
+            manifest = Manifest(
+                recipe=self.recipe,
+                spec=self.spec,
+                complete=True,
+                salvaged=salvaged,
+                versions=made_with or versions(_PACKAGES),
+                tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
+                shards=tuple(
+                    ShardEntry(episodes=len(one.rows), frames=one.frames, video=one.video, labels=one.labels)
+                    for one in receipts
+                ),
+            )
+            manifest.write(self.path)
+        except FileNotFoundError:
+            self._require_there()
+            raise
         return manifest
 
     def close(self) -> None:

@@ -143,7 +143,7 @@ def _check_head(raw: bytes) -> None:
 def shown(text: str) -> str:
     """A picture of an entry as the source of an ``<img>``, encoded again so that it holds nothing but pixels.
 
-    Lossless WebP, a fifth smaller than PNG (DECISIONS.md).
+    Lossless WebP, a fifth smaller than PNG.
     """
     return f"data:image/webp;base64,{_encoded(from_png(text), 'WEBP', lossless=True, quality=100, method=6)}"
 

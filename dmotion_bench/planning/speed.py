@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.control import GROUP
 from dmotion_bench.planning.controllers import ModelController, Seen
@@ -83,7 +84,7 @@ def measure_planning(
 
     def step(number: int) -> None:
         nonlocal frames
-        decision = controller.act(_seen(images, tasks, len(spec.actions), number))
+        decision = controller.act(_seen(images, tasks, len(require_discrete(spec.actions, "planning")), number))
         frames += decision.plan.frames if decision.plan else 0
 
     step(0)
@@ -102,8 +103,10 @@ def measure_one_by_one(
 ) -> PlanningSpeed:
     """The same candidates, imagined one at a time with nothing shared; arguments as in ``measure_planning``."""
     controller = ModelController(model, spec, PAPERS, device=device)
-    futures = controller.futures(_seen(images, 1, len(spec.actions), 0))
-    candidates = np.random.default_rng(0).integers(0, len(spec.actions), (1000, PAPERS.horizon))
+    futures = controller.futures(_seen(images, 1, len(require_discrete(spec.actions, "planning")), 0))
+    candidates = np.random.default_rng(0).integers(
+        0, len(require_discrete(spec.actions, "planning")), (1000, PAPERS.horizon)
+    )
 
     def candidate(number: int) -> None:
         rollout_costs(futures, candidates[number % len(candidates)])

@@ -95,7 +95,7 @@ class Clasp(ForwardModel[ClaspConfig]):
         self.scene = FrameEncoder(inputs, config.hidden)
         self.predictor = nn.LSTMCell(config.hidden + config.length, config.hidden)
         self.decoder = CodedUNet(config.hidden + config.length, frames=1, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.length)
+        self.table = ActionTable(0 if inputs.actions is None else inputs.actions.width, config.length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

@@ -118,7 +118,9 @@ class DMotion(ForwardModel[DMotionConfig]):
             agent_entries=config.agent_entries,
             **({} if is_paper else {"warps": config.warp}),  # the paper's paints
         )
-        self.register_buffer("table", self.transform.identity().repeat(inputs.actions, 1))
+        self.register_buffer(
+            "table", self.transform.identity().repeat(0 if inputs.actions is None else inputs.actions.width, 1)
+        )
         self.blur, self.jitter = config.blur, config.jitter
 
     @classmethod
@@ -177,7 +179,7 @@ class DMotion(ForwardModel[DMotionConfig]):
     def align(self, demonstrations: Demonstrations) -> None:
         """Fill the action-transformation table: the mean of phi^0 over each action's demonstrations."""
         motion = self.motion(demonstrations.current, demonstrations.next)
-        for action in range(self.inputs.actions):
+        for action in range(len(self.table)):
             of_action = motion[demonstrations.action == action]
             if len(of_action):
                 self.table[action] = of_action.mean(0)

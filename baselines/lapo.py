@@ -132,7 +132,7 @@ class Lapo(ForwardModel[LapoConfig]):
         self.latent = linear(MotionTrunk.length, config.action_length)
         self.quantizer = VectorQuantizer(config)
         self.forward_model = CodedUNet(config.action_length, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.action_length)
+        self.table = ActionTable(0 if inputs.actions is None else inputs.actions.width, config.action_length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

@@ -69,7 +69,7 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         self.trunk = MotionTrunk(frames=2)
         self.moments = linear(MotionTrunk.length, 2 * config.length, 0.5)
         self.decoder = CodedUNet(config.length, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.length)
+        self.table = ActionTable(0 if inputs.actions is None else inputs.actions.width, config.length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

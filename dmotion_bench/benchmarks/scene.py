@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import UInt8
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.specs import EnvSpec, ObjectSpec
 
 SIZE: Final = 128  # [px]
@@ -20,7 +21,7 @@ def scene_facts() -> EnvSpec:
     """What the planner and the position finder know of the scene."""
     return EnvSpec(
         id="made_up_scene",
-        actions=("up", "down", "left", "right"),
+        actions=Discrete(("up", "down", "left", "right")),
         agent=ObjectSpec(name="agent", shape="square", color=_AGENT),
         objects=tuple(ObjectSpec(name=name, shape="square", color=color) for name, color in _COLOURS.items()),
         height=SIZE,

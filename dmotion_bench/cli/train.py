@@ -170,11 +170,15 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
         f"({result['triplets_per_s']:.0f} triplets/s), {result['parameters'] / 1e6:.2f} M parameters"
     )
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
-    known = f" of {_transitions(dataset)} transitions in the data set" if dataset.spec.actions else ", there are none"
+    known = (
+        f" of {_transitions(dataset)} transitions in the data set"
+        if dataset.spec.actions is not None
+        else ", there are none"
+    )
     typer.echo(f"  labels used: {result['labels_total']}{known}")
     if run.conditions is not None:
         typer.echo(f"  computed in {_conditions(run.conditions)}")
-    if run.spec.labels == "none" and dataset.spec.actions:
+    if run.spec.labels == "none" and dataset.spec.actions is not None:
         typer.echo(
             "The model does not know yet which action is which. "
             "The same command with '--labels one-shot' tells it, without training again."

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.control import GROUP
 from dmotion_bench.planning.controllers import Decision, ModelController, Seen
@@ -49,7 +50,12 @@ class PlanningTogether:
         device: torch.device | None = None,
     ) -> None:
         self._controller = ModelController(model, spec, PAPERS, device=device)
-        self._images, self._tasks, self._actions, self._number = images, tasks, len(spec.actions), 0
+        self._images, self._tasks, self._actions, self._number = (
+            images,
+            tasks,
+            len(require_discrete(spec.actions, "planning")),
+            0,
+        )
         plan = self._act().plan
         self.frames_per_step = plan.frames / tasks if plan else 0.0
 
@@ -75,8 +81,10 @@ class PlanningOneByOne:
         device: torch.device | None = None,
     ) -> None:
         controller = ModelController(model, spec, PAPERS, device=device)
-        self._futures = controller.futures(_seen(images, 1, len(spec.actions), 0))
-        drawn = np.random.default_rng(0).integers(0, len(spec.actions), (1000, PAPERS.horizon))
+        self._futures = controller.futures(_seen(images, 1, len(require_discrete(spec.actions, "planning")), 0))
+        drawn = np.random.default_rng(0).integers(
+            0, len(require_discrete(spec.actions, "planning")), (1000, PAPERS.horizon)
+        )
         self._candidates = itertools.cycle(drawn)
         self.frames_per_step = float(PAPERS.samples * PAPERS.iterations * PAPERS.horizon)
 

@@ -198,7 +198,7 @@ def attempt(
     ended = Ended(
         process.returncode, out.read_text(), err.read_text(errors="replace"), time.monotonic() - began, changes
     )
-    if struck is not None and process.returncode != 0:
+    if struck is not None and (process.returncode != 0 or whom == "a worker"):  # else it had ended before
         ended.struck, ended.whom = struck, whom
     if wait_for_orphans and not _all_gone(process.pid):
         ended.err += "\nTraceback: processes of the command are left"

@@ -44,6 +44,7 @@ from dmotion_bench.scoring.statistics import RESAMPLES
 from dmotion_bench.scoring.transfer import report_folder, require_transferable
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import VERSION, SplitName
+from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.versions import versions
@@ -232,6 +233,7 @@ def score_run(
         metrics = ("prediction",)
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder):
+        remove_leftovers(folder)
         report, samples = _stored(folder, run, dataset)
         true: tuple[str, ...] = ()
         if report is not None:

@@ -24,6 +24,7 @@ CHANNELS = 3 * PATCH**2  # of a packed frame
 WIDTHS = (32, 64, 128)
 MIDDLE_BLOCKS = 3
 OUTPUT_GAIN = 0.35
+OPENNESS = -1.0  # of the gate before training: it lets in a quarter of what is new
 LARGEST_FLOW = 20.0  # [px]: about two steps of an agent
 
 
@@ -57,9 +58,29 @@ def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp
     return together.contiguous().permute(0, 3, 1, 2)
 
 
+class _SquaredError(torch.autograd.Function):
+    """``squared_error``, which keeps one difference for its gradient and makes no other copy of the frames."""
+
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, predicted: Tensor, true: Tensor) -> Tensor:
+        wide = torch.promote_types(predicted.dtype, torch.float32)
+        difference = predicted.to(wide) - true.to(wide)
+        ctx.save_for_backward(difference.to(predicted.dtype))
+        norm: Tensor = torch.linalg.vector_norm(difference, dim=tuple(range(1, difference.ndim)))
+        return norm.square() / (difference.numel() // len(difference))
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        (difference,) = ctx.saved_tensors  # type: ignore[attr-defined]
+        of_each = gradients[0] * (2 * len(difference) / difference.numel())
+        of_predicted = difference * of_each.to(difference.dtype).view(-1, *[1] * (difference.ndim - 1))
+        return of_predicted, -of_predicted if ctx.needs_input_grad[1] else None  # type: ignore[attr-defined]
+
+
 def squared_error(predicted: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Float[Tensor, " b"]:
     """The squared error of each row, averaged over all other axes, in float32."""
-    return (predicted.float() - true.float()).square().flatten(1).mean(1)
+    each: Tensor = _SquaredError.apply(predicted, true)  # type: ignore[no-untyped-call]
+    return each
 
 
 def reconstruction_losses(drawn: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Losses:
@@ -224,7 +245,7 @@ class UNet(nn.Module):
         current = packed[:, -CHANNELS:]
         if self.warps:
             current = self._carried(current, level0)
-        return _blended(current, self.painting(level0), self.gate(level0) - 1)
+        return torch.lerp(current, self.painting(level0), _share(self.gate, level0, OPENNESS))
 
     def _carried(
         self, current: Float[Tensor, "b p hp wp"], features: Float[Tensor, "b c hp wp"]
@@ -232,14 +253,17 @@ class UNet(nn.Module):
         """x_t, warped by the flow."""
         flow = LARGEST_FLOW * torch.tanh(self.flow(features).float() * (PATCH / LARGEST_FLOW))
         moved = patches(warped(unpack(current).float(), flow).to(current.dtype), PATCH)
-        return _blended(current, moved, self.warp_gate(features))
+        return torch.lerp(current, moved, _share(self.warp_gate, features))
 
 
-def _blended(
-    old: Float[Tensor, "b p hp wp"], new: Float[Tensor, "b p hp wp"], gate: Float[Tensor, "b g hp wp"]
-) -> Float[Tensor, "b p hp wp"]:
-    """Blend a new frame into an old one by a gate, one value per pixel for all three colours."""
-    return old + torch.sigmoid(gate).repeat(1, 3, 1, 1) * (new - old)
+def _share(gate: nn.Conv2d, features: Float[Tensor, "b c hp wp"], openness: float = 0.0) -> Float[Tensor, "b p hp wp"]:
+    """How much of a new frame a gate lets in: one value per pixel, and the same again for each of the three colours.
+
+    The gate's weights are repeated instead of its values. So all that follows is of one shape and one memory format;
+    repeating the values makes the blending seven times as slow (docs/experiments/speed.md).
+    """
+    assert gate.bias is not None
+    return torch.sigmoid(F.conv2d(features, gate.weight.repeat(3, 1, 1, 1), (gate.bias + openness).repeat(3)))
 
 
 class CodedUNet(UNet):

@@ -15,7 +15,8 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from baselines.layers import CodedUNet, check_size, pack, squared_error, unpack
+from baselines.layers import CodedUNet, check_size, squared_error
+from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision

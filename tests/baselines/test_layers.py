@@ -10,17 +10,15 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from baselines.layers import (
-    CHANNELS,
     LARGEST_FLOW,
-    PATCH,
     WIDTHS,
     RoundConv2d,
     UNet,
-    pack,
     squared_error,
-    unpack,
+    up,
     warped,
 )
+from baselines.patches import CHANNELS, PATCH, from_patches, pack, patches, unpack
 
 
 def test_a_round_convolution_is_circular_padding_in_value_and_gradient() -> None:
@@ -46,6 +44,45 @@ def test_packing_moves_pixels_and_loses_none() -> None:
     assert torch.equal(unpack(packed), image)
     patch = packed[0, :, 2, 5].reshape(3, 4, 4)
     assert torch.equal(patch, image[0, :, 8:12, 20:24])
+
+
+@pytest.mark.parametrize(("dtype", "side"), [(torch.bfloat16, 2), (torch.bfloat16, 4), (torch.float32, 4)])
+def test_patches_are_what_pixel_unshuffle_gives_whatever_lies_in_them(dtype: torch.dtype, side: int) -> None:
+    bits = torch.randint(-(2**15), 2**15, (2, 3, 8, 16 * dtype.itemsize // 2), dtype=torch.int16)
+    image = bits.view(dtype)  # any bits, those of no number among them
+    for given in (image, image.contiguous(memory_format=torch.channels_last)):
+        packed = patches(given, side)
+        assert packed.is_contiguous(memory_format=torch.channels_last)
+        assert torch.equal(packed.contiguous().view(torch.int16), F.pixel_unshuffle(image, side).view(torch.int16))
+        assert torch.equal(from_patches(packed, side).view(torch.int16), bits)
+
+
+def test_the_gradient_of_patches_is_their_inverse() -> None:
+    generator = torch.Generator().manual_seed(0)
+    image = torch.randn(2, 3, 8, 16, generator=generator).requires_grad_()
+    packed = torch.randn(2, 12, 4, 8, generator=generator).requires_grad_()
+    for fast, slow, given in ((patches, F.pixel_unshuffle, image), (from_patches, F.pixel_shuffle, packed)):
+        result = fast(given, 2)
+        weight = torch.randn(result.shape, generator=generator)
+        (of_fast,) = torch.autograd.grad((result * weight).sum(), given)
+        (of_slow,) = torch.autograd.grad((slow(given, 2) * weight).sum(), given)
+        assert torch.equal(of_fast, of_slow)
+
+
+def test_upsampling_is_the_transposed_convolution_in_value_and_gradient() -> None:
+    generator = torch.Generator().manual_seed(0)
+    layer = up(6, 4).double()
+    assert layer.bias is not None
+    torch.nn.init.normal_(layer.bias, generator=generator)
+    picture = torch.randn(2, 6, 3, 5, generator=generator, dtype=torch.float64).requires_grad_()
+    fast, slow = layer(picture), F.conv_transpose2d(picture, layer.weight, layer.bias, 2)
+    assert fast.is_contiguous(memory_format=torch.channels_last)
+    torch.testing.assert_close(fast, slow)
+    weight = torch.randn(fast.shape, generator=generator, dtype=torch.float64)
+    given = (picture, layer.weight, layer.bias)
+    torch.testing.assert_close(
+        torch.autograd.grad((fast * weight).sum(), given), torch.autograd.grad((slow * weight).sum(), given)
+    )
 
 
 def test_warping_reads_each_pixel_where_the_flow_points() -> None:

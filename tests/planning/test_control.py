@@ -14,6 +14,7 @@ import pytest
 import torch
 from planning.worlds import PerfectGridModel
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Environment
 from dmotion_bench.errors import DatasetError, InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.planning.control import ControlProgress, ControlResult, ControlSettings, Scene, control
@@ -285,7 +286,7 @@ def test_mistakes_get_sentences(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="'dmbench record grid_world --tasks 20'"):
         load_problems(Dataset.open(tmp_path / "none"))
     model = PerfectGridModel()
-    model.inputs = type(model.inputs)(height=128, width=128, actions=2)
+    model.inputs = type(model.inputs)(height=128, width=128, actions=Discrete.numbered(2))
     with pytest.raises(ModelContractBroken, match="made for 2 actions, and 'grid_world' has 4"):
         ModelController(model, FACTS, SMALL)
 

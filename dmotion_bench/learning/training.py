@@ -194,9 +194,9 @@ class _Trainer:
                         counted = 0
                     if self.state.step % validate_every == 0 or self.state.step == part.stop:
                         self._validate(part, log)
-                        saved = self._save()
-                        if self.state.step == self.watched:
+                        if self.state.step == self.watched:  # before the other: a kill in between takes this step again
                             self._write_checkpoint(self.run.watched)
+                        saved = self._save()
                     elif stopping() or time.monotonic() - saved > CHECKPOINT_SECONDS:
                         saved = self._save()
                     if stopping():

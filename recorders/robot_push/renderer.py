@@ -233,7 +233,7 @@ class Renderer:
         for one, (_, window) in zip((*flat, *solids), windows, strict=True):
             nearer = one.inverse_depth > self._depth[window]
             nearer &= one.covered
-            hidden += np.count_nonzero((labels_of(self._paints[window]) == MASK_AGENT) & nearer)
+            hidden += int(np.count_nonzero((labels_of(self._paints[window]) == MASK_AGENT) & nearer))
             np.copyto(self._paints[window], one.paints, where=nearer)
             if one.label != MASK_BACKGROUND:
                 np.copyto(self._depth[window], one.inverse_depth, where=nearer)

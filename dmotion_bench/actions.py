@@ -197,7 +197,9 @@ class Continuous:
         wrong = np.argwhere(~inside)  # NaN is not inside
         if len(wrong):
             row, place = wrong[0].tolist()
-            return f"{shown(self.names[place])} = {values[row, place]} {where} {row}; it can be {self._range(place)}"
+            return (
+                f"{shown(self.names[place])} = {values[row, place]:.6g} {where} {row}; it can be {self._range(place)}"
+            )
         return None
 
     def fits(self, other: ActionSpec | None) -> bool:

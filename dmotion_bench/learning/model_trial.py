@@ -13,7 +13,7 @@ from torch import Tensor
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import ModelContractBroken
-from dmotion_bench.learning.action_encoding import Actions, action_tensor
+from dmotion_bench.learning.action_encoding import Actions, as_tensor
 from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInputs, TripletBatch
 
 GOLDEN: Final = (5**0.5 - 1) / 2  # its multiples are spread evenly over the unit interval
@@ -61,9 +61,9 @@ class ModelTrial:
         spec = self._spec
         place = np.arange(count) + shift
         if isinstance(spec, Discrete):
-            return action_tensor(spec, place % len(spec))
+            return as_tensor(place % len(spec))
         turns = place[:, None] * np.arange(1, spec.width + 1) * GOLDEN
-        return action_tensor(spec, spec.denormalise(2 * (turns % 1) - 1))
+        return as_tensor(spec.denormalise(2 * (turns % 1) - 1))
 
     def batch(self, count: int, *, actions: bool) -> TripletBatch:
         """Triplets, with or without their actions."""

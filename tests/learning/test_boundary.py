@@ -121,22 +121,23 @@ def test_what_the_base_class_offers_is_guarded_too() -> None:
 def test_continuous_actions_are_rows_of_numbers_within_their_bounds() -> None:
     spec = Continuous(names=("dx", "dy"), low=(-0.1, -0.1), high=(0.1, 0.1), units=("m", "m"))
     model = DMotion(DMotionConfig(), ModelInputs(height=SIDE, width=SIDE, actions=spec)).eval()
-    rows = np.array([[0.0, 0.1], [-0.1, 0.0]])
+    rows = np.array([[0.0, 0.1], [-0.1, 0.0], [0.05, 0.05]])
     with torch.no_grad():
         model.table.rows.copy_(torch.tensor([[0.1, 0.0], [0.3, 0.0], [0.0, 0.4]]))
         expected = model.predict(IMAGES, IMAGES, torch.from_numpy(rows))
         for given in (rows, rows.tolist(), rows.astype(np.float32)):
             assert torch.equal(model.predict(IMAGES, IMAGES, given), expected)
         one = model.predict(IMAGES, IMAGES, rows[0])
-        assert torch.equal(one[0], expected[0]) and torch.equal(one[1], model.predict(IMAGES, IMAGES, rows[[0, 0]])[1])
+        assert torch.equal(one[0], expected[0])
+        assert torch.equal(one[1], model.predict(IMAGES, IMAGES, rows[[0, 0, 0]])[1])
         rolled = model.rollout(IMAGES, IMAGES, np.stack([rows, rows[::-1]], axis=1))
         torch.testing.assert_close(rolled[:, 0], expected)
-        assert torch.equal(model.rollout(IMAGES, IMAGES, rows)[:, 0], one)  # two steps, the same for both images
+        assert torch.equal(model.rollout(IMAGES, IMAGES, rows)[:, 0], one)  # three steps, the same for all images
     for wrong, said in (
-        ([[0.0, 0.2], [0.0, 0.0]], r"given 'dy' = 0.2 in row 0; it can be -0.1 to 0.1 m"),
-        (torch.tensor([[0.0, 0.0], [torch.nan, 0.0]]), r"given 'dx' = nan in row 1"),
-        ([0, 1, 2], r"as actions; it takes numbers of the shape \(2, 2\)"),
-        (1, r"as actions; it takes numbers of the shape \(2, 2\)"),
+        ([[0.0, 0.2]] * 3, r"given 'dy' = 0.2 in row 0; it can be -0.1 to 0.1 m"),
+        (torch.tensor([[0.0, 0.0], [torch.nan, 0.0], [0.0, 0.0]]), r"given 'dx' = nan in row 1"),
+        ([0, 1, 2], r"as actions; it takes numbers of the shape \(3, 2\)"),
+        (1, r"as actions; it takes numbers of the shape \(3, 2\)"),
         ("left", r"given 'left' as actions; it takes numbers"),
     ):
         with pytest.raises(UsageError, match=said):

@@ -54,7 +54,7 @@ from leaderboard.entry import Entry, published_entry
 from leaderboard.entry_file import read_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, identity, take_pictures
-from leaderboard.sources import against_run, find_dataset, find_run
+from leaderboard.sources import against_run, as_read, find_dataset, find_run
 from leaderboard.verdict import SAME, SHOWN, Findings, Verdict, short
 
 ROUNDING: Final = 1e-3
@@ -112,18 +112,18 @@ def check_entry(
         return check.verdict()
     folder = report_folder(run.path, run.spec.fingerprint, dataset)
     against_run(check, run, dataset, folder)
-    samples = _stored_samples(check, folder)
-    if asked is None:
+    samples, read = _stored_samples(check, folder), as_read(check, run, dataset)
+    if asked is None or read is None:
         return check.verdict()
     if samples is not None:
         _against_samples(check, samples, asked)
     how = how or Execution()
     try:
         if settings.score:
-            _score_anew(check, run, dataset, samples, asked, settings, how, references)
+            _score_anew(check, run, read, samples, asked, settings, how, references)
         else:
             check.remarks.append("not scored anew")
-        check_control(check, run, dataset, samples, anew=settings.score, differing=settings.differing, how=how)
+        check_control(check, run, read, samples, anew=settings.score, differing=settings.differing, how=how)
     except DmbenchError as error:
         check.wrong.append(f"scoring anew fails: {error}")
     return check.verdict()

@@ -163,7 +163,7 @@ def _chosen(
     run the worst, the middle and the best; of several the worst, the best and where they differ most.
     """
     from dmotion_bench.learning.run import Run
-    from dmotion_bench.scoring.transfer import report_folder, require_fitting
+    from dmotion_bench.scoring.transfer import fitting, report_folder
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.viewing.comparison import comparable, contrasting_episodes
     from dmotion_bench.viewing.episodes import choose_episodes
@@ -174,7 +174,7 @@ def _chosen(
         runs = comparable(runs)
     dataset = Dataset.open(data or runs[0].dataset_path)
     if data is not None:
-        require_fitting(runs[0], dataset)
+        dataset = fitting(runs[0], dataset)
     told: dict[int, str] = {}
     if not episodes and split is None and len(paths) > 1:
         told = contrasting_episodes([run.path for run in runs])

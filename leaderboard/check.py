@@ -27,7 +27,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Bool
 
-from dmotion_bench.errors import DmbenchError, RunCorrupt
+from dmotion_bench.errors import DatasetError, DmbenchError, RunCorrupt
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
@@ -110,9 +110,14 @@ def check_entry(
     run, dataset, asked = find_run(check, workspace), find_dataset(check, workspace), _settings(check)
     if run is None or dataset is None:
         return check.verdict()
+    try:
+        read = as_read(check, run, dataset)
+    except DatasetError as error:
+        check.missing.append(f"data set of the training: {error}")
+        return check.verdict()
     folder = report_folder(run.path, run.spec.fingerprint, dataset)
     against_run(check, run, dataset, folder)
-    samples, read = _stored_samples(check, folder), as_read(check, run, dataset)
+    samples = _stored_samples(check, folder)
     if asked is None or read is None:
         return check.verdict()
     if samples is not None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import DatasetMissing, DmbenchError
+from dmotion_bench.errors import DmbenchError, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import read_report
@@ -72,15 +72,17 @@ def _damages(dataset: Dataset) -> Iterator[str]:
 
 
 def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:
-    """The data set as the run's model reads it; None if the run cannot be scored on it."""
+    """The data set as the run's model reads it; None if the run cannot be scored on it, which is a finding.
+
+    Raises:
+        DatasetError: That takes the data set of the training, which is not there or damaged.
+    """
     split = check.entry.content["settings"]["split"]
     if dataset.fingerprint == run.spec.fingerprint or split not in SPLIT_NAMES:
         return dataset
     try:
         return transferable(run, dataset, split)
-    except DatasetMissing as error:
-        check.missing.append(f"data set of the training: {error}")
-    except DmbenchError as error:
+    except RunMismatch as error:
         check.wrong.append(f"data set: {error}")
     return None
 

@@ -88,6 +88,7 @@ def view(
     target = targets[0]
     if target.kind == "recording" and save is not None:
         raise UsageError(f"{str(target.path)!r} is a Rerun file already; copy it, or leave out --save to show it.")
+    data = data or next((one.data for one in targets if one.data is not None), None)
     if data is not None and (live or len(targets) > 1 or target.kind not in ("run", "report")):
         raise UsageError("--data shows one run on another data set; name that run alone.")
     other = None if data is None else workspace.dataset(data)

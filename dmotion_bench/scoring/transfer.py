@@ -144,14 +144,16 @@ def training_of(run: Run, dataset: Dataset) -> dict[str, Any] | None:
 
 def transfer_remark(run: Run, dataset: Dataset) -> str:
     """What to bear in mind of a report on another data set than the run's own."""
-    said, own = f"trained on {run.spec.dataset!r}, and scored on {dataset.name!r}", _own_dataset(run)
+    own = _own_dataset(run)
+    world = f" ({own.recipe.environment})" if own is not None and _is_import(dataset) else ""
+    said = f"trained on {run.spec.dataset!r}{world}, and scored on {dataset.name!r}"
     if dataset.recipe.vary:
         ranges = " (shifted)" if dataset.recipe.parameters.get("ranges") == "shifted" else ""
         said += f", in which {', '.join(dataset.recipe.vary)} vary{ranges}"
-    if _is_import(dataset) and own is not None:
-        said += ", an import" + (", whose actions are matched by their names" if dataset.spec.actions else "")
-        if own.spec.step_ns != dataset.spec.step_ns:
-            said += f"; a step of it takes {dataset.spec.step_ns / 1e9:g} s, of the training {own.spec.step_ns / 1e9:g}"
+    if _is_import(dataset):
+        said += ", an import" + (" whose actions are matched by their names" if dataset.spec.actions else "")
+    if own is not None and own.spec.step_ns != dataset.spec.step_ns:
+        said += f"; a step of it takes {dataset.spec.step_ns / 1e9:g} s, of the training {own.spec.step_ns / 1e9:g} s"
     return said
 
 

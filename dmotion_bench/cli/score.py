@@ -66,7 +66,8 @@ def score(
         Path | None,
         typer.Option(
             help="Data set to score on: another one of the same environment, such as one recorded with '--ranges "
-            "shifted'. Default: the data set that the run was trained on. A reference needs a data set, too."
+            "shifted', or an import whose actions have the same names. Default: the data set that the run was trained "
+            "on. A reference needs a data set, too."
         ),
     ] = None,
     batch_size: Annotated[

@@ -29,6 +29,7 @@ from jaxtyping import Bool
 
 from dmotion_bench.errors import DatasetError, DmbenchError, RunCorrupt
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import not_allowed, using_threads
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
 from dmotion_bench.scoring.references import REFERENCES, published_results
@@ -122,13 +123,17 @@ def check_entry(
         return check.verdict()
     if samples is not None:
         _against_samples(check, samples, asked)
-    how = how or Execution()
+    how, threads = how or Execution(), run.threads if settings.score else None
+    if threads is not None and (told := not_allowed(threads)) is not None:
+        check.missing.append(f"threads: {told}")
+        return check.verdict()
     try:
-        if settings.score:
-            _score_anew(check, run, read, samples, asked, settings, how, references)
-        else:
-            check.remarks.append("not scored anew")
-        check_control(check, run, read, samples, anew=settings.score, differing=settings.differing, how=how)
+        with using_threads(threads):
+            if settings.score:
+                _score_anew(check, run, read, samples, asked, settings, how, references)
+            else:
+                check.remarks.append("not scored anew")
+            check_control(check, run, read, samples, anew=settings.score, differing=settings.differing, how=how)
     except DmbenchError as error:
         check.wrong.append(f"scoring anew fails: {error}")
     return check.verdict()

@@ -25,6 +25,7 @@ from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.labels import LabelRequest
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.scoring.prediction import predicting
 from dmotion_bench.scoring.samples import column
 from dmotion_bench.storage.dataset import Dataset
@@ -88,7 +89,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
     images = to_model(torch.from_numpy(frames))
     action = torch.tensor([one.action for one in steps])
     model = run.model.to("cpu").laid_out().eval()
-    with predicting(torch.device("cpu")):
+    with using_threads(run.threads), predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
     return [
         {

@@ -154,6 +154,9 @@ def score_runs(
 
     from dmotion_bench.cli.progress import note, progress_bar
     from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
+    from dmotion_bench.learning.run import Run
+    from dmotion_bench.learning.threads import scoring_shortage
+    from dmotion_bench.recording.executor import available_workers
     from dmotion_bench.scoring.prediction import Execution
     from dmotion_bench.scoring.score import ReferenceScores, score_run
 
@@ -163,6 +166,7 @@ def score_runs(
     references = ReferenceScores()
     reports: dict[Path, Report] = {}
     failures: dict[str, str] = {}
+    warned: set[str] = set()
     with progress_bar() as bar:
         task = bar.add_task("scoring", total=None, status="")
         for path in paths:
@@ -171,6 +175,10 @@ def score_runs(
                 bar.update(task, description=f"scoring {name}", completed=done, total=total, status=what)
 
             try:
+                told = scoring_shortage(Run.open(path).threads or 1, available_workers())
+                if told is not None and told not in warned:
+                    warned.add(told)
+                    note(told)
                 reports[path] = score_run(
                     path,
                     metrics=metrics,

@@ -9,11 +9,13 @@ from typing import Any, Literal, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
+import torch
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.controllers import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks
@@ -158,7 +160,7 @@ def score_model(
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
         metrics = tuple(metric for metric in metrics if metric == "control")
-    identity = (dataset.fingerprint, dataset.spec.actions, settings.split, settings.protocol)
+    identity = (dataset.fingerprint, dataset.spec.actions, settings.split, settings.protocol, torch.get_num_threads())
     tables = [] if earlier is None else [earlier]
     with predicting(how.device):
         if "prediction" in metrics:
@@ -199,6 +201,7 @@ def score_run(
 ) -> Report:
     """Score a run on the held-out episodes of its data set, or of another one, and write its report.
 
+    It computes with as many threads as the training: another number rounds otherwise (``learning/threads.py``).
     Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings and
     version; of control the same planner and cost, too.
 
@@ -213,6 +216,7 @@ def score_run(
         DatasetMissing: The other one is an import, and the data set of the training is not there.
         LabelsNotAvailable: Nothing says what the actions do in the model; or as ``score_model`` raises it.
         DatasetError, LabelsNotAvailable: Control is asked for where it cannot be scored.
+        UsageError: The run's number of threads is not allowed here.
         FolderInUse: Another process scores the run.
     """
     run = Run.open(path)
@@ -245,16 +249,17 @@ def score_run(
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
-        scores = score_model(
-            run.model,
-            dataset,
-            metrics=metrics,
-            settings=settings,
-            how=how,
-            references=references,
-            earlier=samples.filter(pc.is_in(samples["metric"], pa.array(set(true) - set(metrics), pa.string()))),
-            journal=(journal := folder / "control.json"),
-        )
+        with using_threads(run.threads):
+            scores = score_model(
+                run.model,
+                dataset,
+                metrics=metrics,
+                settings=settings,
+                how=how,
+                references=references,
+                earlier=samples.filter(pc.is_in(samples["metric"], pa.array(set(true) - set(metrics), pa.string()))),
+                journal=(journal := folder / "control.json"),
+            )
         scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*true, *metrics))))
         if "control" in metrics:
             arithmetic = "bfloat16" if has_bf16((how or Execution()).device) else "float32"
@@ -348,8 +353,11 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
         settings=settings.to_json(metrics),
         training={
             key: result[key]
-            for key in ("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes")
-            if key in result
+            for key in (
+                *("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes"),
+                *("threads", "precision"),
+            )
+            if result.get(key) is not None
         },
         versions=versions(),
         figures=_json(scores.figures),

@@ -24,7 +24,11 @@ from jaxtyping import Int
 
 from dmotion_bench.errors import DatasetError, DatasetMissing, RunMismatch
 from dmotion_bench.learning.run import Run
+<<<<<<< HEAD
 from dmotion_bench.scoring.overlap import copied_episodes
+=======
+from dmotion_bench.learning.run_manifest import stored_actions
+>>>>>>> main
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
 from dmotion_bench.specs import IMPORTED, SplitName
 from dmotion_bench.storage.dataset import Dataset
@@ -106,6 +110,7 @@ def fitting(run: Run, dataset: Dataset) -> Dataset:
             f"{run.name!r} was trained in {own.recipe.environment!r}, and {name!r} is of "
             f"{dataset.recipe.environment!r}; take data of its own environment: {again}."
         )
+<<<<<<< HEAD
     mine, theirs = (f"{one.width} x {one.height}" for one in (spec, dataset.spec))
     if mine != theirs:
         again = f"import it again with '--size {spec.width}'" if _is_import(dataset) else "take data of the same size"
@@ -122,6 +127,18 @@ def fitting(run: Run, dataset: Dataset) -> Dataset:
         raise RunMismatch(
             f"{run.name!r} was trained on {spec.actions} actions, and {name!r} has {len(dataset.spec.actions)} actions "
             f"({_listed(dataset.spec.actions)}); {again}."
+=======
+    for what, mine, theirs in (
+        ("actions", spec.actions, stored_actions(dataset.spec.actions)),
+        ("pixels", f"{spec.width} x {spec.height}", f"{dataset.spec.width} x {dataset.spec.height}"),
+    ):
+        if mine != theirs:
+            raise RunMismatch(f"{run.name!r} was trained on {mine} {what}, and {name!r} has {theirs}.")
+    if own is not None and own.spec.actions != dataset.spec.actions:
+        raise RunMismatch(
+            f"the actions of {name!r} are {dataset.spec.actions}, and those of {own.name!r}, which {run.name!r} was "
+            f"trained on, {own.spec.actions}."
+>>>>>>> main
         )
     if own is None or own.spec.actions == dataset.spec.actions:
         return dataset

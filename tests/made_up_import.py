@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dmotion_bench.actions import Discrete, require_discrete
 from dmotion_bench.specs import IMPORTED, DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import AGENT, _labels
@@ -39,7 +40,7 @@ def write_import(
         cut: Into so many equal parts each episode is cut.
         facts: Others of the ``EnvSpec``.
     """
-    names = [renamed(name) for name in source.spec.actions]
+    names = [renamed(name) for name in require_discrete(source.spec.actions, "a made-up import").names]
     given = tuple(names if actions is None else actions)
     numbers = np.array([given.index(name) for name in names]) if given else None
     parts: list[Footage] = []
@@ -60,7 +61,14 @@ def write_import(
     )
     spec = replace(
         source.spec,
-        **{"id": IMPORTED, "actions": given, "agent": AGENT, "objects": (), "agent_has_color": False} | facts,
+        **{
+            "id": IMPORTED,
+            "actions": Discrete(given) if given else None,
+            "agent": AGENT,
+            "objects": (),
+            "agent_has_color": False,
+        }
+        | facts,
         height=height,
         width=width,
     )

@@ -232,7 +232,7 @@ def score_run(
     settings = replace(settings or ScoreSettings(), protocol=protocol)
     if elsewhere:
         dataset = transferable(run, dataset, settings.split)
-    if dataset.spec.actions:
+    if dataset.spec.actions is not None:
         run.require_aligned()
     folder = report_folder(run.path, run.spec.fingerprint, dataset)
     if "control" in metrics:

@@ -22,13 +22,11 @@ from typing import Any, Final, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int
 
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.errors import DatasetError, DatasetMissing, RunMismatch
 from dmotion_bench.learning.run import Run
-<<<<<<< HEAD
-from dmotion_bench.scoring.overlap import copied_episodes
-=======
 from dmotion_bench.learning.run_manifest import stored_actions
->>>>>>> main
+from dmotion_bench.scoring.overlap import copied_episodes
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
 from dmotion_bench.specs import IMPORTED, SplitName
 from dmotion_bench.storage.dataset import Dataset
@@ -110,7 +108,6 @@ def fitting(run: Run, dataset: Dataset) -> Dataset:
             f"{run.name!r} was trained in {own.recipe.environment!r}, and {name!r} is of "
             f"{dataset.recipe.environment!r}; take data of its own environment: {again}."
         )
-<<<<<<< HEAD
     mine, theirs = (f"{one.width} x {one.height}" for one in (spec, dataset.spec))
     if mine != theirs:
         again = f"import it again with '--size {spec.width}'" if _is_import(dataset) else "take data of the same size"
@@ -120,33 +117,30 @@ def fitting(run: Run, dataset: Dataset) -> Dataset:
             f"{name!r} is an import, and only the data set that {run.name!r} was trained on says which actions and "
             f"episodes it knows; {shown(str(run.dataset_path))} is not there or has changed: put it there again."
         )
-    if _is_import(dataset) and not dataset.spec.actions:
+    if _is_import(dataset) and dataset.spec.actions is None:
         return dataset
-    if spec.actions != len(dataset.spec.actions):
-        again = "take data of the same actions" if spec.actions else "import it again without '--actions'"
+    read = dataset if own is None else _numbered(run, own, dataset)
+    if spec.actions != stored_actions(read.spec.actions):
+        mine = f"{spec.actions} actions" if isinstance(spec.actions, int) else _listed(spec.action_spec)
         raise RunMismatch(
-            f"{run.name!r} was trained on {spec.actions} actions, and {name!r} has {len(dataset.spec.actions)} actions "
-            f"({_listed(dataset.spec.actions)}); {again}."
-=======
-    for what, mine, theirs in (
-        ("actions", spec.actions, stored_actions(dataset.spec.actions)),
-        ("pixels", f"{spec.width} x {spec.height}", f"{dataset.spec.width} x {dataset.spec.height}"),
-    ):
-        if mine != theirs:
-            raise RunMismatch(f"{run.name!r} was trained on {mine} {what}, and {name!r} has {theirs}.")
-    if own is not None and own.spec.actions != dataset.spec.actions:
-        raise RunMismatch(
-            f"the actions of {name!r} are {dataset.spec.actions}, and those of {own.name!r}, which {run.name!r} was "
-            f"trained on, {own.spec.actions}."
->>>>>>> main
+            f"{run.name!r} was trained on {mine}, and those of {name!r} are {_listed(dataset.spec.actions)}; take data "
+            "of the same actions."
         )
-    if own is None or own.spec.actions == dataset.spec.actions:
+    return read
+
+
+def _numbered(run: Run, own: Dataset, dataset: Dataset) -> Dataset:
+    """A data set with the actions of the training in their order; only an import may have stored another one."""
+    mine, theirs = own.spec.actions, dataset.spec.actions
+    if mine == theirs:
         return dataset
-    if _is_import(dataset) and set(own.spec.actions) == set(dataset.spec.actions):
-        return dataset.numbered(own.spec.actions)
+    match mine, theirs:
+        case Discrete(), Discrete() if _is_import(dataset) and set(mine.names) == set(theirs.names):
+            return dataset.numbered(mine.names)
+    again = "import it again without '--actions'" if mine is None else "take data of the same actions"
     raise RunMismatch(
-        f"the actions of {name!r} are {_listed(dataset.spec.actions)}, and those of {own.name!r}, which "
-        f"{run.name!r} was trained on, {_listed(own.spec.actions)}; take data of the same actions."
+        f"the actions of {dataset.name!r} are {_listed(theirs)}, and those of {own.name!r}, which {run.name!r} was "
+        f"trained on, {_listed(mine)}; {again}."
     )
 
 
@@ -168,7 +162,9 @@ def transfer_remark(run: Run, dataset: Dataset) -> str:
         ranges = " (shifted)" if dataset.recipe.parameters.get("ranges") == "shifted" else ""
         said += f", in which {', '.join(dataset.recipe.vary)} vary{ranges}"
     if _is_import(dataset):
-        said += ", an import" + (" whose actions are matched by their names" if dataset.spec.actions else "")
+        said += ", an import" + (
+            " whose actions are matched by their names" if dataset.spec.actions is not None else ""
+        )
     if own is not None and own.spec.step_ns != dataset.spec.step_ns:
         said += f"; a step of it takes {dataset.spec.step_ns / 1e9:g} s, of the training {own.spec.step_ns / 1e9:g} s"
     return said
@@ -178,8 +174,8 @@ def _is_import(dataset: Dataset) -> bool:
     return dataset.recipe.environment == IMPORTED
 
 
-def _listed(names: Sequence[str]) -> str:
-    return shortened(", ".join(names), 300) or "not known"
+def _listed(actions: ActionSpec | None) -> str:
+    return "not known" if actions is None else shortened(str(actions), 300)
 
 
 def _concatenated(dataset: Dataset, *splits: SplitName) -> Int[np.ndarray, " n"]:

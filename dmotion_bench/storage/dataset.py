@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable, UnknownName, UsageError
 from dmotion_bench.specs import Episode, EpisodeLabels, SplitName
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
@@ -81,24 +82,24 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def numbered(self, actions: Sequence[str]) -> Dataset:
-        """The same data set with its actions numbered in another order; ``manifest`` keeps the stored one.
+    def numbered(self, names: Sequence[str]) -> Dataset:
+        """The same data set with its discrete actions numbered in another order; ``manifest`` keeps the stored one.
 
         Args:
-            actions: The names of its actions, in the order of their new numbers.
+            names: Of its actions, in the order of their new numbers.
 
         Raises:
-            UsageError: They are other names.
+            UsageError: They are other names, or the actions are not discrete.
         """
         stored = self.manifest.spec.actions
-        if sorted(actions) != sorted(stored):
+        if not isinstance(stored, Discrete) or sorted(names) != sorted(stored.names):
             raise UsageError(
-                f"the actions of {shown(self.name)} are {shown(list(stored))}, and {shown(list(actions))} were named; "
+                f"the actions of {shown(self.name)} are {shown(str(stored))}, and {shown(list(names))} were named; "
                 "name the same ones in another order."
             )
         view = copy.copy(self)
-        view.spec = replace(self.spec, actions=tuple(actions))
-        view._numbers = np.array([tuple(actions).index(name) for name in stored], np.int64)
+        view.spec = replace(self.spec, actions=Discrete(tuple(names)))
+        view._numbers = np.array([tuple(names).index(name) for name in stored.names], np.int64)
         return view
 
     def _row(self, episode: int) -> EpisodeRow:

@@ -15,6 +15,7 @@ from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.labels import LabelBudget
 from dmotion_bench.learning.model import Demonstrations, Phase, TrainingConfig
 from dmotion_bench.learning.triplets import BatchOrder, TripletSet
+from dmotion_bench.specs import Supervision
 
 VALIDATION_TRIPLETS = 1024
 
@@ -45,13 +46,13 @@ class Part:
     validation: TripletBatches
 
 
-def demonstrations_of(data: TrainingData, device: torch.device) -> Demonstrations | None:
-    """The demonstrations that the budget gives; None where it gives none.
+def demonstrations_of(data: TrainingData, supervision: Supervision, device: torch.device) -> Demonstrations | None:
+    """The demonstrations that the budget gives a model of video; None where it gives none.
 
     Raises:
         LabelsNotAvailable: They are not there.
     """
-    if data.budget.request.kind == "none":
+    if supervision is not Supervision.NONE or data.budget.request.kind == "none":
         return None
     given = data.budget.demonstrations(data.train)
     images = to_model(torch.from_numpy(given.frames)).to(device)

@@ -170,16 +170,15 @@ class LabelBudget:
         """
         if self.request.kind not in ("share", "count"):
             raise LabelsNotAvailable(f"the budget {self.request} has no actions for {purpose}; ask for --labels 100%.")
-        order = np.random.default_rng(0).permutation(np.unique(triplets.episode))
+        episodes = np.unique(triplets.episode)
+        order = np.random.default_rng(0).permutation(episodes)
         if self.request.kind == "share":
             chosen = order[: max(1, round(self.request.amount * len(order)))]
             rows = np.flatnonzero(np.isin(triplets.episode, chosen))
         else:
             held_back = max(1, int(self.request.amount) // HELD_BACK)
             wanted = held_back if purpose == "validation" else int(self.request.amount) - held_back
-            place = np.empty(len(order), np.int64)
-            place[np.searchsorted(np.sort(order), order)] = np.arange(len(order))
-            rank = place[np.searchsorted(np.sort(order), triplets.episode)]
+            rank = np.argsort(order)[np.searchsorted(episodes, triplets.episode)]
             rows = np.sort(np.argsort(rank, kind="stable")[:wanted])
         part = triplets.subset(rows)
         actions = self._of_each(part)

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt32
 from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND
 from recorders.robot_push.camera import Camera
 from recorders.robot_push.solids import Solid, rotation_matrix
-from recorders.table_lattice import Place
+from recorders.table_lattice import KEPT_PLACES, Place
 
 SAMPLES = 3  # along each side of a pixel; odd, so that the middle one is the pixel's centre
 AMBIENT, DIFFUSE = 0.6, 0.5
@@ -256,6 +256,8 @@ class Renderer:
 
     def _layer(self, place: Place) -> ArmLayer:
         if place not in self._layers:
+            if len(self._layers) >= KEPT_PLACES:  # with continuous actions there is no end of places
+                self._layers.clear()
             triangles, colors, moving = self._arm(place)
             edges = triangles[:, 1:] - triangles[:, :1]
             normals = np.cross(edges[:, 0], edges[:, 1])

@@ -10,10 +10,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
 from dmotion_bench.viewing.eye import eye_of_camera
-from dmotion_bench.viewing.labels import events_view, log_labels, log_legend, places_known, plain
+from dmotion_bench.viewing.labels import action_curves, events_view, log_labels, log_legend, places_known, plain
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import log_images
 
@@ -87,17 +88,19 @@ def _layout(spec: EnvSpec, episode: int, labels: EpisodeLabels | None) -> rrb.Co
     about = rrb.TextDocumentView(origin=f"{root}/about", name="What you see")
     camera = picture_view(f"{root}/camera", "Camera", spec.width, spec.height)
     name = f"Episode {episode}"
+    curves = isinstance(spec.actions, Continuous)
     if labels is None:
         return rrb.Horizontal(camera, about, column_shares=[3, 1], name=name)
     if not places_known(labels):
-        events = events_view(root, ("action",), len(labels.masks))
+        events = action_curves(root) if curves else events_view(root, ("action",), len(labels.masks))
         seen = rrb.Vertical(camera, events, row_shares=[4, 1])
         return rrb.Horizontal(seen, about, column_shares=[3, 1], name=name)
     masks = picture_view(f"{root}/masks", "Which pixel shows what", spec.width, spec.height)
     world = rrb.Spatial3DView(origin=f"{root}/world", name="Where things are [m]", eye_controls=_eye(labels))
-    events = events_view(root, ("action", "pushed/**"), len(labels.masks))
+    events = events_view(root, ("pushed/**",) if curves else ("action", "pushed/**"), len(labels.masks))
+    happens = rrb.Vertical(action_curves(root), events) if curves else events
     return rrb.Horizontal(
-        rrb.Vertical(rrb.Horizontal(camera, masks), events, row_shares=[1.6, 1]),
+        rrb.Vertical(rrb.Horizontal(camera, masks), happens, row_shares=[1.6, 1]),
         rrb.Vertical(world, about),
         column_shares=[2.4, 1],
         name=name,

@@ -9,8 +9,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Bool, Float, UInt8
 
-from dmotion_bench.actions import require_discrete
+from dmotion_bench.actions import Continuous, require_discrete
 from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, EpisodeLabels
+from dmotion_bench.viewing.scene import FRAME
 from dmotion_bench.viewing.tracks import Color, log_classes, log_points, log_rings, log_states, log_trails
 
 ACTION_COLORS: tuple[Color, ...] = (
@@ -82,11 +83,14 @@ def log_labels(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: 
 
 
 def log_events(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: EpisodeLabels) -> None:
-    """A lane of the actions, and one for each object: when it is pushed, when it is gone."""
-    names = [plain(action) for action in require_discrete(spec.actions, "the lane of actions").names]
-    taken: list[str | None] = [names[action] for action in labels.actions.tolist()]
-    colors = {name: ACTION_COLORS[number % len(ACTION_COLORS)] for number, name in enumerate(names)}
-    log_states(recording, f"{root}/action", [*taken, None], colors)
+    """A lane of the actions or curves of their numbers, and a lane for each object: when it is pushed or gone."""
+    if isinstance(spec.actions, Continuous):
+        log_numbers(recording, f"{root}/action", spec.actions, labels.actions)
+    else:
+        names = [plain(action) for action in require_discrete(spec.actions, "the lane of actions").names]
+        taken: list[str | None] = [names[action] for action in labels.actions.tolist()]
+        colors = {name: ACTION_COLORS[number % len(ACTION_COLORS)] for number, name in enumerate(names)}
+        log_states(recording, f"{root}/action", [*taken, None], colors)
     moved, gone = pushes(spec, labels)
     for number, it in enumerate(spec.objects):
         lane: list[str | None] = []
@@ -95,8 +99,26 @@ def log_events(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: 
             lane.append("pushed" if pushed else "gone" if gone[frame, number] else None)
         log_states(recording, f"{root}/pushed/{it.name}", lane, {"pushed": it.color, "gone": GONE})
     together = [_named(spec, row) for row in moved]
-    colors = {name: SEVERAL for name in together if name} | {plain(it.name): it.color for it in spec.objects}
-    log_states(recording, f"{root}/moved", [*together, None], colors)
+    shades = {name: SEVERAL for name in together if name} | {plain(it.name): it.color for it in spec.objects}
+    log_states(recording, f"{root}/moved", [*together, None], shades)
+
+
+def log_numbers(
+    recording: rr.RecordingStream, path: str, actions: Continuous, values: Float[np.ndarray, "s a"]
+) -> None:
+    """A curve for each number of a continuous action, in its units, under its own name."""
+    when = rr.TimeColumn(FRAME, sequence=np.arange(len(values)))
+    for place, (name, unit) in enumerate(zip(actions.names, actions.units, strict=True)):
+        curve = f"{path}/{place}"
+        legend = f"{plain(name)} [{unit}]" if unit else plain(name)
+        color = ACTION_COLORS[place % len(ACTION_COLORS)]
+        recording.log(curve, rr.SeriesLines(names=[legend], colors=[color]), static=True)
+        recording.send_columns(curve, indexes=[when], columns=rr.Scalars.columns(scalars=values[:, place]))
+
+
+def action_curves(root: str) -> rrb.TimeSeriesView:
+    """The plot of what ``log_numbers`` has logged for an episode."""
+    return rrb.TimeSeriesView(origin=f"{root}/action", name="Actions")
 
 
 def events_view(root: str, lanes: Sequence[str], frames: int) -> rrb.StateTimelineView:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
+from noise_world import MOVES, noise_spec, write_noise
 from pushed_squares import SPEC
 from rrd_contents import lane, layout_of, read, rgba, static, tabs_of, values
 
@@ -16,9 +17,9 @@ from dmotion_bench.errors import StorageFull, ViewerError
 from dmotion_bench.specs import MASK_AGENT
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.dataset import dataset_scene
-from dmotion_bench.viewing.labels import _below, brightened
+from dmotion_bench.viewing.labels import _below, action_curves, brightened, log_numbers
 from dmotion_bench.viewing.live import recording_to
-from dmotion_bench.viewing.scene import recording_file, write_scene
+from dmotion_bench.viewing.scene import Scene, Tab, recording_file, write_scene
 
 EPISODE = 3
 THINGS = [*SPEC.objects, SPEC.agent]
@@ -181,3 +182,19 @@ def test_a_file_is_replaced_whole_or_not_at_all(dataset: Dataset, rrd: Path) -> 
         write_scene(type(scene)(name="broken", tabs=scene.tabs, step_ns=1, background=fail), rrd)
     assert rrd.read_bytes() == before
     assert [path.name for path in rrd.parent.iterdir()] == [rrd.name]
+
+
+def test_continuous_actions_are_a_curve_a_number(tmp_path: Path, rrd: Path) -> None:
+    moved = write_noise(tmp_path / "noise", spec=noise_spec(actions=MOVES))
+    actions = moved.states(0).actions
+    tab = Tab(
+        name="actions",
+        layout=rrb.Horizontal(action_curves("/episode_0")),
+        log=lambda recording: log_numbers(recording, "/episode_0/action", MOVES, actions),
+    )
+    scene = Scene(name="noise", tabs=(tab,), step_ns=moved.spec.step_ns, background=lambda recording: None)
+    write_scene(scene, rrd)
+    for place in range(MOVES.width):
+        column = values(rrd, f"/episode_0/action/{place}", "Scalars:scalars")
+        assert [frame for frame, _ in column] == list(range(len(actions)))
+        assert [number for _, (number,) in column] == actions[:, place].tolist()

@@ -18,8 +18,10 @@ This file is the method. The networks are in ``dmotion_paper.py``, layer by laye
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal
 
 import torch
 import torch.nn.functional as F
@@ -94,6 +96,17 @@ class DMotion(ForwardModel[DMotionConfig]):
     )
     Config: ClassVar[type] = DMotionConfig
     architectures: ClassVar[tuple[str, ...]] = ("compact", "paper")
+    original_arch: ClassVar[str] = "paper"
+    original_training: ClassVar[Mapping[str, Any]] = MappingProxyType(
+        {
+            "optimizer": "adam",
+            "schedule": "constant",
+            "precision": "float32",
+            "channels_last": False,
+            "clip_norm": 0.0,
+        }
+    )
+    """How the paper's published code trains, eagerly; ``dmbench bench`` compares with it."""
     table: Tensor
 
     def __init__(self, config: DMotionConfig, inputs: ModelInputs) -> None:

@@ -8,44 +8,63 @@ the machine does not lengthen much, and per second on all threads.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any, ClassVar, Final, Protocol, runtime_checkable
 
 import torch
 
 from dmotion_bench.benchmarks.result import Result
 from dmotion_bench.benchmarks.training_step import TrainingStep
 from dmotion_bench.learning.optimization import has_bf16
+from dmotion_bench.registry import model_class, model_names
 
-MODEL: Final = "dmotion"
 BATCHES: Final = (8, 32)
-ORIGINAL: Final[Mapping[str, Any]] = {
-    "optimizer": "adam",
-    "schedule": "constant",
-    "precision": "float32",
-    "channels_last": False,
-    "clip_norm": 0.0,
-}
-"""How the original of the paper trains, eagerly."""
 
 
-def original_steps() -> dict[str, TrainingStep]:
-    """The paper's networks as the original trains them, by the setting."""
-    return {f"batches of {size}": TrainingStep(MODEL, "paper", batch_size=size, **ORIGINAL) for size in BATCHES}
+@runtime_checkable
+class HasOriginal(Protocol):
+    """A model class that has the networks of its paper's published code as an architecture of its own.
+
+    Attributes:
+        original_arch: Its name.
+        original_training: How the published code trains it: fields of ``TrainingConfig``.
+    """
+
+    original_arch: ClassVar[str]
+    original_training: ClassVar[Mapping[str, Any]]
 
 
-def compact_steps() -> dict[str, TrainingStep]:
-    """The compact networks, by the setting."""
+def models_with_original() -> list[str]:
+    """The installed models that say how their original is trained; those that cannot be loaded are left out."""
+    found = []
+    for name in model_names():
+        with contextlib.suppress(Exception):  # somebody else's model may raise anything; measuring it says so
+            kind: object = model_class(name)
+            if isinstance(kind, HasOriginal) and "original_arch" in vars(kind):
+                found.append(name)
+    return found
+
+
+def original_steps(model: str) -> dict[str, TrainingStep]:
+    """The original's networks as the original trains them, by the setting."""
+    kind: Any = model_class(model)
+    arch, training = kind.original_arch, kind.original_training
+    return {f"batches of {size}": TrainingStep(model, arch, batch_size=size, **training) for size in BATCHES}
+
+
+def compact_steps(model: str) -> dict[str, TrainingStep]:
+    """The networks of the model's first architecture, by the setting."""
     precisions = ("bf16", "float32") if has_bf16(torch.device("cpu")) else ("float32",)
-    return {precision: TrainingStep(MODEL, "compact", precision=precision) for precision in precisions}
+    arch = model_class(model).architectures[0]
+    return {precision: TrainingStep(model, arch, precision=precision) for precision in precisions}
 
 
-def compare(seconds: float) -> Iterator[Result]:
+def compare(model: str, seconds: float) -> Iterator[Result]:
     """The compact networks over the original's, each at its best setting, each setting measured for so long."""
-    original, compact = original_steps(), compact_steps()
+    original, compact = original_steps(model), compact_steps(model)
     for threads, clock, unit, label in (
         (1, time.process_time, "triplets/CPU s", "one thread"),
         (torch.get_num_threads(), time.perf_counter, "triplets/s", "all threads"),
@@ -79,7 +98,7 @@ def rates_in_turn(
     return {name: done[name] / spent[name] for name in steps}
 
 
-@contextmanager
+@contextlib.contextmanager
 def _threads(count: int) -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(count)

@@ -14,13 +14,14 @@ from jaxtyping import UInt8
 from torch.utils.flop_counter import FlopCounterMode
 
 from dmotion_bench.benchmarks import machine, original
+from dmotion_bench.benchmarks.planning_speed import measure_one_by_one, measure_planning
 from dmotion_bench.benchmarks.result import Failure, Result
 from dmotion_bench.benchmarks.training_step import SIZE, TrainingStep, untrained
+from dmotion_bench.environment import EpisodeGenerator
 from dmotion_bench.errors import DmbenchError, UnknownName
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.triplets import TripletSet
-from dmotion_bench.planning.speed import measure_one_by_one, measure_planning
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
@@ -48,15 +49,15 @@ def measure(only: str, seconds: float, announce: Callable[[str], None]) -> Itera
     works["load_triplets"] = partial(loading, seconds)
     for name in model_names():
         works |= {f"train[{name}{arch}]": partial(training, name, arch[1:], seconds) for arch in _architectures(name)}
-    if original.MODEL in model_names():
-        works["train[dmotion-paper-reference]"] = partial(training_as_original, seconds)
+    for name in (with_original := original.models_with_original()):
+        works[f"train[{name}-paper-reference]"] = partial(training_as_original, name, seconds)
     for name in model_names():
         works[f"plan[{name}]"] = partial(planning, name, seconds, together=True)
-    if original.MODEL in model_names():
-        works["plan[dmotion-one-by-one]"] = partial(planning, "dmotion", seconds, together=False)
+    for name in with_original:
+        works[f"plan[{name}-one-by-one]"] = partial(planning, name, seconds, together=False)
     works["find_centres"] = partial(finding, seconds)
-    if original.MODEL in model_names():
-        works["compact_over_original"] = partial(original.compare, seconds)
+    for name in with_original:
+        works[f"compact_over_original[{name}]"] = partial(original.compare, name, seconds)
     chosen = {name: work for name, work in works.items() if only in name}
     if not chosen:
         raise UnknownName("speed", only, works)
@@ -93,7 +94,7 @@ def recording(environment: str, seconds: float) -> Result:
 def loading(seconds: float) -> Result:
     """Triplets a second gathered at random from a warm cache, on one core."""
     with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
-        recipe = replace(recipe_for("grid_world", Preset.SMALL, tasks=0), episodes=100)
+        recipe = replace(recipe_for(_quickest(), Preset.SMALL, tasks=0), episodes=100)
         record_dataset(Path(folder) / "data", recipe)
         dataset = Dataset.open(Path(folder) / "data")
         triplets = TripletSet.of(dataset.cache(), np.arange(len(dataset)))
@@ -115,9 +116,9 @@ def training(name: str, arch: str, seconds: float) -> Result:
     return _trained(f"train[{name}-{arch}]", {"": TrainingStep(name, arch)}, seconds)
 
 
-def training_as_original(seconds: float) -> Result:
+def training_as_original(name: str, seconds: float) -> Result:
     """The same of the paper's networks as the original trains them, in the better of two sizes of batches."""
-    return _trained("train[dmotion-paper-reference]", original.original_steps(), seconds)
+    return _trained(f"train[{name}-paper-reference]", original.original_steps(name), seconds)
 
 
 def _trained(name: str, steps: Mapping[str, TrainingStep], seconds: float) -> Result:
@@ -168,14 +169,31 @@ def finding(seconds: float) -> Result:
 
 
 def _environment_facts() -> EnvSpec:
-    return environment_class("grid_world")().facts
+    return environment_class(_quickest())().facts
+
+
+def _quickest() -> str:
+    """An installed environment that makes many episodes at once, or any.
+
+    Raises:
+        DmbenchError: None is installed.
+    """
+    installed = environment_names()
+    if not installed:
+        raise DmbenchError("no environment is installed, so there are no frames to measure with.")
+    return next((name for name in installed if _makes_many(name)), installed[0])
+
+
+def _makes_many(environment: str) -> bool:
+    kind: object = environment_class(environment)
+    return isinstance(kind, EpisodeGenerator)
 
 
 def _frames() -> UInt8[np.ndarray, "n h w 3"]:
-    """Some pictures of Grid World."""
+    """Some pictures of the environment that makes them most quickly."""
     with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
         record_dataset(
-            Path(folder) / "data", replace(recipe_for("grid_world", Preset.TINY, tasks=0), episodes=2, frames=32)
+            Path(folder) / "data", replace(recipe_for(_quickest(), Preset.TINY, tasks=0), episodes=2, frames=32)
         )
         dataset = Dataset.open(Path(folder) / "data")
         return np.concatenate([dataset.video(episode) for episode in range(2)])

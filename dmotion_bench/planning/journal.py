@@ -1,8 +1,8 @@
 """The progress of the control loop on disk, so that an interrupted run continues with the same result.
 
-One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the planner
+One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the solver
 of the unfinished group remembers. A file of another key is not taken up: it belongs to other weights, other tasks
-or another planner.
+or another solver.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Int
 
-from dmotion_bench.planning.problems import Problem, World
+from dmotion_bench.planning.tasks import Problem, World
 from dmotion_bench.storage.atomic import write_atomically
 
 FORMAT: Final = "dmbench-control/1"
@@ -31,7 +31,7 @@ class TaskRecord:
     Attributes:
         actions: Taken so far.
         distance, lost: At the start and after each of them.
-        frames: Imagined for it so far.
+        frames: Predicted for it so far.
     """
 
     actions: list[int] = field(default_factory=list)
@@ -80,7 +80,7 @@ class Journal:
         return known
 
     def memory(self, problems: Sequence[Problem]) -> Int[np.ndarray, "b n t"] | None:
-        """The planner's memory of these tasks; None if there is none."""
+        """The solver's memory of these tasks; None if there is none."""
         found = [self._memory.get(problem.number) for problem in problems]
         if any(one is None for one in found):
             return None

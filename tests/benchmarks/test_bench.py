@@ -93,7 +93,7 @@ def test_the_ratio_is_of_each_ones_best_setting(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(original, "TrainingStep", lambda *_, **__: None)
     monkeypatch.setattr(original, "has_bf16", lambda device: True)
     before = torch.get_num_threads()
-    found = {one.name: one for one in compare(1.0)}
+    found = {one.name: one for one in compare("dmotion", 1.0)}
 
     assert {name: one.value for name, one in found.items()} == {
         "train_original[one thread]": 2.0,
@@ -111,7 +111,7 @@ def test_the_ratio_is_of_each_ones_best_setting(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_original_is_run_as_the_original_runs() -> None:
-    (step, *_) = original.original_steps().values()
+    (step, *_) = original.original_steps("dmotion").values()
     assert (step.config.precision, step.config.channels_last, step.config.optimizer) == ("float32", False, "adam")
     assert not step._model.channels_last
-    assert {one.config.batch_size for one in original.original_steps().values()} == {8, 32}
+    assert {one.config.batch_size for one in original.original_steps("dmotion").values()} == {8, 32}

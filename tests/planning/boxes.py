@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.specs import EnvSpec, ObjectSpec
 
 RED, BLUE = (230, 20, 20), (20, 20, 230)
@@ -19,6 +20,7 @@ SPEC = EnvSpec(
     height=64,
     width=64,
 )
+SETTINGS = TabletopSettings()
 FIRST = torch.zeros(1, dtype=torch.long)
 AT = (20, 30)
 TABLE = torch.tensor([200, 180, 150], dtype=torch.uint8)

@@ -23,17 +23,8 @@ from torch import Tensor, nn
 
 from baselines.action_table import ActionTable
 from baselines.gaussian import Gaussian
-from baselines.layers import (
-    SLOPE,
-    CodedUNet,
-    FrameEncoder,
-    MotionTrunk,
-    check_size,
-    linear,
-    pack,
-    squared_error,
-    unpack,
-)
+from baselines.layers import SLOPE, CodedUNet, FrameEncoder, MotionTrunk, check_size, linear, squared_error
+from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import (
@@ -95,7 +86,7 @@ class Clasp(ForwardModel[ClaspConfig]):
         self.scene = FrameEncoder(inputs, config.hidden)
         self.predictor = nn.LSTMCell(config.hidden + config.length, config.hidden)
         self.decoder = CodedUNet(config.hidden + config.length, frames=1, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.length)
+        self.table = ActionTable(0 if inputs.actions is None else inputs.actions.width, config.length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

@@ -18,17 +18,15 @@ This file is the method. The networks are in ``dmotion_paper.py``, layer by laye
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from baselines import dmotion_compact, dmotion_paper
+from baselines.layers import squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import (
@@ -96,17 +94,6 @@ class DMotion(ForwardModel[DMotionConfig]):
     )
     Config: ClassVar[type] = DMotionConfig
     architectures: ClassVar[tuple[str, ...]] = ("compact", "paper")
-    original_arch: ClassVar[str] = "paper"
-    original_training: ClassVar[Mapping[str, Any]] = MappingProxyType(
-        {
-            "optimizer": "adam",
-            "schedule": "constant",
-            "precision": "float32",
-            "channels_last": False,
-            "clip_norm": 0.0,
-        }
-    )
-    """How the paper's published code trains, eagerly; ``dmbench bench`` compares with it."""
     table: Tensor
 
     def __init__(self, config: DMotionConfig, inputs: ModelInputs) -> None:
@@ -131,7 +118,9 @@ class DMotion(ForwardModel[DMotionConfig]):
             agent_entries=config.agent_entries,
             **({} if is_paper else {"warps": config.warp}),  # the paper's paints
         )
-        self.register_buffer("table", self.transform.identity().repeat(inputs.actions, 1))
+        self.register_buffer(
+            "table", self.transform.identity().repeat(0 if inputs.actions is None else inputs.actions.width, 1)
+        )
         self.blur, self.jitter = config.blur, config.jitter
 
     @classmethod
@@ -178,19 +167,19 @@ class DMotion(ForwardModel[DMotionConfig]):
         reconstructed = self.decoder(self.transform(maps, motion, blur))
         agent = self.transform(maps[:, :1], self._with_noise(motion[:, :1], maps.shape[-1]), blur)
         predicted = self._interact(previous, current, agent)
-        extraction = F.mse_loss(reconstructed, following)  # packing moves pixels about, the mean stays
-        prediction = F.mse_loss(predicted, following)
+        each = squared_error(predicted, following)  # packing moves pixels about, the mean stays
+        extraction, prediction = squared_error(reconstructed, following).mean(), each.mean()
         return Losses(
             total=extraction + prediction,
             terms={"extraction": extraction.detach(), "prediction": prediction.detach()},
-            per_triplet=(predicted.detach() - following).float().square().mean((1, 2, 3)),
+            per_triplet=each.detach(),
         )
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
         """Fill the action-transformation table: the mean of phi^0 over each action's demonstrations."""
         motion = self.motion(demonstrations.current, demonstrations.next)
-        for action in range(self.inputs.actions):
+        for action in range(len(self.table)):
             of_action = motion[demonstrations.action == action]
             if len(of_action):
                 self.table[action] = of_action.mean(0)

@@ -22,7 +22,8 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from baselines.action_table import ActionTable
-from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, pack, squared_error, unpack
+from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
+from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import (
@@ -132,7 +133,7 @@ class Lapo(ForwardModel[LapoConfig]):
         self.latent = linear(MotionTrunk.length, config.action_length)
         self.quantizer = VectorQuantizer(config)
         self.forward_model = CodedUNet(config.action_length, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.action_length)
+        self.table = ActionTable(0 if inputs.actions is None else inputs.actions.width, config.action_length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

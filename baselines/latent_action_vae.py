@@ -21,7 +21,8 @@ from torch import Tensor
 
 from baselines.action_table import ActionTable
 from baselines.gaussian import Gaussian
-from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, pack, squared_error, unpack
+from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
+from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import (
@@ -69,7 +70,7 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         self.trunk = MotionTrunk(frames=2)
         self.moments = linear(MotionTrunk.length, 2 * config.length, 0.5)
         self.decoder = CodedUNet(config.length, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.length)
+        self.table = ActionTable(0 if inputs.actions is None else inputs.actions.width, config.length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

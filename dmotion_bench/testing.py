@@ -24,6 +24,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.learning.model_trial import ModelTrial
@@ -73,7 +74,7 @@ def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ..
     """The smallest frames on which the model is tried: ``__init__`` may refuse a size by ``InvalidSetting``."""
     said = ""
     for size in sizes:
-        inputs = ModelInputs(height=size, width=size, actions=actions)
+        inputs = ModelInputs(height=size, width=size, actions=Discrete.numbered(actions))
         try:
             ModelTrial(kind, arch, inputs).build()
         except ModelContractBroken as error:
@@ -82,7 +83,7 @@ def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ..
             said = str(error.__cause__)
         else:
             return inputs
-    raise ModelTrial(kind, arch, ModelInputs(height=0, width=0, actions=actions)).broken(
+    raise ModelTrial(kind, arch, ModelInputs(height=0, width=0, actions=Discrete.numbered(actions))).broken(
         f"its architecture {arch!r} takes no frames of {' or '.join(map(str, sizes))} pixels ({said}); name a size "
         "that it takes: check_model(..., size=SIDE)"
     )
@@ -91,7 +92,7 @@ def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ..
 def _check_class(kind: type[ForwardModel[Any]]) -> None:
     if not (inspect.isclass(kind) and issubclass(kind, ForwardModel)):
         raise ModelContractBroken(f"{kind!r} is no subclass of dmotion_bench.learning.model.ForwardModel.")
-    subject = ModelTrial(kind, "", ModelInputs(height=16, width=16, actions=1))
+    subject = ModelTrial(kind, "", ModelInputs(height=16, width=16, actions=Discrete.numbered(1)))
     lacking = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
     subject.require(not lacking, f"it does not define {lacking}")
     subject.require(
@@ -123,7 +124,7 @@ def _base(name: str) -> Any:
 
 
 def _check_settings(kind: type[ForwardModel[Any]]) -> None:
-    subject = ModelTrial(kind, "", ModelInputs(height=16, width=16, actions=1))
+    subject = ModelTrial(kind, "", ModelInputs(height=16, width=16, actions=Discrete.numbered(1)))
     for arch in kind.architectures:
         with subject.calling(f"configure({arch!r})"):
             config = kind.configure(arch)
@@ -326,7 +327,7 @@ def _check_prediction(subject: ModelTrial) -> None:
 def _check_rollout(subject: ModelTrial) -> None:
     model = subject.build().eval()
     previous, current = subject.images(BATCH, 1), subject.images(BATCH, 2)
-    actions = (torch.arange(BATCH)[:, None] + torch.arange(STEPS)) % subject.inputs.actions
+    actions = torch.stack([subject.actions(BATCH, shift) for shift in range(STEPS)], dim=1)
     with torch.no_grad(), subject.calling("begin, advance, frame"):
         state, frames = model.begin(previous, current), []
         for action in actions.unbind(1):

@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.environment import HasScript
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent
@@ -98,7 +99,9 @@ def check_control(
             check.expect(f"planning.{part}", said.get(part), own)
     found = dict[str, pa.Table]()
     for name in sorted({MODEL, *content[METRIC]}):
-        actions = _actions(check, name, problems, scoring.steps, len(dataset.spec.actions))
+        actions = _actions(
+            check, name, problems, scoring.steps, len(require_discrete(dataset.spec.actions, "an entry"))
+        )
         if actions is None:
             continue
         repeater = _Repeater(actions)

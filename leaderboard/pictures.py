@@ -21,6 +21,7 @@ import torch
 from jaxtyping import UInt8
 from PIL import Image
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.labels import LabelRequest
@@ -87,6 +88,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
     frames = np.stack([dataset.video(one.episode)[one.step - 1 : one.step + 2] for one in steps])
     images = to_model(torch.from_numpy(frames))
     action = torch.tensor([one.action for one in steps])
+    names = require_discrete(dataset.spec.actions, "an entry").names
     model = run.model.to("cpu").laid_out().eval()
     with predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
@@ -94,7 +96,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
         {
             "episode": one.episode,
             "step": one.step,
-            "action": dataset.spec.actions[one.action],
+            "action": names[one.action],
             "pushed": one.pushed,
             "current": to_png(frames[place, 1]),
             "truth": to_png(frames[place, 2]),
@@ -143,7 +145,7 @@ def _check_head(raw: bytes) -> None:
 def shown(text: str) -> str:
     """A picture of an entry as the source of an ``<img>``, encoded again so that it holds nothing but pixels.
 
-    Lossless WebP, a fifth smaller than PNG (DECISIONS.md).
+    Lossless WebP, a fifth smaller than PNG.
     """
     return f"data:image/webp;base64,{_encoded(from_png(text), 'WEBP', lossless=True, quality=100, method=6)}"
 

@@ -101,7 +101,8 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self.facts = facts
         self.lattice = lattice
         self.render_mode = render_mode
-        self.action_space = gymnasium.spaces.Discrete(len(facts.actions))
+        assert facts.actions is not None, "a pushing world knows what can be done in it"
+        self.action_space = facts.actions.space()
         self.observation_space = gymnasium.spaces.Box(0, 255, (facts.height, facts.width, 3), np.uint8)
         self._variation = Variation(factors, [one.name for one in facts.objects], ranges)
         self._vary = named_factors(vary)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectSpec, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
@@ -14,7 +15,7 @@ from dmotion_bench.storage.writer import DatasetWriter
 def noise_spec(height: int = 6, width: int = 5, objects: int = 2) -> EnvSpec:
     return EnvSpec(
         id="noise",
-        actions=("left", "right"),
+        actions=Discrete(("left", "right")),
         agent=ObjectSpec(name="agent", shape="dot", color=(0, 255, 0)),
         objects=tuple(ObjectSpec(name=f"thing {n}", shape="box", color=(n, 0, 0)) for n in range(objects)),
         height=height,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.cli.options import REFERENCES, ObjectiveName, ObjectiveSettings, PlannerName, PlannerSettings
 from dmotion_bench.wording import command
 
@@ -159,7 +160,7 @@ def _solve(
 
 
 def _summary(who: str, dataset: Dataset, result: ControlResult, planner: str) -> dict[str, Any]:
-    names = dataset.spec.actions
+    names = require_discrete(dataset.spec.actions, "planning").names
     distance = result.distance[0].round(6).tolist()
     return {
         "run": who,

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.wording import shown
@@ -106,7 +107,8 @@ def _actions(model: ForwardModel[Any], method: str, value: Any, like: Tensor, se
     except (TypeError, ValueError, RuntimeError):
         actions = torch.empty(0)
     whole = not actions.is_floating_point() and actions.dtype != torch.bool
-    rows, axes, count = len(like), 2 if sequences else 1, model.inputs.actions
+    count = len(require_discrete(model.inputs.actions, f"{type(model).__name__}.{method}"))
+    rows, axes = len(like), 2 if sequences else 1
     if whole and actions.ndim == axes - 1:
         actions = actions.expand(rows, *actions.shape)
     if whole and actions.ndim == axes and len(actions) == rows:

@@ -15,6 +15,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.specs import EnvSpec, EpisodeLabels, Supervision
@@ -154,13 +155,15 @@ class LabelBudget:
         """
         if self.request.kind != "shots":
             raise LabelsNotAvailable(f"the budget {self.request} has no demonstrations; ask for --labels one-shot.")
-        if not self._dataset.spec.actions:
+        spec = self._dataset.spec.actions
+        if spec is None:
             raise LabelsNotAvailable(
                 "the actions of this data set are not known, so there is nothing to demonstrate; train without labels "
                 "(--labels none), or import the recording again with '--actions TOPIC'."
             )
+        known_actions = require_discrete(spec, "a demonstration of each action")
         wanted = int(self.request.amount)
-        missing = dict.fromkeys(range(len(self._dataset.spec.actions)), wanted)
+        missing = dict.fromkeys(range(len(known_actions)), wanted)
         rows: list[int] = []
         found: list[int] = []
         generator = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(draw,)))
@@ -175,7 +178,7 @@ class LabelBudget:
                 missing[action] -= 1
                 rows.append(row)
                 found.append(action)
-        if lacking := [self._dataset.spec.actions[action] for action, count in missing.items() if count]:
+        if lacking := [known_actions.names[action] for action, count in missing.items() if count]:
             raise LabelsNotAvailable(
                 f"the training episodes hold fewer than {wanted} demonstrations of {', '.join(lacking)}; "
                 "ask for fewer (--labels one-shot) or record more episodes."

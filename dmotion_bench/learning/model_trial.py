@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInputs, TripletBatch
 
@@ -29,6 +30,7 @@ class ModelTrial:
     ) -> None:
         self.kind, self.arch, self.inputs, self.channels_last = kind, arch, inputs, channels_last
         asked = " on channels-last images, which its training_defaults ask for (TrainingConfig.channels_last)"
+        self._count = len(require_discrete(inputs.actions, "check_model"))
         self.name = kind.__qualname__ + (asked if channels_last else "")
 
     def build(self) -> ForwardModel[Any]:
@@ -47,7 +49,7 @@ class ModelTrial:
 
     def actions(self, count: int, shift: int = 0) -> Int[Tensor, " n"]:
         """A batch of actions that contains every action in turn."""
-        return (torch.arange(count) + shift) % self.inputs.actions
+        return (torch.arange(count) + shift) % self._count
 
     def batch(self, count: int, *, actions: bool) -> TripletBatch:
         """Triplets, with or without their actions."""
@@ -61,7 +63,7 @@ class ModelTrial:
 
     def demonstrations(self, each: int, shift: int = 0) -> Demonstrations:
         """So many of each action; with another ``shift`` the same frames show other actions."""
-        count = each * self.inputs.actions
+        count = each * self._count
         return Demonstrations(
             previous=self.images(count, 4),
             current=self.images(count, 5),

@@ -10,6 +10,7 @@ from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.learning.curriculum import TrainingData
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.run_manifest import stored_actions
 from dmotion_bench.learning.settings import to_json, with_settings
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.registry import model_class
@@ -61,7 +62,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
     if arch not in kind.architectures:
         raise UnknownName(f"architecture of {request.model}", arch, kind.architectures)
     labels = LabelRequest.for_model(request.model, kind.supervision, request.labels)
-    if not dataset.spec.actions:
+    if dataset.spec.actions is None:
         if labels.kind == "share":
             raise UsageError(f"{dataset.name!r} has no action labels; train a model that needs none, such as dmotion.")
         if request.labels is None:
@@ -85,7 +86,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         protocol=request.protocol,
         height=dataset.spec.height,
         width=dataset.spec.width,
-        actions=len(dataset.spec.actions),
+        actions=stored_actions(dataset.spec.actions),
     )
 
 

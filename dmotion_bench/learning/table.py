@@ -65,7 +65,7 @@ def rows(dataset: Dataset) -> Iterator[Row]:
         with contextlib.suppress(DmbenchError):
             kind = model_class(name)
             unlabelled = ("none",) if kind.supervision is Supervision.NONE else ()
-            named = budgets(kind) if dataset.spec.actions else unlabelled
+            named = unlabelled if dataset.spec.actions is None else budgets(kind)
         for labels in named:
             yield Row(model=name, labels=labels)
 

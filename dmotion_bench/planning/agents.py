@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.environment import Environment, HasScript, Judging, Script
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
@@ -100,9 +101,10 @@ class ModelAgent(Agent):
         bf16: bool | None = None,
         device: torch.device | None = None,
     ) -> None:
-        if model.inputs.actions != len(spec.actions):
+        own = model.inputs.actions
+        if spec.actions is None or own is None or not own.fits(spec.actions):
             raise ModelContractBroken(
-                f"the model was made for {model.inputs.actions} actions, and {spec.id!r} has {len(spec.actions)}; "
+                f"the model was made for {_counted(own)}, and {spec.id!r} has {_counted(spec.actions)}; "
                 "plan on the data set that it was trained on."
             )
         device = device or torch.device("cpu")
@@ -124,6 +126,24 @@ class ModelAgent(Agent):
         assert self._evaluator is not None, "reset comes first"
         plan = self._solver.plan(self.dynamics, self._evaluator, context)
         return Decision(action=plan.action, plan=plan)
+
+
+def known_actions(spec: EnvSpec) -> ActionSpec:
+    """What can be done in an environment.
+
+    Raises:
+        InvalidSetting: That is not known, as in recordings that were imported without actions.
+    """
+    if spec.actions is None:
+        raise InvalidSetting(f"the actions of {spec.id!r} are not known, so nothing can be planned with them.")
+    return spec.actions
+
+
+def _counted(actions: ActionSpec | None) -> str:
+    """Actions, as a sentence speaks of them."""
+    if actions is None:
+        return "actions that are not known"
+    return f"{len(actions)} actions" if isinstance(actions, Discrete) else f"the continuous action {actions}"
 
 
 class IdleAgent(Agent):
@@ -176,7 +196,7 @@ class OracleAgent(SimulatorAgent):
     def act_in(self, context: PlanContext, worlds: Sequence[World]) -> Decision:
         """The first action of the best plan."""
         simulations = [self._simulation(place, world) for place, world in enumerate(worlds)]
-        dynamics = SimulatorDynamics(simulations, len(self._spec.actions))
+        dynamics = SimulatorDynamics(simulations, known_actions(self._spec))
         plan = self._solver.plan(dynamics, self._evaluator, context)
         return Decision(action=plan.action, plan=plan)
 

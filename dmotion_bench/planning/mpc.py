@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.environment import Environment
 from dmotion_bench.planning.agents import NO_ACTION, Agent, Decision, SimulatorAgent
 from dmotion_bench.planning.dynamics.base import Observation
@@ -153,7 +154,7 @@ def control(
     loop = _Loop(
         agent=agent,
         settings=settings,
-        actions=len(envs[0].facts.actions) if envs else 0,
+        actions=len(require_discrete(envs[0].facts.actions, "planning")) if envs else 0,
         journal=journal or Journal.nowhere(),
         watch=watch,
         on_progress=lambda: on_progress(_progress(loop.records, settings, len(problems))),

@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from dmotion_bench.environment import Environment, EpisodeGenerator, Policy
+from dmotion_bench.environment import Action, Environment, EpisodeGenerator, Policy
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.specs import DatasetRecipe, Episode, EpisodeLabels, ObjectStates, Scalar, episode_seed
 
@@ -71,7 +71,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
     factors = {name: _plain(value) for name, value in info.get("factors", {}).items()}
     images, masks, agents, objects = _Film(frame), _Film(env.masks()), [env.agent()], [env.objects()]
-    actions: list[int] = []
+    actions: list[Action] = []
     ended: Literal["truncated", "terminated"] = "truncated"
     while len(objects) < frames:
         action = policy(env, generator)

@@ -45,6 +45,7 @@ from dmotion_bench.scoring.statistics import RESAMPLES
 from dmotion_bench.scoring.transfer import report_folder, require_transferable
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import VERSION, SplitName
+from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.versions import versions
@@ -153,7 +154,7 @@ def score_model(
     settings, how = settings or ScoreSettings(), how or Execution()
     references = references or ReferenceScores()
     model = model.to(how.device).laid_out().eval()
-    if not dataset.spec.actions:
+    if dataset.spec.actions is None:
         with predicting(how.device, settings.precision):
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
     held_out = HeldOut(dataset, settings.split, settings.protocol)
@@ -229,10 +230,11 @@ def score_run(
     folder = report_folder(run.path, run.spec.fingerprint, dataset)
     if "control" in metrics:
         require_tasks(dataset)  # said before the work, not after it
-    if not dataset.spec.actions:
+    if dataset.spec.actions is None:
         metrics = ("prediction",)
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder):
+        remove_leftovers(folder)
         report, samples = _stored(folder, run, dataset)
         true: tuple[str, ...] = ()
         if report is not None:
@@ -308,7 +310,7 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
     published = None if elsewhere else published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
     reference = {name: _json(figures) for name, figures in scores.reference.items()}
     remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
-    if not dataset.spec.actions:
+    if dataset.spec.actions is None:
         remarks["actions"] = EXPLAINED
     elif not dataset.spec.objects and not dataset.spec.agent_has_color:
         remarks["positions"] = "where the agent and the objects are is not known, so no figure is about them"

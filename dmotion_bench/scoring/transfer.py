@@ -18,6 +18,7 @@ import numpy as np
 
 from dmotion_bench.errors import DatasetError, RunMismatch
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.run_manifest import stored_actions
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
@@ -87,15 +88,15 @@ def require_fitting(run: Run, dataset: Dataset) -> None:
             f"{command('dmbench record', own.recipe.environment, '--seed', '1', '--out', 'DIR')}."
         )
     for what, mine, theirs in (
-        ("actions", spec.actions, len(dataset.spec.actions)),
+        ("actions", spec.actions, stored_actions(dataset.spec.actions)),
         ("pixels", f"{spec.width} x {spec.height}", f"{dataset.spec.width} x {dataset.spec.height}"),
     ):
         if mine != theirs:
             raise RunMismatch(f"{run.name!r} was trained on {mine} {what}, and {name!r} has {theirs}.")
     if own is not None and own.spec.actions != dataset.spec.actions:
         raise RunMismatch(
-            f"the actions of {name!r} are {', '.join(dataset.spec.actions)}, and those of {own.name!r}, which "
-            f"{run.name!r} was trained on, {', '.join(own.spec.actions)}."
+            f"the actions of {name!r} are {dataset.spec.actions}, and those of {own.name!r}, which {run.name!r} was "
+            f"trained on, {own.spec.actions}."
         )
 
 

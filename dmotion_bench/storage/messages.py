@@ -20,6 +20,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from jaxtyping import Bool, Int, UInt8
 
+from dmotion_bench.actions import Discrete, require_discrete
 from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectStates, Scalar
 from dmotion_bench.storage.json_file import JsonUnreadable, parse_json
 from dmotion_bench.storage.mcap_reader import DamagedFile, MessageView
@@ -139,6 +140,7 @@ def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: 
         )
     agent = _states_encoder((spec.agent.name,)).encode(labels.agent)
     objects = _states_encoder(tuple(one.name for one in spec.objects)).encode(labels.objects)
+    known = require_discrete(spec.actions, "a label") if len(labels.actions) else Discrete(("",))
     acts: dict[tuple[int, bool], bytes] = {}
     for frame, (agent_states, object_states) in enumerate(zip(agent, objects, strict=True)):
         t_ns = start_ns + frame * step_ns
@@ -146,7 +148,7 @@ def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: 
         if frame < len(labels.actions):
             act = int(labels.actions[frame]), bool(labels.pushed[frame])
             if act not in acts:
-                name = spec.actions[act[0]] if act[0] < len(spec.actions) else ""
+                name = known.names[act[0]] if act[0] < len(known) else ""
                 acts[act] = _serialized(ACTION.new(action=act[0], name=name, pushed=act[1]))
             yield Message(_LABEL_NUMBER[ACTION_TOPIC], t_ns, (stamp, acts[act]))
         yield Message(_LABEL_NUMBER[AGENT_TOPIC], t_ns, (stamp, agent_states))
@@ -210,12 +212,12 @@ def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -
         _StatesDecoder(tuple(one.name for one in spec.objects), frames),
     )
     factors: dict[str, Scalar] = {}
-    acted = 0
+    acted, count = 0, 0 if spec.actions is None else spec.actions.width
     for view in messages:
         topic = LABEL_CHANNELS[view.channel - 1][0] if 1 <= view.channel <= len(LABEL_CHANNELS) else ""
         if topic == ACTION_TOPIC:
             message = _parse(ACTION.new(), view, view.channel, _MESSAGE_OVERHEAD)
-            if acted == len(actions) or not 0 <= message.action < len(spec.actions):
+            if acted == len(actions) or not 0 <= message.action < count:
                 raise DamagedFile(f"holds action {message.action} at step {acted} of an episode of {frames} frames")
             actions[acted], pushed[acted] = message.action, message.pushed
             acted += 1

@@ -14,6 +14,7 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import RecordingPreset
 from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates, Preset
 from recorders.planar_push.drawing import Stamp, View, stamp
@@ -131,7 +132,7 @@ class PlanarPush(PushingEnvironment):
         super().__init__(
             facts=EnvSpec(
                 id="planar_push",
-                actions=ACTIONS,
+                actions=Discrete(ACTIONS),
                 agent=ObjectSpec(name="disc", shape="circle", color=DISC_COLOR),
                 objects=colored_objects(objects, shapes, SHAPES),
                 agent_has_color=True,

@@ -14,6 +14,7 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.specs import MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
 from recorders.pushing import ACTIONS, Drift, PushingEnvironment, Snapshot, colored_objects
 from recorders.robot_push import panda
@@ -81,7 +82,7 @@ class RobotPush(PushingEnvironment):
         super().__init__(
             facts=EnvSpec(
                 id="robot_push",
-                actions=ACTIONS,
+                actions=Discrete(ACTIONS),
                 agent=ObjectSpec(name="arm", shape="Panda arm with a rod", color=(228, 231, 234)),
                 objects=colored_objects(objects, shapes, SOLIDS),
                 shaded=True,

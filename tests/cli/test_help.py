@@ -71,7 +71,9 @@ def test_the_listed_names_are_those_that_there_are() -> None:
 
 
 @pytest.mark.parametrize("command", ["score", "plan"])
-@pytest.mark.parametrize(("option", "names"), [("--planner", options.PLANNERS), ("--objective, --cost", options.OBJECTIVES)])
+@pytest.mark.parametrize(
+    ("option", "names"), [("--planner", options.PLANNERS), ("--objective, --cost", options.OBJECTIVES)]
+)
 def test_help_lists_what_a_choice_allows(command: str, option: str, names: tuple[str, ...]) -> None:
     result = CliRunner().invoke(app, [command, "--help"], prog_name="dmbench", terminal_width=100)
     assert f"{option} [{'|'.join(names)}]" in result.output

@@ -39,7 +39,7 @@ class Result:
     """What came of a case.
 
     Attributes:
-        told: What was spoilt.
+        told, formats: What was spoilt, and the formats of the files.
         verdict: ``ok``, ``sentence`` (at least one), or ``fault``.
         faults: Kind, probe, where in dmbench, and details, of each.
         cpu_s, peak: What it took: processor seconds, bytes added to the resident set.
@@ -56,6 +56,7 @@ class Result:
     cpu_s: float = 0.0
     peak: int = 0
     greedy: str = ""
+    formats: list[str] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
         """As plain values."""
@@ -107,7 +108,7 @@ def _child(pipe: int, log: Path, work: Callable[[Callable[..., None]], None]) ->
 
 def _work(case: Case, target: Target, reference: dict[str, Any], send: Callable[..., None], only_spoil: bool) -> None:
     spoilt = target.spoil(case)
-    send(told=case.told, checksums=case.checksums)
+    send(told=case.told, checksums=case.checksums, formats=sorted(case.formats))
     if only_spoil:
         return
     _limit()
@@ -205,6 +206,7 @@ def _result(
     for line in lines:
         result.told = line.get("told", result.told)
         result.checksums = line.get("checksums", result.checksums)
+        result.formats = line.get("formats", result.formats)
         at = line.get("probe", at) or "judging"
         if "fault" in line:
             result.faults.append({name: line[name] for name in ("fault", "where", "detail", "probe")})

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from baselines.dmotion import DMotion, DMotionConfig
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel, ModelInputs
@@ -23,7 +24,7 @@ IMAGES = to_model(torch.from_numpy(FRAMES))
 def model() -> DMotion:
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        made = DMotion(DMotionConfig(), ModelInputs(height=SIDE, width=SIDE, actions=4)).eval()
+        made = DMotion(DMotionConfig(), ModelInputs(height=SIDE, width=SIDE, actions=Discrete.numbered(4))).eval()
     made.table += torch.arange(4.0)[:, None] / 10
     return made
 
@@ -109,6 +110,6 @@ def test_what_the_base_class_offers_is_guarded_too() -> None:
         def frame(self, state: Any) -> Any:
             return state[0]
 
-    still = Still(None, ModelInputs(height=SIDE, width=SIDE, actions=2))
+    still = Still(None, ModelInputs(height=SIDE, width=SIDE, actions=Discrete.numbered(2)))
     assert torch.equal(still.predict(FRAMES, FRAMES, 1), IMAGES)
     assert torch.equal(still.rollout(FRAMES, FRAMES, [1, 1])[:, 1], IMAGES)

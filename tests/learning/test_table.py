@@ -40,7 +40,7 @@ def test_every_model_has_a_row_for_each_of_its_budgets(dataset) -> None:
 
 def test_where_actions_are_not_known_what_needs_none_has_one_row(dataset, monkeypatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["cswm", "dmotoin", "lapo"])
-    manifest = replace(dataset.manifest, spec=replace(dataset.spec, actions=()))
+    manifest = replace(dataset.manifest, spec=replace(dataset.spec, actions=None))
     unlabelled = Dataset(dataset.path, manifest, dataset.rows)
     assert list(rows(unlabelled)) == [Row(model="dmotoin", labels=""), Row(model="lapo", labels="none")]
 

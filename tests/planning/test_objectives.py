@@ -9,6 +9,7 @@ import pytest
 import torch
 from planning.worlds import PerfectGridModel
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.planning.choices import make_objective
 from dmotion_bench.planning.dynamics.model import ModelDynamics
@@ -114,7 +115,9 @@ def test_objectives_are_made_by_name_and_every_field_can_be_set() -> None:
 
 @pytest.mark.parametrize("name", ["centres", "tracked", "tabletop"])
 def test_what_needs_objects_says_so(name: str) -> None:
-    nothing = EnvSpec(id="empty", actions=("go",), agent=ObjectSpec(name="a", shape="dot", color=(0, 0, 0)), objects=())
+    nothing = EnvSpec(
+        id="empty", actions=Discrete(("go",)), agent=ObjectSpec(name="a", shape="dot", color=(0, 0, 0)), objects=()
+    )
     goals = pictures(HOME).numpy()
     with pytest.raises(
         InvalidSetting, match="'empty' has no coloured objects to find; plan with another '--objective'"

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning.worlds import PerfectGridModel, Walks, observed, unseen
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ForwardModel, ModelInputs
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.dynamics.prefix_tree import PrefixTree
@@ -79,7 +80,7 @@ def test_a_models_tree_is_its_rollout() -> None:
     generator = np.random.default_rng(3)
     images = torch.from_numpy(generator.integers(0, 256, (3, 2, 8, 8, 3), dtype=np.uint8))
     goals, model = images.flip(0)[:, 0], TwoImages()
-    model.inputs = ModelInputs(height=8, width=8, actions=4)
+    model.inputs = ModelInputs(height=8, width=8, actions=Discrete.numbered(4))
     dynamics, seen = ModelDynamics(model, bf16=False, at_once=16), observed(images[:, 1], previous=images[:, 0])
     sequences = generator.integers(0, 4, (2, 3, 20, 4))
     tree = PrefixTree(dynamics, PixelEvaluator(goals.numpy()), seen, 4)

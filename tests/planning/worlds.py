@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
@@ -31,7 +32,7 @@ class Walks:
     hardly two sequences cost the same.
     """
 
-    actions, at_once, device = 4, 7, torch.device("cpu")
+    actions, at_once, device = Discrete.numbered(4), 7, torch.device("cpu")
 
     def __init__(self, tasks: tuple[int, ...]) -> None:
         self.tasks, self.names = len(tasks), torch.tensor(tasks)
@@ -152,7 +153,7 @@ class PerfectGridModel(ForwardModel[None]):
     Config: ClassVar[type] = type(None)
 
     def __init__(self, version: Version = 1) -> None:
-        super().__init__(None, ModelInputs(height=128, width=128, actions=4))
+        super().__init__(None, ModelInputs(height=128, width=128, actions=Discrete.numbered(4)))
         self._version = version
         self._finder = PositionFinder(FACTS)
         self.frames = 0

@@ -11,8 +11,13 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.actions import ActionSpec
+
 State = tuple[Tensor, ...]
 """Tensors whose first axis is the batch."""
+
+Actions = Int[Tensor, " n"] | Float[Tensor, "n a"]
+"""Numbers of discrete actions, or continuous ones in [-1, 1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,13 +42,13 @@ class Dynamics(Protocol):
     """Predicts states and the frames that they look like.
 
     Attributes:
-        actions: How many actions there are.
+        actions: What can be done at each step.
         at_once: How many states ``step`` likes to be given.
         device: Where the states are.
     """
 
     @property
-    def actions(self) -> int: ...
+    def actions(self) -> ActionSpec: ...
 
     @property
     def at_once(self) -> int: ...
@@ -57,8 +62,8 @@ class Dynamics(Protocol):
     def start(self, observation: Observation) -> State:
         """The present state of each task."""
 
-    def step(self, state: State, action: Int[Tensor, " n"]) -> State:
-        """Each state after one more action."""
+    def step(self, state: State, action: Actions) -> State:
+        """Each state after one more action: its number, or if actions are continuous, in [-1, 1]."""
 
     def frames(self, state: State) -> Float[Tensor, "n c h w"]:
         """The frames that the states look like, in [-1, 1]."""

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
 
@@ -67,12 +68,17 @@ class PrefixTree:
         observation: Of the tasks, now.
         horizon: The length of the longest sequence; the states at its end are not kept.
 
+    Raises:
+        InvalidSetting: The actions are continuous.
+
     Attributes:
+        actions: How many there are.
         frames: How many states have been predicted.
     """
 
     def __init__(self, dynamics: Dynamics, evaluator: Evaluator, observation: Observation, horizon: int) -> None:
         self.dynamics, self.horizon, self.frames = dynamics, horizon, 0
+        self.actions = len(require_discrete(dynamics.actions, "sharing the beginnings of sequences"))
         self._evaluator = evaluator
         with torch.inference_mode():
             carried = evaluator.begin(dynamics)
@@ -103,7 +109,7 @@ class PrefixTree:
         node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])
         costs = np.empty((*sequences.shape, 1 + len(PARTS)))
         for depth in range(sequences.shape[2]):
-            wanted, place = np.unique(node * self.dynamics.actions + sequences[:, :, depth], return_inverse=True)
+            wanted, place = np.unique(node * self.actions + sequences[:, :, depth], return_inverse=True)
             level = self._levels[depth + 1]
             unknown = wanted[level.nodes_of(wanted) < 0]
             if len(unknown):
@@ -115,7 +121,7 @@ class PrefixTree:
     def _predict(self, depth: int, keys: Int[np.ndarray, " n"]) -> None:
         """Add nodes below those at ``depth``; the keys rise, so parents do not fall."""
         above, level = self._levels[depth], self._levels[depth + 1]
-        parent, action = np.divmod(keys, self.dynamics.actions)
+        parent, action = np.divmod(keys, self.actions)
         task, costs = above.task[parent], []
         for start in range(0, len(keys), self.dynamics.at_once):
             part = slice(start, start + self.dynamics.at_once)

@@ -21,6 +21,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.actions import ActionSpec
 from dmotion_bench.environment import Environment, Restorable
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
@@ -128,13 +129,13 @@ class SimulatorDynamics:
 
     Args:
         simulations: One per task, each where its task stands.
-        actions: How many there are.
+        actions: What can be done.
     """
 
     at_once = 64
     device = torch.device("cpu")
 
-    def __init__(self, simulations: Sequence[Simulation], actions: int) -> None:
+    def __init__(self, simulations: Sequence[Simulation], actions: ActionSpec) -> None:
         self._simulations, self.actions = simulations, actions
         self._places = [simulation.here for simulation in simulations]
 

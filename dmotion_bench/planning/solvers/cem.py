@@ -62,7 +62,7 @@ class CrossEntropy:
         """Draw sequences, compute their costs and refit the distribution, ``iterations`` times."""
         tree = PrefixTree(dynamics, evaluator, context.observation, self.horizon)
         tasks = len(context.generators)
-        chance = np.full((tasks, self.horizon, dynamics.actions), 1 / dynamics.actions)
+        chance = np.full((tasks, self.horizon, tree.actions), 1 / tree.actions)
         allowed = ~(context.blocked & ~context.blocked.all(axis=1, keepdims=True))
         best, price = self._warm_start(context, tree)
         progress = []
@@ -79,7 +79,7 @@ class CrossEntropy:
             pool = np.concatenate([best[:, :kept], drawn], axis=1)
             worth = np.concatenate([price[:, :kept], costs], axis=1)
             elite = np.take_along_axis(pool, worth.argsort(axis=1, kind="stable")[:, : self.elites, None], axis=1)
-            chance = (elite[..., None] == np.arange(dynamics.actions)).mean(axis=1)
+            chance = (elite[..., None] == np.arange(tree.actions)).mean(axis=1)
             best, price = best_first(
                 np.concatenate([best, drawn], axis=1),
                 np.concatenate([price, costs], axis=1),

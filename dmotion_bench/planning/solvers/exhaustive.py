@@ -31,7 +31,7 @@ class Exhaustive:
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """The cheapest sequence; among equally cheap ones, the first in the order of action numbers."""
         tree = PrefixTree(dynamics, evaluator, context.observation, self.horizon)
-        everything = all_sequences(dynamics.actions, self.horizon)
+        everything = all_sequences(tree.actions, self.horizon)
         sequences = np.broadcast_to(everything, (len(context.generators), *everything.shape))
         costs = tree.costs(sequences).min(axis=2)
         refused = context.blocked & ~context.blocked.all(axis=1, keepdims=True)

@@ -23,6 +23,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.planning.objectives.tabletop.push_pose import PushPoseBonus
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes
@@ -128,7 +129,7 @@ class Exploration:
         self._weight, self._seen = weight, images * weight[:, None]
         self._push_poses, self._seeking = push_poses, misplaced.amax(dim=1) > 0
         self._scale = torch.where(self._seeking, 1.0, settings.settled_scale)
-        tried = history.tried(len(spec.actions), settings.same_image).to(misplaced)
+        tried = history.tried(len(require_discrete(spec.actions, "planning")), settings.same_image).to(misplaced)
         self._revisit_penalty = settings.revisit_penalty * tried
 
     def bonus(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:

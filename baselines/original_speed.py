@@ -8,83 +8,78 @@ the machine does not lengthen much, and per second on all threads.
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, Final, Protocol, runtime_checkable
+from contextlib import contextmanager
+from statistics import median
+from typing import Any, Final, Protocol, runtime_checkable
 
 import torch
 
 from dmotion_bench.benchmarks.result import Result
+from dmotion_bench.benchmarks.rounds import ROUNDS
 from dmotion_bench.benchmarks.training_step import TrainingStep
+from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.optimization import has_bf16
-from dmotion_bench.registry import model_class, model_names
 
+MODEL: Final = "dmotion"
 BATCHES: Final = (8, 32)
+ORIGINAL: Final[Mapping[str, Any]] = {
+    "optimizer": "adam",
+    "schedule": "constant",
+    "precision": "float32",
+    "channels_last": False,
+    "clip_norm": 0.0,
+}
+"""How the original of the paper trains, eagerly."""
 
 
-@runtime_checkable
-class HasOriginal(Protocol):
-    """A model class that has the networks of its paper's published code as an architecture of its own.
-
-    Attributes:
-        original_arch: Its name.
-        original_training: How the published code trains it: fields of ``TrainingConfig``.
-    """
-
-    original_arch: ClassVar[str]
-    original_training: ClassVar[Mapping[str, Any]]
+def original_steps() -> Mapping[str, TrainingStep]:
+    """The paper's networks as the original trains them, by the setting."""
+    return {f"batches of {size}": TrainingStep(MODEL, "paper", batch_size=size, **ORIGINAL) for size in BATCHES}
 
 
-def models_with_original() -> list[str]:
-    """The installed models that say how their original is trained; those that cannot be loaded are left out."""
-    found = []
-    for name in model_names():
-        with contextlib.suppress(Exception):  # somebody else's model may raise anything; measuring it says so
-            kind: object = model_class(name)
-            if isinstance(kind, HasOriginal) and "original_arch" in vars(kind):
-                found.append(name)
-    return found
-
-
-def original_steps(model: str) -> dict[str, TrainingStep]:
-    """The original's networks as the original trains them, by the setting."""
-    kind: Any = model_class(model)
-    arch, training = kind.original_arch, kind.original_training
-    return {f"batches of {size}": TrainingStep(model, arch, batch_size=size, **training) for size in BATCHES}
-
-
-def compact_steps(model: str) -> dict[str, TrainingStep]:
-    """The networks of the model's first architecture, by the setting."""
+def compact_steps() -> Mapping[str, TrainingStep]:
+    """The compact networks, by the setting."""
     precisions = ("bf16", "float32") if has_bf16(torch.device("cpu")) else ("float32",)
-    arch = model_class(model).architectures[0]
-    return {precision: TrainingStep(model, arch, precision=precision) for precision in precisions}
+    return {precision: TrainingStep(MODEL, "compact", precision=precision) for precision in precisions}
 
 
-def compare(model: str, seconds: float) -> Iterator[Result]:
+def compact_over_original(seconds: float) -> Iterator[Result]:
     """The compact networks over the original's, each at its best setting, each setting measured for so long."""
-    original, compact = original_steps(model), compact_steps(model)
+    original, compact = original_steps(), compact_steps()
     for threads, clock, unit, label in (
         (1, time.process_time, "triplets/CPU s", "one thread"),
         (torch.get_num_threads(), time.perf_counter, "triplets/s", "all threads"),
     ):
         with _threads(threads):
-            rates = rates_in_turn({**original, **compact}, seconds, clock)
+            rates = [rates_in_turn({**original, **compact}, seconds / ROUNDS, clock) for _ in range(ROUNDS)]
         best = {}
         for which, steps in (("original", original), ("compact", compact)):
-            setting = max(steps, key=rates.__getitem__)
-            best[which] = rates[setting]
-            yield Result(name=f"train_{which}[{label}]", value=rates[setting], unit=unit, setting=setting)
+            rounds = {setting: tuple(one[setting] for one in rates) for setting in steps}
+            setting = max(steps, key=lambda name: median(rounds[name]))
+            best[which] = rounds[setting]
+            yield Result(name=f"train_{which}[{label}]", unit=unit, rounds=rounds[setting], setting=setting)
         yield Result(
             name=f"compact_over_original[{label}]",
-            value=best["compact"] / best["original"],
             unit=f"times as many {unit}",
+            rounds=tuple(fast / slow for fast, slow in zip(best["compact"], best["original"], strict=True)),
         )
 
 
+@runtime_checkable
+class Step(Protocol):
+    """A training step that is timed."""
+
+    config: TrainingConfig
+
+    def __call__(self) -> object:
+        """Train one batch."""
+
+
 def rates_in_turn(
-    steps: Mapping[str, TrainingStep], seconds: float, clock: Callable[[], float] = time.perf_counter
+    steps: Mapping[str, Step], seconds: float, clock: Callable[[], float] = time.perf_counter
 ) -> dict[str, float]:
     """Triplets a second of some steps; always the one that has had the least time goes on, so all see the same load."""
     spent, done = dict.fromkeys(steps, 0.0), Counter[str]()
@@ -98,7 +93,7 @@ def rates_in_turn(
     return {name: done[name] / spent[name] for name in steps}
 
 
-@contextlib.contextmanager
+@contextmanager
 def _threads(count: int) -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(count)

@@ -15,7 +15,7 @@ from dmotion_bench.errors import UnknownName
 if TYPE_CHECKING:
     from dmotion_bench.scoring.score import Metric
 
-PLANNERS: Final = ("cem", "exhaustive", "icem")
+PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "mppi", "random-shooting")
 OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "control")
@@ -49,7 +49,8 @@ PlannerName = Annotated[
     typer.Option(
         metavar=listed(PLANNERS),
         help="How control searches for actions. cem is the paper's cross-entropy method, icem a newer variant of it, "
-        "and exhaustive tries every sequence. A package of your own can add others. Default: cem.",
+        "random-shooting draws sequences once. exhaustive tries every sequence of discrete actions; mppi and gradient "
+        "are for continuous ones. A package of your own can add others. Default: cem.",
     ),
 ]
 PlannerSettings = Annotated[

@@ -11,7 +11,7 @@
     driving.py    a model's predictions, driven by hand
     dynamics/     what actions lead to: a forward model, the true simulator; beginnings shared in a tree
     objectives/   what is minimised: centres, pixels, features; for arms that push objects on a table, tabletop/
-    solvers/      the search: the cross-entropy method and iCEM, every sequence
+    solvers/      the search: the cross-entropy method, iCEM, random shooting, MPPI, gradients, every sequence
 
 ``base.py`` in each folder is its contract. Solvers and objectives are reached through the entry points
 ``dmbench.solvers`` and ``dmbench.objectives`` (``docs/your_planner.md``).

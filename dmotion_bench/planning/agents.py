@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import Bool, UInt8
 
-from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import Environment, HasScript, Judging, Script
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.dynamics.simulator import Simulation, SimulatorDynamics, TrueCost
-from dmotion_bench.planning.objectives.base import Evaluator, Objective
+from dmotion_bench.planning.objectives.base import Evaluator, Objective, Taken
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
 from dmotion_bench.planning.tasks import World
 from dmotion_bench.specs import EnvSpec
@@ -33,9 +33,9 @@ REFERENCES = ("idle", "random", "oracle", "scripted")
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """The actions to take (``NO_ACTION`` for none), and the plan that led to them, if any."""
+    """The actions to take (``NO_ACTION`` or NaN for none), and the plan that led to them, if any."""
 
-    action: Int[np.ndarray, " b"]
+    action: Taken
     plan: Plan | None = None
 
 
@@ -52,7 +52,7 @@ class Agent(ABC):
         """
 
     def observe(  # noqa: B027 -- likewise
-        self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]
+        self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]
     ) -> None:
         """What was really done, by whomever, and what is seen after it."""
 
@@ -116,7 +116,7 @@ class ModelAgent(Agent):
         """The objective begins anew."""
         self._evaluator = self._objective.reset(self._spec, first, goals)
 
-    def observe(self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """The objective may remember it."""
         assert self._evaluator is not None, "reset comes first"
         self._evaluator.observe(actions, frames)
@@ -124,8 +124,7 @@ class ModelAgent(Agent):
     def act(self, context: PlanContext) -> Decision:
         """The first action of the best plan."""
         assert self._evaluator is not None, "reset comes first"
-        plan = self._solver.plan(self.dynamics, self._evaluator, context)
-        return Decision(action=plan.action, plan=plan)
+        return _decided(self.dynamics.actions, self._solver.plan(self.dynamics, self._evaluator, context))
 
 
 def known_actions(spec: EnvSpec) -> ActionSpec:
@@ -139,6 +138,21 @@ def known_actions(spec: EnvSpec) -> ActionSpec:
     return spec.actions
 
 
+def was_taken(actions: Taken) -> Bool[np.ndarray, " b"]:
+    """Which rows of actions are some, and not ``NO_ACTION`` or NaN."""
+    return np.asarray(actions != NO_ACTION if actions.ndim == 1 else ~np.isnan(actions).any(axis=1))
+
+
+def no_action(spec: ActionSpec, count: int) -> Taken:
+    """Rows in which nothing is done."""
+    return np.full(count, NO_ACTION) if isinstance(spec, Discrete) else np.full((count, spec.width), np.nan)
+
+
+def _decided(spec: ActionSpec, plan: Plan) -> Decision:
+    """The decision that follows from a plan: its action, in the units of the environment."""
+    return Decision(action=spec.denormalise(plan.action) if isinstance(spec, Continuous) else plan.action, plan=plan)
+
+
 def _counted(actions: ActionSpec | None) -> str:
     """Actions, as a sentence speaks of them."""
     if actions is None:
@@ -147,20 +161,37 @@ def _counted(actions: ActionSpec | None) -> str:
 
 
 class IdleAgent(Agent):
-    """Does nothing."""
+    """Does nothing.
+
+    Args:
+        actions: What could be done.
+    """
+
+    def __init__(self, actions: ActionSpec) -> None:
+        self._actions = actions
 
     def act(self, context: PlanContext) -> Decision:
         """No action."""
-        return Decision(action=np.full(len(context.generators), NO_ACTION))
+        return Decision(action=no_action(self._actions, len(context.generators)))
 
 
 class RandomAgent(Agent):
-    """Takes actions at random, all with the same probability."""
+    """Takes actions at random, all with the same probability.
+
+    Args:
+        actions: What can be done.
+    """
+
+    def __init__(self, actions: ActionSpec) -> None:
+        self._actions = actions
 
     def act(self, context: PlanContext) -> Decision:
         """Draw one action for each task from the task's own generator."""
-        actions = context.blocked.shape[1]
-        return Decision(action=np.array([generator.integers(actions) for generator in context.generators]))
+        spec, generators = self._actions, context.generators
+        if isinstance(spec, Discrete):
+            return Decision(action=np.array([generator.integers(len(spec)) for generator in generators]))
+        drawn = np.stack([generator.uniform(-1, 1, spec.width) for generator in generators])
+        return Decision(action=spec.denormalise(drawn))
 
 
 class OracleAgent(SimulatorAgent):
@@ -189,7 +220,7 @@ class OracleAgent(SimulatorAgent):
         if self._objective is not None:
             self._evaluator = self._objective.reset(self._spec, first, goals)
 
-    def observe(self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """The objective may remember it."""
         self._evaluator.observe(actions, frames)
 
@@ -197,8 +228,7 @@ class OracleAgent(SimulatorAgent):
         """The first action of the best plan."""
         simulations = [self._simulation(place, world) for place, world in enumerate(worlds)]
         dynamics = SimulatorDynamics(simulations, known_actions(self._spec))
-        plan = self._solver.plan(dynamics, self._evaluator, context)
-        return Decision(action=plan.action, plan=plan)
+        return _decided(dynamics.actions, self._solver.plan(dynamics, self._evaluator, context))
 
     def _simulation(self, place: int, world: World) -> Simulation:
         """The second simulator of the task at one place of the group, set to the task's present state."""
@@ -262,8 +292,8 @@ def make_reference(
         UnknownName: There is none of this name.
     """
     made: dict[str, Callable[[], Agent]] = {
-        "idle": IdleAgent,
-        "random": RandomAgent,
+        "idle": lambda: IdleAgent(known_actions(spec)),
+        "random": lambda: RandomAgent(known_actions(spec)),
         "oracle": lambda: OracleAgent(spec, solver, make_env, objective),
         "scripted": ScriptedAgent,
     }

@@ -13,18 +13,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from dmotion_bench.actions import require_discrete
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.environment import Environment
-from dmotion_bench.planning.agents import NO_ACTION, Agent, Decision, SimulatorAgent
+from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent, known_actions, was_taken
 from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.planning.journal import Journal, TaskRecord
+from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
-from dmotion_bench.planning.tasks import Problem, World
+from dmotion_bench.planning.tasks import Problem, World, as_actions
 
 CONTROL_VERSION: Final = 1
 """The version of control: of the loop, the solvers, the objectives, the references and the judged distance.
@@ -94,7 +95,7 @@ class ControlResult:
         episodes, starts: The episodes they are cut out of, and the frame there that they start at.
         distance: Normalised, at the start and after each step.
         lost: Objects that are gone, likewise.
-        actions: Taken; ``NO_ACTION`` where none was.
+        actions: Taken; ``NO_ACTION``, or of continuous actions NaN, where none was.
         frames: Predicted in all.
         seconds: Of planning alone; of this run of the program.
         planned: Control steps that ``seconds`` went into.
@@ -105,7 +106,7 @@ class ControlResult:
     starts: tuple[int, ...]
     distance: Float[np.ndarray, "n moments"]
     lost: Int[np.ndarray, "n moments"]
-    actions: Int[np.ndarray, "n t"]
+    actions: Int[np.ndarray, "n t"] | Float[np.ndarray, "n t a"]
     frames: int
     seconds: float
     planned: int
@@ -117,7 +118,7 @@ class _Loop:
 
     agent: Agent
     settings: ControlSettings
-    actions: int
+    actions: ActionSpec
     journal: Journal
     watch: Callable[[Scene], None]
     on_progress: Callable[[], None]
@@ -154,7 +155,7 @@ def control(
     loop = _Loop(
         agent=agent,
         settings=settings,
-        actions=len(require_discrete(envs[0].facts.actions, "planning")) if envs else 0,
+        actions=known_actions(envs[0].facts) if envs else Discrete.numbered(1),
         journal=journal or Journal.nowhere(),
         watch=watch,
         on_progress=lambda: on_progress(_progress(loop.records, settings, len(problems))),
@@ -173,7 +174,7 @@ def control(
         starts=tuple(problem.task.start for problem in problems),
         distance=np.array([record.distance for record in records]).reshape(len(records), -1),
         lost=np.array([record.lost for record in records], np.int64).reshape(len(records), -1),
-        actions=np.array([record.actions for record in records], np.int64).reshape(len(records), -1),
+        actions=_actions(loop.actions, [record.actions for record in records]),
         frames=sum(record.frames for record in records),
         seconds=loop.seconds,
         planned=loop.planned,
@@ -192,7 +193,7 @@ def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
     eyes = _Eyes(worlds, loop.actions)
     loop.agent.reset(eyes.first, eyes.goals)
     _show(loop.agent, worlds)
-    for past in np.array([record.actions for record in records.values()], np.int64).T:
+    for past in _actions(loop.actions, [record.actions for record in records.values()]).swapaxes(0, 1):
         _act(loop.agent, worlds, eyes, past)
     for record, world in zip(records.values(), worlds, strict=True):
         if not record.distance:
@@ -212,7 +213,7 @@ def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
         memory = decision.plan.memory if decision.plan else None
         frames = decision.plan.frames if decision.plan else 0
         for place, (record, world) in enumerate(zip(records.values(), worlds, strict=True)):
-            record.actions.append(int(decision.action[place]))
+            record.actions.append(_plain(decision.action[place]))
             record.frames += frames // len(worlds) + (place < frames % len(worlds))
             record.note(world)
         loop.journal.write(records, memory, last=step + 1 == loop.settings.steps)
@@ -229,10 +230,10 @@ def _show(agent: Agent, worlds: Sequence[World]) -> None:
         agent.watch(worlds)
 
 
-def _act(agent: Agent, worlds: Sequence[World], eyes: _Eyes, actions: Int[np.ndarray, " b"]) -> None:
+def _act(agent: Agent, worlds: Sequence[World], eyes: _Eyes, actions: Taken) -> None:
     """Take actions, and let the agent see what they lead to."""
-    for world, action in zip(worlds, actions.tolist(), strict=True):
-        if action != NO_ACTION:
+    for world, action, taken in zip(worlds, as_actions(actions), was_taken(actions).tolist(), strict=True):
+        if taken:
             world.step(action)
     frames = eyes.after(worlds, actions)
     agent.observe(actions, frames)
@@ -247,19 +248,21 @@ class _Eyes:
         blocked: Actions that left the image as it is, since it last changed.
     """
 
-    def __init__(self, worlds: Sequence[World], actions: int) -> None:
+    def __init__(self, worlds: Sequence[World], actions: ActionSpec) -> None:
+        count = len(actions) if isinstance(actions, Discrete) else 0
         self.first: UInt8[np.ndarray, "b h w 3"] = np.stack([world.frame for world in worlds])
         self.goals = np.stack([world.problem.goal_frame for world in worlds])
-        self.blocked: Bool[np.ndarray, "b a"] = np.zeros((len(worlds), actions), np.bool_)
+        self.blocked: Bool[np.ndarray, "b a"] = np.zeros((len(worlds), count), np.bool_)
         self._current = self._previous = self.first
 
-    def after(self, worlds: Sequence[World], actions: Int[np.ndarray, " b"]) -> UInt8[np.ndarray, "b h w 3"]:
+    def after(self, worlds: Sequence[World], actions: Taken) -> UInt8[np.ndarray, "b h w 3"]:
         """Look at the images after some actions."""
         frames = np.stack([world.frame for world in worlds])
         changed = (frames != self._current).any(axis=(1, 2, 3))
         self.blocked[changed] = False
-        for place in np.flatnonzero(~changed & (actions != NO_ACTION)).tolist():
-            self.blocked[place, actions[place]] = True
+        if self.blocked.shape[1]:
+            for place in np.flatnonzero(~changed & was_taken(actions)).tolist():
+                self.blocked[place, actions[place]] = True
         still = ~changed[:, None, None, None]
         self._previous = np.where(still, self._previous, self._current)
         self._current = frames
@@ -268,6 +271,22 @@ class _Eyes:
     def observation(self, step: int) -> Observation:
         """What an agent is given after ``step`` actions."""
         return Observation(previous=self._previous, current=self._current, goals=self.goals, step=step)
+
+
+def _plain(action: Any) -> int | list[float] | None:
+    """An action as the journal keeps it."""
+    if not np.ndim(action):
+        return int(action)
+    return None if np.isnan(action).any() else [float(number) for number in action]
+
+
+def _actions(spec: ActionSpec, records: Sequence[Sequence[Any]]) -> Any:
+    """The actions of several tasks that the journal keeps, as an array: a row a task, a column a step."""
+    if isinstance(spec, Discrete):
+        return np.array(records, np.int64).reshape(len(records), -1)
+    none = [float("nan")] * spec.width
+    plain = [[none if action is None else action for action in own] for own in records]
+    return np.array(plain, np.float64).reshape(len(records), -1, spec.width)
 
 
 def task_generator(seed: int, problem: Problem, step: int) -> np.random.Generator:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from planning.boxes import AT, FIRST, SETTINGS, SPEC, picture
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.planning.objectives.tabletop.exploration import Exploration, History, misplaced
 from dmotion_bench.planning.objectives.tabletop.followed import FollowedObjects
 from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
@@ -19,7 +22,7 @@ LEAST = (SETTINGS.least_gain * SPEC.width) ** 2
 
 
 def walked(*steps: tuple[torch.Tensor, torch.Tensor]) -> History:
-    history = History.first(HERE, SETTINGS.history_side_px)
+    history = History.first(HERE, SETTINGS.history_side_px, SPEC.actions)
     for action, frame in steps:
         history = history.after(action, frame)
     return history
@@ -56,18 +59,36 @@ def test_what_is_hidden_is_sought_and_what_has_fallen_is_not() -> None:
     for gone in (picture(red=None, curtain=slice(14, 27)), picture(red=None)):
         known = tracker.update(start, gone)
         off = misplaced(SETTINGS, known, wanted, OcclusionModel(SETTINGS, tracker, gone, known).standing, SPEC.width)
-        history = History.first(picture(), SETTINGS.history_side_px).after(RIGHT, gone)
+        history = History.first(picture(), SETTINGS.history_side_px, SPEC.actions).after(RIGHT, gone)
         news.append(Exploration(SETTINGS, history, known, misplaced=off, spec=SPEC).bonus(fresh, FIRST).item())
     hidden, fallen = news
     assert hidden > fallen == 0
 
 
-def test_an_action_wearies_where_it_has_been_taken() -> None:
+def tried(history: History) -> list[float]:
+    """How often left and right were tried where everything looks as it does now."""
+    counts: list[float] = exploration(history).tried(FIRST.repeat(2), torch.tensor([0, 1])).tolist()
+    return counts
+
+
+def test_continuous_actions_that_are_nearly_the_same_have_been_tried() -> None:
+    spec = replace(SPEC, actions=Continuous(names=("dx", "dy"), low=(-2, -2), high=(2, 2), units=("m", "m")))
+    history = History.first(HERE, SETTINGS.history_side_px, spec.actions)
+    for action in ((0.5, 0.0), (0.5, 0.1), (-0.5, 0.0), (torch.nan, torch.nan)):
+        history = history.after(torch.tensor([action]), HERE)
+    known, wanted = Tracker(SPEC, SETTINGS).meet(picture(), picture(red=GOAL))
+    off = misplaced(SETTINGS, known, wanted, known.seen, SPEC.width)
+    explored = Exploration(SETTINGS, history, known, misplaced=off, spec=spec)
+    asked = torch.tensor([(0.5, 0.05), (-0.4, 0.0), (0.0, 1.0)])
+    assert explored.tried(FIRST.repeat(3), asked).tolist() == [2, 1, 0]
+
+
+def test_an_action_is_penalised_where_it_was_tried() -> None:
     back = walked((RIGHT, THERE), (LEFT, HERE))
-    assert back.tried(2, SETTINGS.same_image).tolist() == [[0, 1]]
+    assert tried(back) == [0, 1]
     more = back.after(RIGHT, THERE).after(LEFT, HERE).after(LEFT, HERE)
-    assert more.tried(2, SETTINGS.same_image).tolist() == [[1, 2]]
-    assert more.after(RIGHT, FARTHER).tried(2, SETTINGS.same_image).tolist() == [[0, 0]]
+    assert tried(more) == [1, 2]
+    assert tried(more.after(RIGHT, FARTHER)) == [0, 0]
     weary = [exploration(more).penalty(FARTHER, FIRST, action).item() for action in (LEFT, RIGHT)]
     assert weary == pytest.approx([SETTINGS.revisit_penalty, SETTINGS.revisit_penalty * 2])
 
@@ -99,14 +120,15 @@ def test_what_is_new_weighs_less_than_a_gain_and_what_was_tried_in_vain_more() -
 
 
 def test_tasks_do_not_know_of_each_other_and_other_sizes_are_fine() -> None:
-    both = History.first(torch.cat([HERE, THERE]), SETTINGS.history_side_px).after(
+    both = History.first(torch.cat([HERE, THERE]), SETTINGS.history_side_px, SPEC.actions).after(
         torch.tensor([0, 1]), torch.cat([THERE, THERE])
     )
     known, wanted = Tracker(SPEC, SETTINGS).meet(picture().repeat(2, 1, 1, 1), picture(red=GOAL).repeat(2, 1, 1, 1))
     explored = Exploration(
         SETTINGS, both, known, misplaced=misplaced(SETTINGS, known, wanted, known.seen, SPEC.width), spec=SPEC
     )
-    assert both.tried(2, SETTINGS.same_image).tolist() == [[0, 0], [0, 1]]
+    each = torch.tensor([0, 0, 1, 1])
+    assert explored.tried(each, torch.tensor([0, 1, 0, 1])).tolist() == [0, 0, 0, 1]
     task = torch.tensor([0, 1, 1])
     found = explored.bonus(torch.cat([HERE, HERE, THERE]), task)
     assert found[0] == found[2] == 0 < found[1]

@@ -40,7 +40,7 @@ class Walks:
         self.evaluator: Memoryless = PathCost(self)
 
     @contextlib.contextmanager
-    def computing(self) -> Iterator[None]:
+    def computing(self, *, gradients: bool = False) -> Iterator[None]:
         with torch.inference_mode():
             yield
 

@@ -56,8 +56,15 @@ class Dynamics(Protocol):
     @property
     def device(self) -> torch.device: ...
 
-    def computing(self) -> AbstractContextManager[None]:
-        """The arithmetic in which the other methods, and what is made of their results, are to be called."""
+    def computing(self, *, gradients: bool = False) -> AbstractContextManager[None]:
+        """The arithmetic in which the other methods, and what is made of their results, are to be called.
+
+        Args:
+            gradients: Whether gradients of what follows are to reach the actions.
+
+        Raises:
+            InvalidSetting: There are no gradients.
+        """
 
     def start(self, observation: Observation) -> State:
         """The present state of each task."""

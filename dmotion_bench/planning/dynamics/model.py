@@ -58,9 +58,10 @@ class ModelDynamics:
         self.at_once = at_once or FRAMES_AT_ONCE.get(self.device.type, 64)
 
     @contextlib.contextmanager
-    def computing(self) -> Iterator[None]:
-        """Without gradients, and in bfloat16 where that is allowed."""
-        with torch.inference_mode(), torch.autocast(self.device.type, torch.bfloat16, enabled=self._bf16):
+    def computing(self, *, gradients: bool = False) -> Iterator[None]:
+        """In bfloat16 where that is allowed."""
+        mode = torch.enable_grad() if gradients else torch.inference_mode()
+        with mode, torch.autocast(self.device.type, torch.bfloat16, enabled=self._bf16):
             yield
 
     def start(self, observation: Observation) -> State:

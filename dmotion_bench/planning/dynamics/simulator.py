@@ -21,13 +21,13 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.actions import ActionSpec
+from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.environment import Environment, Restorable
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State
+from dmotion_bench.planning.dynamics.base import Actions, Dynamics, Observation, State
 from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
-from dmotion_bench.planning.tasks import Problem, World, measure_of, start
+from dmotion_bench.planning.tasks import Action, Problem, World, as_actions, measure_of, start, take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Place:
         picture: What is seen there, compressed; None where it was not asked for.
     """
 
-    actions: tuple[int, ...]
+    actions: tuple[Action, ...]
     snapshot: Any
     name: bytes
     cost: float
@@ -65,7 +65,7 @@ class Simulation:
     def __init__(self, env: Environment, problem: Problem, *, pictures: bool = False) -> None:
         self.env, self.problem, self.tried = env, problem, 0
         self._measure, self._pictures = measure_of(env, problem), pictures
-        self._after: dict[tuple[bytes, int], Place] = {}
+        self._after: dict[tuple[bytes, Action], Place] = {}
         self.here = self._now = self._place((), start(env, problem))
 
     def follow(self, world: World) -> None:
@@ -73,18 +73,19 @@ class Simulation:
         actions = tuple(world.actions)
         if actions == self.here.actions:
             return
+        known, self._after = self._after, {} if isinstance(self.env.facts.actions, Continuous) else self._after
         if isinstance(self.env, Restorable):  # a restored state may differ from the true one in its last bits
             self.here = _seen_from(world.env, actions)
         else:
             for action in actions[len(self.here.actions) :]:
-                self.here = self.step(self.here, action)
+                self.here = known.get((self.here.name, action)) or self.step(self.here, action)
 
-    def step(self, place: Place, action: int) -> Place:
+    def step(self, place: Place, action: Action) -> Place:
         """The state that an action leads to."""
         known = self._after.get((place.name, action))
         if known is None:
             self._go(place)
-            frame = self.env.step(action)[0]
+            frame = take(self.env, action)
             self.tried += 1
             known = self._now = self._place((*place.actions, action), frame)
             self._after[place.name, action] = known
@@ -107,12 +108,12 @@ class Simulation:
         else:
             start(self.env, self.problem, place.actions)
 
-    def _place(self, actions: tuple[int, ...], frame: UInt8[np.ndarray, "h w 3"]) -> Place:
+    def _place(self, actions: tuple[Action, ...], frame: UInt8[np.ndarray, "h w 3"]) -> Place:
         picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1) if self._pictures else None
         return replace(_seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
 
 
-def _seen_from(env: Environment, actions: tuple[int, ...]) -> Place:
+def _seen_from(env: Environment, actions: tuple[Action, ...]) -> Place:
     agent, objects = env.agent(), env.objects()
     parts = (agent.position, objects.position, objects.orientation)
     return Place(
@@ -140,8 +141,10 @@ class SimulatorDynamics:
         self._places = [simulation.here for simulation in simulations]
 
     @contextlib.contextmanager
-    def computing(self) -> Iterator[None]:
-        """Without gradients."""
+    def computing(self, *, gradients: bool = False) -> Iterator[None]:
+        """Without gradients: a simulator has none."""
+        if gradients:
+            raise InvalidSetting("the true simulator has no gradients; plan with 'cem', 'icem' or 'mppi'.")
         with torch.inference_mode():
             yield
 
@@ -150,11 +153,12 @@ class SimulatorDynamics:
         tasks = torch.arange(len(self._simulations))
         return tasks, tasks
 
-    def step(self, state: State, action: Int[Tensor, " n"]) -> State:
+    def step(self, state: State, action: Actions) -> State:
         """The states that the actions truly lead to."""
         task, number = state
-        first = len(self._places)
-        for own, place, taken in zip(task.tolist(), number.tolist(), action.tolist(), strict=True):
+        first, spec = len(self._places), self.actions
+        given = spec.denormalise(action.double().numpy()) if isinstance(spec, Continuous) else action.numpy()
+        for own, place, taken in zip(task.tolist(), number.tolist(), as_actions(given), strict=True):
             self._places.append(self._simulations[own].step(self._places[place], taken))
         return task, torch.arange(first, len(self._places))
 

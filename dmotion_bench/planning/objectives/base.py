@@ -10,11 +10,14 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.planning.dynamics.base import Dynamics, State
+from dmotion_bench.planning.dynamics.base import Actions, Dynamics, State
 from dmotion_bench.specs import EnvSpec
 
 CostState = tuple[Tensor, ...]
 """What a cost carries from one predicted step to the next, besides the dynamics' state; empty if nothing."""
+
+Taken = Int[np.ndarray, " b"] | Float[np.ndarray, "b a"]
+"""Actions that were taken: numbers, -1 for none, or continuous ones in their units, NaN for none."""
 
 PARTS = ("distance", "risk", "bonus")
 
@@ -51,7 +54,7 @@ class StepCost:
 class Evaluator(Protocol):
     """An objective at work on some tasks: it holds what was seen of them since their start."""
 
-    def observe(self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """What was really done, and what is seen after it."""
 
     def begin(self, dynamics: Dynamics) -> CostState:
@@ -62,7 +65,7 @@ class Evaluator(Protocol):
         dynamics: Dynamics,
         state: State,
         task: Int[Tensor, " n"],
-        action: Int[Tensor, " n"],
+        action: Actions,
         cost_state: CostState,
     ) -> tuple[StepCost, CostState]:
         """What predicted states cost.
@@ -97,7 +100,7 @@ class Objective(Protocol):
 class Memoryless:
     """An evaluator that remembers nothing, for objectives to build on."""
 
-    def observe(self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """Nothing is kept."""
 
     def begin(self, dynamics: Dynamics) -> CostState:

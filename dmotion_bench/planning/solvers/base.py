@@ -21,19 +21,20 @@ class PlanContext:
         observation: What is seen of them.
         generators: Random numbers for each task, a function of the seed, the task and the step alone, so that tasks
             may be planned together or one by one.
-        blocked: Actions that are not to be the first: they left the image as it is, since it last changed.
+        blocked: Actions that are not to be the first: they left the image as it is, since it last changed. None of
+            continuous ones, where it has no columns.
         memory: What the solver wanted to remember at the step before, None at the first.
     """
 
     observation: Observation
     generators: tuple[np.random.Generator, ...]
     blocked: Bool[np.ndarray, "b a"]
-    memory: Int[np.ndarray, "b n t"] | None = None
+    memory: Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """The result of planning one step.
+    """The result of planning one step; continuous actions are in [-1, 1].
 
     Attributes:
         action: The action to take now.
@@ -45,12 +46,12 @@ class Plan:
         memory: To be given back at the next step; None for solvers that forget.
     """
 
-    action: Int[np.ndarray, " b"]
-    candidates: Int[np.ndarray, "b m t"]
+    action: Int[np.ndarray, " b"] | Float[np.ndarray, "b a"]
+    candidates: Int[np.ndarray, "b m t"] | Float[np.ndarray, "b m t a"]
     costs: Float[np.ndarray, "b m"]
     progress: Float[np.ndarray, "b i"]
     frames: int
-    memory: Int[np.ndarray, "b n t"] | None = None
+    memory: Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"] | None = None
     parts: Mapping[str, Float[np.ndarray, "b m"]] = field(default_factory=dict)
 
 
@@ -70,8 +71,8 @@ SHOWN: Final = 5
 
 
 def best_first(
-    sequences: Int[np.ndarray, "b s t"], costs: Float[np.ndarray, "b s"], count: int
-) -> tuple[Int[np.ndarray, "b m t"], Float[np.ndarray, "b m"]]:
+    sequences: Int[np.ndarray, "b s t"] | Float[np.ndarray, "b s t a"], costs: Float[np.ndarray, "b s"], count: int
+) -> tuple[Int[np.ndarray, "b m t"] | Float[np.ndarray, "b m t a"], Float[np.ndarray, "b m"]]:
     """The ``count`` cheapest distinct sequences of each task; the best is repeated if there are too few."""
     chosen, prices = [], []
     for own, price in zip(sequences, costs, strict=True):

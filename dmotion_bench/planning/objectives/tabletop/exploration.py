@@ -23,7 +23,8 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.actions import require_discrete
+from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.planning.dynamics.base import Actions
 from dmotion_bench.planning.objectives.tabletop.push_pose import PushPoseBonus
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes
@@ -36,21 +37,22 @@ class History:
 
     Attributes:
         images: Small ones, one for each moment; the last is the present.
-        actions: Taken between them.
+        actions: Taken between them; continuous ones in [-1, 1].
         side: Pixels a side of the small images.
     """
 
     images: Float[Tensor, "b m d"]
-    actions: Int[Tensor, "b m-1"]
+    actions: Int[Tensor, "b m-1"] | Float[Tensor, "b m-1 a"]
     side: int
 
     @classmethod
-    def first(cls, frames: UInt8[Tensor, "b h w 3"], side: int) -> History:
+    def first(cls, frames: UInt8[Tensor, "b h w 3"], side: int, spec: ActionSpec) -> History:
         """The history at the start: one image, no action."""
-        actions = torch.zeros((len(frames), 0), dtype=torch.int64)
+        kind = torch.int64 if isinstance(spec, Discrete) else torch.float32
+        actions = torch.zeros((len(frames), 0, *spec.shape), dtype=kind)
         return cls(images=reduced(frames, side)[:, None], actions=actions, side=side)
 
-    def after(self, actions: Int[Tensor, " b"], frames: UInt8[Tensor, "b h w 3"]) -> History:
+    def after(self, actions: Actions, frames: UInt8[Tensor, "b h w 3"]) -> History:
         """The history with the newest actions and images appended."""
         return History(
             images=torch.cat([self.images, reduced(frames, self.side)[:, None]], dim=1),
@@ -58,16 +60,10 @@ class History:
             side=self.side,
         )
 
-    def tried(self, actions: int, same: float) -> Int[Tensor, "b a"]:
-        """How often each action was taken in a state that looked like the present one.
-
-        Args:
-            actions: How many there are.
-            same: Images that differ by less look the same.
-        """
-        apart = (self.images[:, :-1] - self.images[:, -1:]).square().mean(dim=2)
-        taken = (self.actions[..., None] == torch.arange(actions)) & (apart < same)[..., None]
-        return taken.sum(dim=1)
+    def looked_alike(self, same: float) -> Bool[Tensor, "b p"]:
+        """Which moments before the present looked like it: images that differ by less than ``same``."""
+        apart: Float[Tensor, "b p"] = (self.images[:, :-1] - self.images[:, -1:]).square().mean(dim=2)
+        return apart < same
 
 
 def reduced(frames: UInt8[Tensor, "n h w 3"], side: int) -> Float[Tensor, "n d"]:
@@ -106,7 +102,7 @@ class Exploration:
         known: Where the objects are, on the device of the predictions.
         misplaced: How much each of them is sought, from 0 to 1 (``misplaced``).
         push_poses: The places to push them from; without it only what is new is sought.
-        spec: Says how large frames are, which are square here, others are stretched; and how many actions there are.
+        spec: Says how large frames are, which are square here, others are stretched.
     """
 
     def __init__(
@@ -129,8 +125,8 @@ class Exploration:
         self._weight, self._seen = weight, images * weight[:, None]
         self._push_poses, self._seeking = push_poses, misplaced.amax(dim=1) > 0
         self._scale = torch.where(self._seeking, 1.0, settings.settled_scale)
-        tried = history.tried(len(require_discrete(spec.actions, "planning")), settings.same_image).to(misplaced)
-        self._revisit_penalty = settings.revisit_penalty * tried
+        self._alike = history.looked_alike(settings.same_image).to(misplaced.device)
+        self._actions = history.actions.to(misplaced.device)
 
     def bonus(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
         """The bonus of predicted images that are new, or that bring the agent near a place to push from."""
@@ -140,11 +136,21 @@ class Exploration:
         return bonus * self._seeking[task]
 
     def penalty(
-        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
+        self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], action: Actions
     ) -> Float[Tensor, " n"]:
         """The penalty of a first action that was tried before, or that moves away where nothing is misplaced."""
         away: Tensor = self._settings.leave_penalty * self._unlike(frames, task, self._seen[:, -2:])
-        return torch.where(self._seeking[task], self._revisit_penalty[task, action], away)
+        revisits: Tensor = self._settings.revisit_penalty * self.tried(task, action)
+        return torch.where(self._seeking[task], revisits, away)
+
+    def tried(self, task: Int[Tensor, " n"], action: Actions) -> Float[Tensor, " n"]:
+        """How often each action was taken where everything looked as it does now."""
+        past = self._actions[task]
+        if action.ndim == 1:
+            same = past == action[:, None]
+        else:
+            same = (past - action[:, None]).norm(dim=2) < self._settings.same_action
+        return (same & self._alike[task]).sum(dim=1).float()
 
     def _unlike(
         self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"], seen: Float[Tensor, "b m d"]

@@ -24,6 +24,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.planning.dynamics.base import Actions
 from dmotion_bench.planning.objectives.base import StepCost
 from dmotion_bench.planning.objectives.tabletop.exploration import Exploration
 from dmotion_bench.planning.objectives.tabletop.falls import FallRisk
@@ -76,7 +77,7 @@ class FollowedObjects:
         self,
         frames: UInt8[Tensor, "n h w 3"],
         task: Int[Tensor, " n"],
-        action: Int[Tensor, " n"],
+        action: Actions,
         known: Float[Tensor, "n k 4"],
     ) -> tuple[StepCost, Float[Tensor, "n k 4"]]:
         """The cost of images, and where the objects are in them; ``action`` is the one that led to each."""

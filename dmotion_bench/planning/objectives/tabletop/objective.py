@@ -15,9 +15,10 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.learning.images import to_pixels
-from dmotion_bench.planning.dynamics.base import Dynamics, State
-from dmotion_bench.planning.objectives.base import CostState, StepCost
+from dmotion_bench.planning.dynamics.base import Actions, Dynamics, State
+from dmotion_bench.planning.objectives.base import CostState, StepCost, Taken
 from dmotion_bench.planning.objectives.centres import require_objects
 from dmotion_bench.planning.objectives.tabletop.exploration import Exploration, History, misplaced
 from dmotion_bench.planning.objectives.tabletop.falls import FallRisk
@@ -67,14 +68,21 @@ class TabletopEvaluator:
         self._settings, self._spec, self._current, self._goals = settings, spec, first, goals
         self._tracker = Tracker(spec, settings)
         self._known, self._wanted = self._tracker.meet(first, goals)
-        self._history = History.first(first, settings.history_side_px)
+        self._history = History.first(first, settings.history_side_px, spec.actions or Discrete.numbered(1))
         self._objects: FollowedObjects | None = None
 
-    def observe(self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """Update the estimated places and the history."""
         self._current = torch.from_numpy(frames)
         self._known = self._tracker.update(self._known, self._current)
-        self._history = self._history.after(torch.from_numpy(actions), self._current)
+        self._history = self._history.after(self._normal(actions), self._current)
+
+    def _normal(self, actions: Taken) -> Actions:
+        """Actions that were taken, as a dynamics takes them."""
+        spec = self._spec.actions
+        return torch.from_numpy(spec.normalise(actions) if isinstance(spec, Continuous) else actions).to(
+            torch.float32 if isinstance(spec, Continuous) else torch.int64
+        )
 
     def begin(self, dynamics: Dynamics) -> CostState:
         """What is known of the objects before the first predicted step."""

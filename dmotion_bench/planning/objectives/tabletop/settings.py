@@ -52,6 +52,7 @@ class TabletopSettings:
         history_side_px: Past images are compared at this many pixels a side.
         same_image: Images that differ by less look the same, as a mean squared difference in [0, 1] units; a step of
             the robot's arm makes 3e-4 or more.
+        same_action: Continuous actions, in [-1, 1], that are nearer to each other than this are the same.
         prediction_error: What is predicted differs by this much from what is then seen, on a good day.
         new_image: A difference that is new for sure.
         settled_scale: Both are so much smaller where nothing is misplaced: then the whole image counts alike.
@@ -99,6 +100,7 @@ class TabletopSettings:
     passing_pixels: int = 2
     history_side_px: int = 16
     same_image: float = 2e-4
+    same_action: float = 0.25
     prediction_error: float = 2e-3
     new_image: float = 1e-2
     settled_scale: float = 0.2

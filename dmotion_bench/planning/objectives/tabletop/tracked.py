@@ -12,7 +12,7 @@ from torch import Tensor
 
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.planning.dynamics.base import Dynamics, State
-from dmotion_bench.planning.objectives.base import CostState, StepCost
+from dmotion_bench.planning.objectives.base import CostState, StepCost, Taken
 from dmotion_bench.planning.objectives.centres import require_objects
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes, Tracker
@@ -73,7 +73,7 @@ class TrackedEvaluator:
         self._tracker, self._missing = Tracker(spec, settings), settings.lost_distance * spec.width
         self.known, self.wanted = self._tracker.meet(first, goals)
 
-    def observe(self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """Update the estimated places."""
         self.known = self._tracker.update(self.known.to(torch.device("cpu")), torch.from_numpy(frames))
 

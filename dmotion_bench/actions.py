@@ -78,14 +78,19 @@ class Discrete:
 
         return Space(len(self))
 
-    def fault(self, actions: Any) -> str | None:
-        """What is wrong with an episode's actions, to follow "holds"; None if nothing is."""
+    def fault(self, actions: Any, where: str = "at step") -> str | None:
+        """What is wrong with an array of actions, to follow "holds"; None if nothing is.
+
+        Args:
+            actions: One a row.
+            where: How a row is spoken of.
+        """
         values = np.asarray(actions)
         if values.ndim != 1 or not (np.issubdtype(values.dtype, np.integer) or not values.size):
-            return f"actions of the type {values.dtype} and the shape {values.shape}, not one whole number a step"
+            return f"actions of the type {values.dtype} and the shape {values.shape}, not one whole number each"
         wrong = np.flatnonzero((values < 0) | (values >= len(self)))
         if len(wrong):
-            return f"action {values[wrong[0]]} at step {wrong[0]}; there are {len(self)}, numbered from 0"
+            return f"action {values[wrong[0]]} {where} {wrong[0]}; there are {len(self)}, numbered from 0"
         return None
 
     def fits(self, other: ActionSpec | None) -> bool:
@@ -125,7 +130,7 @@ class Continuous:
             if not isinstance(unit, str) or len(unit) > LONGEST_NAME:
                 raise InvalidSetting(f"a unit of the actions is {shown(unit)}; it must be a short text, such as 'm'.")
         for name, low, high in zip(self.names, self.low, self.high, strict=True):
-            if not all(isinstance(one, float | int) and not isinstance(one, bool) for one in (low, high)):
+            if not (_is_number(low) and _is_number(high)):
                 raise InvalidSetting(f"{shown(name)} goes from {shown(low)} to {shown(high)}; bounds are numbers.")
             if not (math.isfinite(low) and math.isfinite(high) and low < high and math.isfinite(high - low)):
                 raise InvalidSetting(
@@ -173,21 +178,28 @@ class Continuous:
 
         return Box(np.asarray(self.low, np.float64), np.asarray(self.high, np.float64), dtype=np.float64)
 
-    def fault(self, actions: Any) -> str | None:
-        """What is wrong with an episode's actions, to follow "holds"; None if nothing is."""
+    def fault(self, actions: Any, where: str = "at step") -> str | None:
+        """What is wrong with an array of actions, to follow "holds"; None if nothing is.
+
+        Args:
+            actions: One a row.
+            where: How a row is spoken of.
+        """
         values = np.asarray(actions)
         if values.ndim != 2 or values.shape[1] != self.width or not np.issubdtype(values.dtype, np.floating):
             return (
                 f"actions of the type {values.dtype} and the shape {values.shape}, "
-                f"not {self.width} floating-point numbers a step"
+                f"not {self.width} floating-point numbers each"
             )
         slack = 2 * self.reach * SLACK
         with np.errstate(invalid="ignore"):
             inside = (values >= np.asarray(self.low) - slack) & (values <= np.asarray(self.high) + slack)
         wrong = np.argwhere(~inside)  # NaN is not inside
         if len(wrong):
-            step, place = wrong[0].tolist()
-            return f"{shown(self.names[place])} = {values[step, place]} at step {step}; it can be {self._range(place)}"
+            row, place = wrong[0].tolist()
+            return (
+                f"{shown(self.names[place])} = {values[row, place]:.6g} {where} {row}; it can be {self._range(place)}"
+            )
         return None
 
     def fits(self, other: ActionSpec | None) -> bool:
@@ -244,6 +256,10 @@ def actions_from_json(value: object) -> ActionSpec | None:
     except InvalidSetting as error:
         raise ValueError(str(error).rstrip(".")) from None
     raise ValueError(f"the actions are {shown(value)}, neither names nor a continuous action")
+
+
+def _is_number(value: object) -> bool:
+    return type(value) is float or (type(value) is int and abs(value) <= 2**53)
 
 
 def _check_names(names: tuple[str, ...], most: int) -> None:

@@ -137,7 +137,7 @@ class Script(Protocol):
     def watch(self, env: Environment) -> None:
         """Called at the task's start and after every step."""
 
-    def act(self, env: Environment, goal: ObjectStates) -> int | None:
+    def act(self, env: Environment, goal: ObjectStates) -> Action | None:
         """The next action towards the objects' states at the goal; None for none."""
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.learning.model_trial import ModelTrial
@@ -36,9 +36,12 @@ STEPS = 3
 SIZES = (64, 128)  # [px]
 WARM_UP = 3  # steps of training before it is asked whether demonstrations teach anything
 
+CONTINUOUS = Continuous(names=("dx", "dy"), low=(-0.04, -0.02), high=(0.04, 0.06), units=("m", "m"))
+"""Continuous actions to check a model with: ``check_model(MyModel, actions=CONTINUOUS)``."""
+
 
 def check_model(
-    kind: type[ForwardModel[Any]], *, arch: str | None = None, size: int | None = None, actions: int = 4
+    kind: type[ForwardModel[Any]], *, arch: str | None = None, size: int | None = None, actions: int | ActionSpec = 4
 ) -> None:
     """Check a class of models, built small, on contiguous images; channels last, too, if its training asks for that.
 
@@ -46,7 +49,7 @@ def check_model(
         kind: The class, as its entry point names it.
         arch: Which of its architectures; the first if left out.
         size: Side of the frames that it is tried on [px]; if left out, 64, or 128 if it refuses 64.
-        actions: Number of discrete actions.
+        actions: What can be done: so many discrete actions, or a specification, such as ``CONTINUOUS``.
 
     Raises:
         ModelContractBroken: At the first breach.
@@ -54,7 +57,8 @@ def check_model(
     _check_class(kind)
     _check_settings(kind)
     arch = arch or kind.architectures[0]
-    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), actions))
+    spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
+    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec))
     _check_building(subject)
     _check_phases(subject)
     for phase in subject.build().phases():
@@ -70,11 +74,11 @@ def check_model(
         _check_rollout(packed)
 
 
-def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ...], actions: int) -> ModelInputs:
+def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ...], actions: ActionSpec) -> ModelInputs:
     """The smallest frames on which the model is tried: ``__init__`` may refuse a size by ``InvalidSetting``."""
     said = ""
     for size in sizes:
-        inputs = ModelInputs(height=size, width=size, actions=Discrete.numbered(actions))
+        inputs = ModelInputs(height=size, width=size, actions=actions)
         try:
             ModelTrial(kind, arch, inputs).build()
         except ModelContractBroken as error:
@@ -83,7 +87,7 @@ def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ..
             said = str(error.__cause__)
         else:
             return inputs
-    raise ModelTrial(kind, arch, ModelInputs(height=0, width=0, actions=Discrete.numbered(actions))).broken(
+    raise ModelTrial(kind, arch, ModelInputs(height=0, width=0, actions=actions)).broken(
         f"its architecture {arch!r} takes no frames of {' or '.join(map(str, sizes))} pixels ({said}); name a size "
         "that it takes: check_model(..., size=SIDE)"
     )

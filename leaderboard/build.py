@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid
+from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, Report
-from dmotion_bench.scoring.transfer import transfer_folders
+from dmotion_bench.scoring.transfer import fitting, transfer_folders
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import command
@@ -168,14 +168,16 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
 
 
 def _dataset(run: Run, report: Report) -> Dataset | None:
-    """The data set that a report was scored on, if it still exists unchanged."""
+    """The data set that a report was scored on, as the run's model reads it, if it still exists unchanged."""
     own = run.dataset_path
     path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
     try:
         dataset = Dataset.open(path)
-    except DatasetError:
+        if dataset.fingerprint != report.dataset["fingerprint"]:
+            return None
+        return dataset if report.trained_on is None else fitting(run, dataset)
+    except (DatasetError, RunMismatch):
         return None
-    return dataset if dataset.fingerprint == report.dataset["fingerprint"] else None
 
 
 def _standing(folder: Path | None, entry: Entry) -> Entry | None:

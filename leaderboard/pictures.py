@@ -24,8 +24,9 @@ from PIL import Image
 from dmotion_bench.actions import require_discrete
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.learning.labels import LabelRequest
+from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelRequest
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.scoring.prediction import predicting
 from dmotion_bench.scoring.samples import column
 from dmotion_bench.storage.dataset import Dataset
@@ -71,9 +72,11 @@ def shows_pictures(labels: str) -> bool:
     """Whether runs of a label budget have pictures; each model has them for one budget only.
 
     Not again with several demonstrations, where only the table of actions differs from that of one, nor with a part of
-    the labels.
+    the labels; with the default number of transitions where actions are continuous.
     """
     budget = LabelRequest.parse(labels)
+    if budget.kind == "count":
+        return budget.amount == DEMONSTRATIONS
     return budget.amount <= 1 if budget.kind == "shots" else budget.kind == "none" or budget.amount == 1
 
 
@@ -90,7 +93,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
     action = torch.tensor([one.action for one in steps])
     names = require_discrete(dataset.spec.actions, "an entry").names
     model = run.model.to("cpu").laid_out().eval()
-    with predicting(torch.device("cpu")):
+    with using_threads(run.threads), predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
     return [
         {

@@ -15,7 +15,8 @@ from typing import Final, cast
 import numpy as np
 from jaxtyping import Float
 
-from dmotion_bench.environment import Environment
+from dmotion_bench.actions import Continuous
+from dmotion_bench.environment import Action, Environment
 from dmotion_bench.specs import ObjectStates
 from recorders.push_policy import Pushing
 
@@ -36,9 +37,16 @@ class PushingScript:
         barred = ~env.legal_actions()
         self._walls += list(env.agent().position[0, :2] + cast(Pushing, env).moves[barred])
 
-    def act(self, env: Environment, goal: ObjectStates) -> int | None:
-        """The next step of a walk or a push; ``env`` must also be ``Pushing``."""
-        return next(_choices(_Surroundings(env, goal, self._walls)), None)
+    def act(self, env: Environment, goal: ObjectStates) -> Action | None:
+        """The next step of a walk or a push; ``env`` must also be ``Pushing``.
+
+        Where actions are displacements, it is one of a whole step.
+        """
+        chosen = next(_choices(_Surroundings(env, goal, self._walls)), None)
+        if chosen is None or not isinstance(env.facts.actions, Continuous):
+            return chosen
+        move: Float[np.ndarray, "2"] = cast(Pushing, env).moves[chosen]
+        return move
 
 
 class _Surroundings:

@@ -40,10 +40,11 @@ def train(
     labels: Annotated[
         str | None,
         typer.Option(
-            metavar="[none|one-shot|K-shot|P%]",
-            help="Label budget: how many action labels the model is given. one-shot, 5-shot: this many demonstrations "
-            "of each action; 10%, 100%: the actions of this share of the episodes. Models that learn from video alone "
-            "use one-shot by default; other models need a budget.",
+            metavar="[none|N|all|P%|one-shot|K-shot]",
+            help="Label budget: how many action labels the model is given. 64: this many labelled transitions; 10%, "
+            "all: the actions of this share of the episodes; one-shot, 5-shot: this many demonstrations of each "
+            "discrete action. Models that learn from video alone use one-shot by default, and 64 if the actions are "
+            "continuous; other models need a budget.",
         ),
     ] = None,
     preset: Annotated[
@@ -181,9 +182,11 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
     if run.conditions is not None:
         typer.echo(f"  computed in {_conditions(run.conditions)}")
     if run.spec.labels == "none" and dataset.spec.actions is not None:
+        from dmotion_bench.learning.labels import first_budget
+
         typer.echo(
             "The model does not know yet which action is which. "
-            "The same command with '--labels one-shot' tells it, without training again."
+            f"The same command with '--labels {first_budget(dataset.spec.actions)}' tells it, without training again."
         )
     else:
         typer.echo(f"Score it with {command('dmbench score', run.path)}.")

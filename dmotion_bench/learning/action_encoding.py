@@ -6,6 +6,7 @@ place where a model's actions are normalised.
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
@@ -69,7 +70,9 @@ def action_embedding(spec: ActionSpec | None, width: int) -> nn.Module:
     return nn.Embedding(0 if spec is None else len(spec), width)
 
 
-def action_tensor(spec: ActionSpec | None, values: object, device: torch.device | None = None) -> Actions:
-    """Actions out of arrays as a data set holds them, in the type in which models take them."""
-    kind = torch.float32 if isinstance(spec, Continuous) else torch.int64
-    return torch.as_tensor(values, dtype=kind, device=device)
+def as_tensor(
+    actions: Int[np.ndarray, "*b"] | Float[np.ndarray, "*b a"], device: torch.device | None = None
+) -> Int[Tensor, "*b"] | Float[Tensor, "*b a"]:
+    """Stored actions in the type in which models take them: 64-bit numbers of actions, or 32-bit continuous ones."""
+    kind = torch.float32 if np.issubdtype(actions.dtype, np.floating) else torch.int64
+    return torch.from_numpy(np.ascontiguousarray(actions)).to(device, kind)

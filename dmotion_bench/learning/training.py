@@ -116,9 +116,8 @@ class _Trainer:
         self.run, self.data, self.fabric = run, data, fabric
         self.config: TrainingConfig = run.spec.training_config
         self.model = run.spec.build().laid_out()
-        self.demonstrations = demonstrations_of(
-            data, fabric.device
-        )  # asked for first: what is missing is said before the work
+        # asked for first: what is missing is said before the work
+        self.demonstrations = demonstrations_of(data, self.model.supervision, fabric.device)
         self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device)
         self.steps, self.watched = self.parts[-1].stop, steps_before_labels(self.parts)
         wrapped, self.optimizer = fabric.setup(self.model, make_optimizer(self.model, self.config))
@@ -194,9 +193,9 @@ class _Trainer:
                         counted = 0
                     if self.state.step % validate_every == 0 or self.state.step == part.stop:
                         self._validate(part, log)
-                        saved = self._save()
-                        if self.state.step == self.watched:
+                        if self.state.step == self.watched:  # before the other: a kill in between takes this step again
                             self._write_checkpoint(self.run.watched)
+                        saved = self._save()
                     elif stopping() or time.monotonic() - saved > CHECKPOINT_SECONDS:
                         saved = self._save()
                     if stopping():

@@ -264,8 +264,12 @@ class ScriptedAgent(SimulatorAgent):
 
     def act_in(self, context: PlanContext, worlds: Sequence[World]) -> Decision:
         """The next step of each task's script."""
-        chosen = [script.act(world.env, world.problem.goal_objects) for world, script in self._scripts]
-        return Decision(action=np.array([NO_ACTION if action is None else action for action in chosen]))
+        action = no_action(known_actions(worlds[0].env.facts), len(worlds))
+        for place, (world, script) in enumerate(self._scripts):
+            chosen = script.act(world.env, world.problem.goal_objects)
+            if chosen is not None:
+                action[place] = chosen
+        return Decision(action=action)
 
 
 def _script(env: Environment) -> Script:

@@ -25,7 +25,7 @@ from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectStates
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command
 
-Action = int | tuple[float, ...]
+ActionTaken = int | tuple[float, ...]
 """The number of a discrete action, or a continuous one in its units."""
 
 
@@ -166,7 +166,7 @@ def _problem(dataset: TaskDataset, number: int, task: ControlTask) -> Problem:
         task=task,
         seed=dataset.rows[task.episode].seed,
         vary=tuple(dataset.recipe.vary),
-        opening=states.actions[: task.start].astype(np.float64 if states.actions.ndim > 1 else np.int64),
+        opening=states.actions[: task.start],
         start_frame=video[task.start],
         goal_frame=video[task.goal],
         start_objects=_at(states.objects, task.start),
@@ -198,7 +198,7 @@ class World:
 
     def __init__(self, env: Environment, problem: Problem) -> None:
         self.env, self.problem = env, problem
-        self.actions: list[Action] = []
+        self.actions: list[ActionTaken] = []
         self.frame = start(env, problem)
         self._measure = measure_of(env, problem)
         if not np.array_equal(self.frame, problem.start_frame):
@@ -208,7 +208,7 @@ class World:
                 "set again with 'dmbench record'."
             )
 
-    def step(self, action: Action) -> None:
+    def step(self, action: ActionTaken) -> None:
         """Take an action."""
         self.frame = take(self.env, action)
         self.actions.append(action)
@@ -224,7 +224,7 @@ class World:
         return self._measure.lost(self.env)
 
 
-def start(env: Environment, problem: Problem, actions: Sequence[Action] = ()) -> UInt8[np.ndarray, "h w 3"]:
+def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = ()) -> UInt8[np.ndarray, "h w 3"]:
     """Bring an environment to a problem's start and take some more actions; returns the image there."""
     frame = env.reset(seed=problem.seed, options={"vary": list(problem.vary)} if problem.vary else None)[0]
     for action in (*as_actions(problem.opening), *actions):
@@ -232,11 +232,11 @@ def start(env: Environment, problem: Problem, actions: Sequence[Action] = ()) ->
     return frame
 
 
-def take(env: Environment, action: Action) -> UInt8[np.ndarray, "h w 3"]:
+def take(env: Environment, action: ActionTaken) -> UInt8[np.ndarray, "h w 3"]:
     """Take an action; returns the image after it."""
     return env.step(np.array(action) if isinstance(action, tuple) else action)[0]
 
 
-def as_actions(rows: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]) -> list[Action]:
+def as_actions(rows: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]) -> list[ActionTaken]:
     """Actions one by one, in a form that can be compared: numbers, or of continuous ones tuples."""
     return [tuple(row) if isinstance(row, list) else row for row in rows.tolist()]

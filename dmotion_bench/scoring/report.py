@@ -13,7 +13,7 @@
       weights        the hash of the weights
       settings       split, horizon, precision ...; metrics: what has been scored so far; of control its version, too
       planning       of control: the planner and the cost, every field and every constant, and the arithmetic
-      training       what the run cost
+      training       what the run cost; threads: that trained it, and scored it
       versions       of Python and the packages
       figures        name -> mean, std, low, high, n
       reference      the same for predictors that know nothing, and published results, by their names

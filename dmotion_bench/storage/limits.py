@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.specs import EnvSpec
 
 MIB: Final = 2**20
@@ -30,6 +31,8 @@ _STATE_BYTES: Final = 80  # ten numbers of eight bytes for each thing in each fr
 def most_frames(spec: EnvSpec) -> int:
     """Frames that an episode can have."""
     frame = spec.height * spec.width * (3 + 1) + _STATE_BYTES * (1 + len(spec.objects))
+    if isinstance(spec.actions, Continuous):
+        frame += 8 * spec.actions.width
     return min(MOST_FRAMES, EPISODE_BYTES // frame)
 
 

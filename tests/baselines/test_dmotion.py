@@ -114,10 +114,10 @@ def test_the_table_holds_the_mean_motion_of_each_actions_demonstrations() -> Non
     actions = torch.tensor([0, 1, 2, 3, 0, 0])
     model.align(Demonstrations(previous=current, current=current, next=following, action=actions))
     motion = model.motion(current, following)
-    torch.testing.assert_close(model.table[0], motion[[0, 4, 5]].mean(0))
-    torch.testing.assert_close(model.table[3], motion[3])
+    torch.testing.assert_close(model.table.rows[0], motion[[0, 4, 5]].mean(0))
+    torch.testing.assert_close(model.table.rows[3], motion[3])
     torch.testing.assert_close(
-        model.predict(current, current, actions), model.predict_with_latent(current, current, model.table[actions])
+        model.predict(current, current, actions), model.predict_with_latent(current, current, model.table(actions))
     )
 
 

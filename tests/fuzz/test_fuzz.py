@@ -42,10 +42,14 @@ def wait():
     while True:
         pass
 
-child.CPU_S = 1
+def take_much():
+    taken.append(bytearray(b"x" * (300 << 20) if not taken else b""))
+
+taken = []
+child.CPU_S, child.MEMORY = 2, 256 << 20
 spoilt("labels", forget)
 spoilt("tasks", wait)
-spoilt("video", lambda: bytearray(b"x" * (1100 << 20)))
+spoilt("video", take_much)
 Mapped.is_sound = lambda self, place: True
 __main__.main()
 """
@@ -75,7 +79,7 @@ def test_a_minute_of_fuzzing_finds_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_faults_that_are_planted_in_dmbench_are_found(tmp_path: Path) -> None:
-    code, said = _fuzz(("-c", PLANTED), ("--cases", "120", "--only", "dataset", "--seed", "1"), tmp_path)
+    code, said = _fuzz(("-c", PLANTED), ("--cases", "80", "--only", "dataset", "--seed", "1"), tmp_path)
     assert code == 1
     found = " ".join(said["faults"])
     assert "KeyError" in found
@@ -184,3 +188,14 @@ def test_too_much_memory_is_a_fault_and_a_little_less_is_none(tmp_path: Path, mo
     monkeypatch.setattr(child, "MEMORY", 256 << 20)
     assert _kinds(lambda: bool(bytearray(b"x" * (400 << 20))), tmp_path) == ["memory"]
     assert _kinds(lambda: bool(bytearray(b"x" * (50 << 20))), tmp_path) == []
+
+
+def test_the_memory_of_a_process_that_is_started_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(child, "MEMORY", 1400 << 20)
+    source = "import sys; b'x' * (int(sys.argv[1]) << 20)"
+
+    def start(size: int) -> bool:
+        return subprocess.run([sys.executable, "-c", source, str(size)], check=True).returncode == 0
+
+    assert _kinds(lambda: start(1500), tmp_path) == ["memory"]
+    assert _kinds(lambda: start(1000), tmp_path) == []

@@ -65,6 +65,8 @@ def kill(scratch: Path, kills: int, seed: int, only: tuple[str, ...], keep: Path
             shutil.copytree(workspace, keep / str(number), dirs_exist_ok=True)
         shutil.rmtree(workspace, ignore_errors=True)
         number += 1
+        for fault in found.faults:
+            print(f"{scenario.name}, {'; '.join(found.strikes)}: {fault}", file=sys.stderr)  # noqa: T201
         print(f"{done} kills, {len(faults)} faults", file=sys.stderr, flush=True)  # noqa: T201
     return {
         "seed": seed,

@@ -132,7 +132,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     ),
     Scenario(
         name="plan",
-        words=("plan", "pushes", "--task", "1", "--steps", "3", "--planner", "exhaustive", "--json"),
+        words=("plan", "pushes", "--task", "1", "--steps", "2", "--planner", "exhaustive", "--json"),
         needs=("data/grid-tiny", "runs/pushes/run.json", "runs/pushes/best.safetensors"),
         outcome=lambda workspace: {},
         says=True,

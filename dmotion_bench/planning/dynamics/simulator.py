@@ -27,7 +27,7 @@ from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.planning.dynamics.base import Actions, Dynamics, Observation, State
 from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
-from dmotion_bench.planning.tasks import Action, Problem, World, as_actions, measure_of, start, take
+from dmotion_bench.planning.tasks import ActionTaken, Problem, World, as_actions, measure_of, start, take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Place:
         picture: What is seen there, compressed; None where it was not asked for.
     """
 
-    actions: tuple[Action, ...]
+    actions: tuple[ActionTaken, ...]
     snapshot: Any
     name: bytes
     cost: float
@@ -65,7 +65,7 @@ class Simulation:
     def __init__(self, env: Environment, problem: Problem, *, pictures: bool = False) -> None:
         self.env, self.problem, self.tried = env, problem, 0
         self._measure, self._pictures = measure_of(env, problem), pictures
-        self._after: dict[tuple[bytes, Action], Place] = {}
+        self._after: dict[tuple[bytes, ActionTaken], Place] = {}
         self.here = self._now = self._place((), start(env, problem))
 
     def follow(self, world: World) -> None:
@@ -80,7 +80,7 @@ class Simulation:
             for action in actions[len(self.here.actions) :]:
                 self.here = known.get((self.here.name, action)) or self.step(self.here, action)
 
-    def step(self, place: Place, action: Action) -> Place:
+    def step(self, place: Place, action: ActionTaken) -> Place:
         """The state that an action leads to."""
         known = self._after.get((place.name, action))
         if known is None:
@@ -108,12 +108,12 @@ class Simulation:
         else:
             start(self.env, self.problem, place.actions)
 
-    def _place(self, actions: tuple[Action, ...], frame: UInt8[np.ndarray, "h w 3"]) -> Place:
+    def _place(self, actions: tuple[ActionTaken, ...], frame: UInt8[np.ndarray, "h w 3"]) -> Place:
         picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1) if self._pictures else None
         return replace(_seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
 
 
-def _seen_from(env: Environment, actions: tuple[Action, ...]) -> Place:
+def _seen_from(env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
     agent, objects = env.agent(), env.objects()
     parts = (agent.position, objects.position, objects.orientation)
     return Place(

@@ -28,7 +28,6 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from baselines.layers import (
-    CHANNELS,
     SLOPE,
     WIDTHS,
     FrameDecoder,
@@ -37,10 +36,9 @@ from baselines.layers import (
     conv,
     left_to_adam,
     linear,
-    pack,
     reconstruction_losses,
-    unpack,
 )
+from baselines.patches import CHANNELS, pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import InvalidSetting

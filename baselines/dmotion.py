@@ -22,11 +22,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines import dmotion_compact, dmotion_paper
+from baselines.layers import squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
@@ -162,12 +162,12 @@ class DMotion(ForwardModel[DMotionConfig]):
         reconstructed = self.decoder(self.transform(maps, motion, blur))
         agent = self.transform(maps[:, :1], self._with_noise(motion[:, :1], maps.shape[-1]), blur)
         predicted = self._interact(previous, current, agent)
-        extraction = F.mse_loss(reconstructed, following)  # packing moves pixels about, the mean stays
-        prediction = F.mse_loss(predicted, following)
+        each = squared_error(predicted, following)  # packing moves pixels about, the mean stays
+        extraction, prediction = squared_error(reconstructed, following).mean(), each.mean()
         return Losses(
             total=extraction + prediction,
             terms={"extraction": extraction.detach(), "prediction": prediction.detach()},
-            per_triplet=(predicted.detach() - following).float().square().mean((1, 2, 3)),
+            per_triplet=each.detach(),
         )
 
     @torch.no_grad()

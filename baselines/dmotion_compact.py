@@ -1,6 +1,6 @@
 """Small and fast networks for DMotion: the same four parts and the same structure, with other layers.
 
-What differs from ``dmotion_paper.py``, and what each difference bought, is measured in DECISIONS.md:
+What differs from ``dmotion_paper.py``, and what each difference bought, is measured in decisions 018 to 020:
 
 - Everything runs on 4 x 4 patches of the frame as 48 channels, at 32 x 32 and below: wide convolutions on small maps
   keep the CPU's bfloat16 units busy, narrow ones on large maps wait for memory.
@@ -22,7 +22,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines.layers import (
-    CHANNELS,
     OUTPUT_GAIN,
     WIDTHS,
     MotionTrunk,
@@ -30,11 +29,9 @@ from baselines.layers import (
     block,
     conv,
     left_to_adam,
-    pack,
-    patches,
-    unpack,
     up,
 )
+from baselines.patches import CHANNELS, from_patches, pack, patches, unpack
 
 __all__ = ["Decoder", "ImageEncoder", "InteractionLearner", "MotionEncoder", "pack", "unpack"]
 
@@ -58,8 +55,7 @@ class ImageEncoder(nn.Module):
     def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b k hm wm"]:
         features = self.stem(packed)
         features = features + self.context(features)
-        maps: Tensor = rearrange(self.head(features), "b (k p q) h w -> b k (h p) (w q)", p=2, q=2)
-        return maps
+        return from_patches(self.head(features), 2)
 
 
 class MotionEncoder(MotionTrunk):

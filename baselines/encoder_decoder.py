@@ -14,7 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from baselines.layers import CodedUNet, check_size, pack, squared_error, unpack
+from baselines.layers import CodedUNet, check_size, squared_error
+from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TrainingConfig, TripletBatch

@@ -28,7 +28,8 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baselines.layers import FrameDecoder, FrameEncoder, check_size, left_to_adam, pack, reconstruction_losses, unpack
+from baselines.layers import FrameDecoder, FrameEncoder, check_size, left_to_adam, reconstruction_losses
+from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import InvalidSetting

@@ -20,7 +20,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.gaussian import Gaussian
-from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, pack, squared_error, unpack
+from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
+from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import Actions

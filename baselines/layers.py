@@ -2,7 +2,7 @@
 
 Everything runs on 4 x 4 patches of the frame as 48 channels, at a quarter of its side and below: wide convolutions on
 small maps keep the CPU's bfloat16 units busy, narrow ones on large maps wait for memory. There is no normalisation:
-scaled initial weights and residual connections do without. What this bought is measured in DECISIONS.md.
+scaled initial weights and residual connections do without. What this bought is measured in decision 018.
 
 Frames are *packed*: ``Float[b 48 h/4 w/4]``, channels-last in memory.
 """
@@ -15,15 +15,15 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from baselines.patches import CHANNELS, PATCH, patches, unpack
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import Losses, ModelInputs
 
 SLOPE = 0.2
-PATCH = 4
-CHANNELS = 3 * PATCH**2  # of a packed frame
 WIDTHS = (32, 64, 128)
 MIDDLE_BLOCKS = 3
 OUTPUT_GAIN = 0.35
+OPENNESS = -1.0  # of the gate before training: it lets in a quarter of what is new
 LARGEST_FLOW = 20.0  # [px]: about two steps of an agent
 
 
@@ -39,27 +39,32 @@ def check_size(model: str, inputs: ModelInputs) -> None:
         )
 
 
-def pack(image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b p hp wp"]:
-    """4 x 4 patches as channels."""
-    if torch.is_autocast_enabled(image.device.type):
-        image = image.to(torch.get_autocast_dtype(image.device.type))
-    return patches(image, PATCH)
+class _SquaredError(torch.autograd.Function):
+    """``squared_error``, which keeps one difference for its gradient and makes no other copy of the frames."""
 
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, predicted: Tensor, true: Tensor) -> Tensor:
+        difference = predicted - true
+        ctx.save_for_backward(difference.to(predicted.dtype))
+        wide = torch.promote_types(difference.dtype, torch.float32)
+        norm: Tensor = torch.linalg.vector_norm(difference, dim=tuple(range(1, difference.ndim)), dtype=wide)
+        return norm.square() / (difference.numel() // len(difference))
 
-def unpack(packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b c h w"]:
-    """Channels as 4 x 4 patches."""
-    return rearrange(packed, "b (c p q) h w -> b c (h p) (w q)", p=PATCH, q=PATCH)
-
-
-def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp wp"]:
-    """Turn patches into channels with one copy; ``pixel_unshuffle`` needs two for this order of channels."""
-    together = rearrange(image, "b c (h p) (w q) -> b h w (c p q)", p=side, q=side)
-    return together.contiguous().permute(0, 3, 1, 2)
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        (difference,) = ctx.saved_tensors  # type: ignore[attr-defined]
+        of_each = gradients[0] * (2 * len(difference) / difference.numel())
+        of_predicted = difference * of_each.to(difference.dtype).view(-1, *[1] * (difference.ndim - 1))
+        return of_predicted, -of_predicted if ctx.needs_input_grad[1] else None  # type: ignore[attr-defined]
 
 
 def squared_error(predicted: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Float[Tensor, " b"]:
-    """The squared error of each row, averaged over all other axes, in float32."""
-    return (predicted.float() - true.float()).square().flatten(1).mean(1)
+    """The squared error of each row, averaged over all other axes, in float32.
+
+    The difference of two frames in bfloat16 is rounded to bfloat16; where they are nearly alike, it is exact.
+    """
+    each: Tensor = _SquaredError.apply(predicted, true)  # type: ignore[no-untyped-call]
+    return each
 
 
 def reconstruction_losses(drawn: Float[Tensor, "b *d"], true: Float[Tensor, "b *d"]) -> Losses:
@@ -72,7 +77,7 @@ def reconstruction_losses(drawn: Float[Tensor, "b *d"], true: Float[Tensor, "b *
 class _Wrap(torch.autograd.Function):
     """One more row and column on each side, from the opposite one; one copy each way, channels-last throughout.
 
-    ``torch.cat`` and circular ``F.pad`` take as long as the convolution that follows them (DECISIONS.md).
+    ``torch.cat`` and circular ``F.pad`` take as long as the convolution that follows them (decision 018).
     """
 
     @staticmethod
@@ -149,9 +154,28 @@ def block(
     return nn.Sequential(layer, nn.LeakyReLU(SLOPE, inplace=True))
 
 
+class Up2d(nn.ConvTranspose2d):
+    """A transposed convolution of kernel 2 and stride 2, computed as what it is: a matrix product for each pixel.
+
+    Its gradient takes less than half as long as that of the general convolution (docs/experiments/speed.md).
+    """
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__(inputs, outputs, 2, 2)
+
+    def forward(
+        self, picture: Float[Tensor, "b c h w"], output_size: list[int] | None = None
+    ) -> Float[Tensor, "b o y x"]:
+        assert self.bias is not None
+        assert output_size is None, "the size is twice the input's"
+        matrix = rearrange(self.weight, "c o p q -> (p q o) c")
+        made = F.linear(picture.permute(0, 2, 3, 1), matrix, self.bias.repeat(4))
+        return rearrange(made, "b h w (p q o) -> b (h p) (w q) o", p=2, q=2).permute(0, 3, 1, 2)
+
+
 def up(inputs: int, outputs: int) -> nn.ConvTranspose2d:
     """Twice the size; each input pixel makes a 2 x 2 patch."""
-    layer = nn.ConvTranspose2d(inputs, outputs, 2, 2)
+    layer = Up2d(inputs, outputs)
     nn.init.normal_(layer.weight, std=0.7 * inputs**-0.5)
     nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
     return layer
@@ -221,10 +245,10 @@ class UNet(nn.Module):
             level2 = level2 + inner(level2)
         level1 = level1 + self.merge1(level1 + self.up1(level2))
         level0 = self.merge0(level0 + self.up0(level1))
-        current = packed[:, -CHANNELS:]
+        current = packed[:, -CHANNELS:].contiguous(memory_format=torch.channels_last)  # strides make blending slow
         if self.warps:
             current = self._carried(current, level0)
-        return _blended(current, self.painting(level0), self.gate(level0) - 1)
+        return torch.lerp(current, self.painting(level0), _share(self.gate, level0, OPENNESS))
 
     def _carried(
         self, current: Float[Tensor, "b p hp wp"], features: Float[Tensor, "b c hp wp"]
@@ -232,14 +256,17 @@ class UNet(nn.Module):
         """x_t, warped by the flow."""
         flow = LARGEST_FLOW * torch.tanh(self.flow(features).float() * (PATCH / LARGEST_FLOW))
         moved = patches(warped(unpack(current).float(), flow).to(current.dtype), PATCH)
-        return _blended(current, moved, self.warp_gate(features))
+        return torch.lerp(current, moved, _share(self.warp_gate, features))
 
 
-def _blended(
-    old: Float[Tensor, "b p hp wp"], new: Float[Tensor, "b p hp wp"], gate: Float[Tensor, "b g hp wp"]
-) -> Float[Tensor, "b p hp wp"]:
-    """Blend a new frame into an old one by a gate, one value per pixel for all three colours."""
-    return old + torch.sigmoid(gate).repeat(1, 3, 1, 1) * (new - old)
+def _share(gate: nn.Conv2d, features: Float[Tensor, "b c hp wp"], openness: float = 0.0) -> Float[Tensor, "b p hp wp"]:
+    """How much of a new frame a gate lets in: one value per pixel, and the same again for each of the three colours.
+
+    The gate's weights are repeated instead of its values. So all that follows is of one shape and one memory format;
+    repeating the values makes the blending seven times as slow (docs/experiments/speed.md).
+    """
+    assert gate.bias is not None
+    return torch.sigmoid(F.conv2d(features, gate.weight.repeat(3, 1, 1, 1), (gate.bias + openness).repeat(3)))
 
 
 class CodedUNet(UNet):
@@ -294,7 +321,7 @@ class FrameDecoder(nn.Module):
         inputs: The size of the frame.
         features: Length of the vector.
         hidden: Width of the layer between the vector and the smallest map; None: one linear map leads there, which
-            carries over to other layouts where the vector is a linear map of features, too (DECISIONS.md).
+            carries over to other layouts where the vector is a linear map of features, too (decision 024).
     """
 
     def __init__(self, inputs: ModelInputs, features: int, hidden: int | None) -> None:

@@ -1,22 +1,36 @@
-"""Registered environments and models: names to classes, through entry points that are loaded on use.
+"""Registered environments, models, objectives, solvers and speeds: names to what they stand for, by entry points.
 
 Nothing is imported until a name is asked for, so listing names costs no torch and no simulator.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.errors import DmbenchError, UnknownName
 
 if TYPE_CHECKING:
+    from dmotion_bench.benchmarks.result import Result
     from dmotion_bench.environment import Environment
     from dmotion_bench.learning.model import ForwardModel
+    from dmotion_bench.planning.objectives.base import Objective
+    from dmotion_bench.planning.solvers.base import Solver
 
 ENVIRONMENTS = "dmbench.environments"
 MODELS = "dmbench.models"
+OBJECTIVES = "dmbench.objectives"
+SOLVERS = "dmbench.solvers"
+SPEEDS = "dmbench.speeds"
+
+LISTED = {
+    ENVIRONMENTS: "dmbench list environments",
+    MODELS: "dmbench list models",
+    OBJECTIVES: "dmbench score --help",
+    SOLVERS: "dmbench score --help",
+}
+"""The commands that list the names of each group."""
 
 
 def names(group: str) -> list[str]:
@@ -27,7 +41,7 @@ def names(group: str) -> list[str]:
 def _load(group: str, kind: str, name: str) -> Any:
     found: list[EntryPoint] = [point for point in entry_points(group=group) if point.name == name]
     if not found:
-        raise UnknownName(kind, name, names(group), f"dmbench list {kind}s")
+        raise UnknownName(kind, name, names(group), LISTED.get(group, ""))
     if len({point.value for point in found}) > 1:
         owners = sorted(f"{point.dist.name if point.dist else 'a package'} ({point.value})" for point in found)
         raise DmbenchError(f"the {kind} {name!r} is registered by {' and by '.join(owners)}; rename or uninstall one.")
@@ -50,6 +64,21 @@ def environment_names() -> list[str]:
 def model_names() -> list[str]:
     """The names of all installed models."""
     return names(MODELS)
+
+
+def speed_names() -> list[str]:
+    """The names of all speeds that packages add to ``dmbench bench``."""
+    return names(SPEEDS)
+
+
+def speed(name: str) -> Callable[[float], Iterable[Result]]:
+    """The function that measures an added speed for so many seconds.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: Callable[[float], Iterable[Result]] = _load(SPEEDS, "speed", name)
+    return loaded
 
 
 def environment_class(name: str) -> type[Environment]:
@@ -83,4 +112,34 @@ def model_class(name: str) -> type[ForwardModel[Any]]:
         UnknownName: Nothing is registered under this name.
     """
     loaded: type[ForwardModel[Any]] = _load(MODELS, "model", name)
+    return loaded
+
+
+def objective_names() -> list[str]:
+    """The names of all installed objectives."""
+    return names(OBJECTIVES)
+
+
+def solver_names() -> list[str]:
+    """The names of all installed solvers."""
+    return names(SOLVERS)
+
+
+def objective_class(name: str) -> type[Objective]:
+    """The class of an objective.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: type[Objective] = _load(OBJECTIVES, "objective", name)
+    return loaded
+
+
+def solver_class(name: str) -> type[Solver]:
+    """The class of a solver.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: type[Solver] = _load(SOLVERS, "planner", name)
     return loaded

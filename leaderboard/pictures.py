@@ -26,6 +26,7 @@ from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelRequest
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.scoring.prediction import predicting
 from dmotion_bench.scoring.samples import column
 from dmotion_bench.storage.dataset import Dataset
@@ -92,7 +93,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
     action = torch.tensor([one.action for one in steps])
     names = require_discrete(dataset.spec.actions, "an entry").names
     model = run.model.to("cpu").laid_out().eval()
-    with predicting(torch.device("cpu")):
+    with using_threads(run.threads), predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
     return [
         {
@@ -147,7 +148,7 @@ def _check_head(raw: bytes) -> None:
 def shown(text: str) -> str:
     """A picture of an entry as the source of an ``<img>``, encoded again so that it holds nothing but pixels.
 
-    Lossless WebP, a fifth smaller than PNG (DECISIONS.md).
+    Lossless WebP, a fifth smaller than PNG.
     """
     return f"data:image/webp;base64,{_encoded(from_png(text), 'WEBP', lossless=True, quality=100, method=6)}"
 

@@ -14,9 +14,11 @@ from dmotion_bench.cli.options import (
     METRICS,
     REFERENCES,
     AsJson,
-    CostName,
     Device,
+    ObjectiveName,
+    ObjectiveSettings,
     PlannerName,
+    PlannerSettings,
     listed,
     require_one_of,
 )
@@ -61,12 +63,15 @@ def score(
         typer.Option(min=1, help="For control: work on the data set's first tasks only, this many. Default: all."),
     ] = None,
     planner: PlannerName = None,
-    cost: CostName = None,
+    planner_set: PlannerSettings = None,
+    objective: ObjectiveName = None,
+    objective_set: ObjectiveSettings = None,
     data: Annotated[
         Path | None,
         typer.Option(
             help="Data set to score on: another one of the same environment, such as one recorded with '--ranges "
-            "shifted'. Default: the data set that the run was trained on. A reference needs a data set, too."
+            "shifted', or an import whose actions have the same names. Default: the data set that the run was trained "
+            "on. A reference needs a data set, too."
         ),
     ] = None,
     batch_size: Annotated[
@@ -93,6 +98,7 @@ def score(
     require_one_of("device", device, DEVICES)
     use_cache(cache)
     asked = _metrics(metrics)
+    control = _control(tasks, planner, planner_set, objective, objective_set)
     workspace = Workspace.current()
     if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):
         if len(named) < len(runs) or every:
@@ -101,9 +107,7 @@ def score(
             )
         if asked != ("control",):
             raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
-        _references(
-            [str(one) for one in named], workspace.dataset(data), _control(tasks, planner, cost), as_json=as_json
-        )
+        _references([str(one) for one in named], workspace.dataset(data), control, as_json=as_json)
         return
     if every and runs:
         raise UsageError("--all scores every run; name runs or give --all, not both.")
@@ -117,7 +121,7 @@ def score(
         split="validation" if split == "validation" else "test",
         horizon=horizon,
         precision="bf16" if precision == "bf16" else "float32",
-        control=_control(tasks, planner, cost),
+        control=control,
     )
     other = None if data is None else workspace.dataset(data)
     reports, failures = score_runs(paths, asked, settings, batch_size=batch_size, device=device, keep=every, data=other)
@@ -154,6 +158,8 @@ def score_runs(
     from dmotion_bench.cli.progress import note, progress_bar
     from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
     from dmotion_bench.learning.run import Run
+    from dmotion_bench.learning.threads import scoring_shortage
+    from dmotion_bench.recording.executor import available_workers
     from dmotion_bench.scoring.prediction import Execution
     from dmotion_bench.scoring.score import ReferenceScores, score_run
 
@@ -163,6 +169,7 @@ def score_runs(
     references = ReferenceScores()
     reports: dict[Path, Report] = {}
     failures: dict[str, str] = {}
+    warned: set[str] = set()
     with progress_bar() as bar:
         task = bar.add_task("scoring", total=None, status="")
         for path in paths:
@@ -171,7 +178,10 @@ def score_runs(
                 bar.update(task, description=f"scoring {name}", completed=done, total=total, status=what)
 
             try:
-                Run.open(path).require_aligned()
+                told = scoring_shortage(Run.open(path).threads or 1, available_workers())
+                if told is not None and told not in warned:
+                    warned.add(told)
+                    note(told)
                 reports[path] = score_run(
                     path,
                     metrics=metrics,
@@ -203,18 +213,30 @@ def _metrics(text: str) -> tuple[Metric, ...]:
     return tuple(name for name in METRICS if name in asked)
 
 
-def _control(tasks: int | None, planner: str | None, cost: str | None) -> ControlScoring:
-    from dmotion_bench.planning.planner import DEFAULT_PLANNER
+def _control(
+    tasks: int | None,
+    planner: str | None,
+    planner_set: list[str] | None,
+    objective: str | None,
+    objective_set: list[str] | None,
+) -> ControlScoring:
+    from dmotion_bench.planning.choices import DEFAULT_SOLVER
     from dmotion_bench.scoring.control import ControlScoring
 
-    return ControlScoring(tasks=tasks, planner=planner or DEFAULT_PLANNER, cost=cost)
+    return ControlScoring(
+        tasks=tasks,
+        planner=planner or DEFAULT_SOLVER,
+        planner_set=tuple(planner_set or ()),
+        objective=objective,
+        objective_set=tuple(objective_set or ()),
+    )
 
 
 def _references(names: list[str], path: Path, scoring: ControlScoring, *, as_json: bool) -> None:
     """Score references for control; what they did stays in the data set's cache."""
     from dmotion_bench.cli.progress import progress_bar
     from dmotion_bench.cli.report_table import show_control
-    from dmotion_bench.planning.control import ControlProgress
+    from dmotion_bench.planning.mpc import ControlProgress
     from dmotion_bench.scoring.control import control_samples, score_reference
     from dmotion_bench.scoring.figures import figures_of
     from dmotion_bench.storage.dataset import Dataset

@@ -152,6 +152,8 @@ def _follower(run: Path) -> Follower:
 
 def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None:
     """Print the result of a training."""
+    from dmotion_bench.cli.progress import duration
+
     summary = {
         "run": str(run.path),
         "model": run.spec.model,
@@ -167,7 +169,7 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
         return
     typer.echo(f"{run.path}")
     typer.echo(
-        f"  {result['steps']} steps, {result['triplets']} triplets in {_duration(result['seconds'])} "
+        f"  {result['steps']} steps, {result['triplets']} triplets in {duration(result['seconds'])} "
         f"({result['triplets_per_s']:.0f} triplets/s), {result['parameters'] / 1e6:.2f} M parameters"
     )
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
@@ -207,6 +209,7 @@ def _train_all(
     as_json: bool,
 ) -> None:
     """Train every model with each of its budgets; raises an error at the end if one of them failed."""
+    from dmotion_bench.cli.progress import duration
     from dmotion_bench.errors import RunError
     from dmotion_bench.learning.start import TrainingRequest
     from dmotion_bench.learning.table import train_table
@@ -225,7 +228,7 @@ def _train_all(
             row["labels"] = result.get("labels_total")
         rows.append(row)
         if not as_json:
-            done = outcome.error or f"{_duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
+            done = outcome.error or f"{duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
             typer.echo(f"{row['model']:16s} {row['budget']:9s} {done}")
     if as_json:
         typer.echo(json.dumps({"rows": rows}))
@@ -284,8 +287,3 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
 
 def _transitions(dataset: Any) -> int:
     return int((dataset.lengths - 1).sum())
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

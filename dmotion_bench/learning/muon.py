@@ -15,13 +15,22 @@ from torch import Tensor
 
 NEWTON_SCHULZ = (3.4445, -4.7750, 2.0315)  # the quintic's coefficients, Jordan et al.
 ITERATIONS = 5
+FEW = 2**16
+"""So few numbers a CPU multiplies faster in float32: in bfloat16 the call itself takes longer than the product."""
 
 
-def orthogonalised(matrices: Tensor) -> Tensor:
-    """Matrices with about the same singular vectors and all singular values near one: ``[n r c]`` to ``[n r c]``."""
+def orthogonalised(matrices: Tensor, products: torch.dtype = torch.bfloat16) -> Tensor:
+    """Matrices with about the same singular vectors and all singular values near one: ``[n r c]`` to ``[n r c]``.
+
+    Args:
+        matrices: In float32.
+        products: The type in which large matrices are multiplied.
+    """
+    if matrices.device.type == "cpu" and matrices.numel() <= FEW:
+        products = torch.float32
     wide = matrices.shape[-2] <= matrices.shape[-1]
     work = matrices if wide else matrices.mT
-    work = (work / (work.norm(dim=(-2, -1), keepdim=True) + 1e-12)).bfloat16()
+    work = (work / (work.norm(dim=(-2, -1), keepdim=True) + 1e-12)).to(products)
     first, third, fifth = NEWTON_SCHULZ
     for _ in range(ITERATIONS):
         square = work @ work.mT
@@ -37,13 +46,20 @@ class Muon(torch.optim.Optimizer):
         lr: Learning rate of both halves.
         momentum: Of Muon's running mean, and Adam's first beta.
         second: Adam's second beta.
+        products: The type in which Muon multiplies large matrices; bfloat16 is slow on hardware that emulates it.
     """
 
     def __init__(
-        self, groups: Iterable[dict[str, Any]], lr: float, momentum: float = 0.9, second: float = 0.95
+        self,
+        groups: Iterable[dict[str, Any]],
+        lr: float,
+        momentum: float = 0.9,
+        second: float = 0.95,
+        products: torch.dtype = torch.bfloat16,
     ) -> None:
         defaults = {"lr": lr, "momentum": momentum, "second": second, "matrices": False, "weight_decay": 0.0}
         super().__init__(list(groups), defaults)
+        self.products = products
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float] | None = None) -> float | None:  # type: ignore[override]
@@ -64,6 +80,13 @@ class Muon(torch.optim.Optimizer):
                 self._step_adam(group, parameters, gradients, means)
         return loss
 
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore the state; counts stay on the CPU, where reading them waits for nothing."""
+        super().load_state_dict(state_dict)
+        for state in self.state.values():
+            if "count" in state:
+                state["count"] = state["count"].cpu()
+
     def _state(self, parameter: Tensor, name: str) -> Tensor:
         state: dict[str, Tensor] = self.state[parameter]
         if name not in state:
@@ -73,15 +96,16 @@ class Muon(torch.optim.Optimizer):
     def _step_matrices(
         self, group: dict[str, Any], parameters: list[Tensor], gradients: list[Tensor], means: list[Tensor]
     ) -> None:
+        nesterov = torch._foreach_lerp(gradients, means, group["momentum"])
         by_shape: dict[tuple[int, int], list[int]] = {}
         for place, parameter in enumerate(parameters):
             by_shape.setdefault((len(parameter), parameter.numel() // len(parameter)), []).append(place)
         for (rows, columns), places in by_shape.items():
-            nesterov = [torch.lerp(gradients[i], means[i], group["momentum"]).flatten(1) for i in places]
-            steps = orthogonalised(torch.stack(nesterov))
-            for i, step in zip(places, steps, strict=True):
-                scale = 0.2 * max(rows, columns) ** 0.5
-                parameters[i].add_(step.reshape(parameters[i].shape), alpha=-group["lr"] * scale)
+            changed = [parameters[place] for place in places]
+            together = torch.stack([_matrix(nesterov[place], parameters[place]) for place in places])
+            matrices = orthogonalised(together, self.products)
+            steps = [_weight(matrix, parameter) for matrix, parameter in zip(matrices, changed, strict=True)]
+            torch._foreach_add_(changed, steps, alpha=-group["lr"] * 0.2 * max(rows, columns) ** 0.5)
 
     def _step_adam(
         self, group: dict[str, Any], parameters: list[Tensor], gradients: list[Tensor], means: list[Tensor]
@@ -89,9 +113,32 @@ class Muon(torch.optim.Optimizer):
         squares = [self._state(parameter, "square") for parameter in parameters]
         torch._foreach_mul_(squares, group["second"])
         torch._foreach_addcmul_(squares, gradients, gradients, 1 - group["second"])
-        for parameter, mean, square in zip(parameters, means, squares, strict=True):
-            count = self.state[parameter].setdefault("count", torch.zeros((), dtype=torch.float32))
-            count += 1
-            unbiased = float(1 - group["momentum"] ** float(count)), float(1 - group["second"] ** float(count))
-            scale = (square / unbiased[1]).sqrt_().add_(1e-8)
-            parameter.addcdiv_(mean, scale, value=-group["lr"] / unbiased[0])
+        counts = [self.state[parameter].setdefault("count", torch.zeros(())) for parameter in parameters]
+        torch._foreach_add_(counts, 1)
+        numbers = [float(count) for count in counts]
+        scales = torch._foreach_div(squares, [1 - group["second"] ** number for number in numbers])
+        torch._foreach_sqrt_(scales)
+        torch._foreach_add_(scales, 1e-8)
+        sizes = [-group["lr"] / (1 - group["momentum"] ** number) for number in numbers]
+        torch._foreach_addcdiv_(parameters, means, scales, sizes)
+
+
+def _matrix(values: Tensor, weight: Tensor) -> Tensor:
+    """Values of a weight as a matrix of outputs by everything else.
+
+    The columns follow each other as in the weight's memory: what lies there likewise is not copied. Their order does
+    not matter to the matrix's singular values.
+    """
+    return (values.permute(0, 2, 3, 1) if _is_channels_last(weight) else values).flatten(1)
+
+
+def _weight(matrix: Tensor, weight: Tensor) -> Tensor:
+    """The inverse of ``_matrix``."""
+    if not _is_channels_last(weight):
+        return matrix.view(weight.shape)
+    outputs, inputs, height, width = weight.shape
+    return matrix.view(outputs, height, width, inputs).permute(0, 3, 1, 2)
+
+
+def _is_channels_last(weight: Tensor) -> bool:
+    return weight.ndim == 4 and weight.is_contiguous(memory_format=torch.channels_last)

@@ -64,7 +64,8 @@ def make_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.Opti
         for (factor, matrix, hidden), parameters in groups.items()
     ]
     if config.optimizer == "muon":
-        return Muon(described, lr=config.learning_rate)
+        products = torch.bfloat16 if has_bf16(next(model.parameters()).device) else torch.float32
+        return Muon(described, lr=config.learning_rate, products=products)
     kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
     return kind(described, lr=config.learning_rate, fused=True)
 

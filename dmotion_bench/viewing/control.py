@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from dmotion_bench.actions import require_discrete
-from dmotion_bench.planning.planner import Plan
+from dmotion_bench.planning.solvers.base import Plan
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.viewing.scene import picture_view
 
@@ -69,7 +69,7 @@ def log_step(
         step: Actions taken before.
         camera: What is seen.
         distance: Normalised.
-        plan: What the planner came to for this task alone.
+        plan: What the solver came to for this task alone.
         futures: What the model makes of its best candidates.
     """
     recording.set_time(STEP, sequence=step)
@@ -102,12 +102,12 @@ def strip_of(futures: UInt8[np.ndarray, "m t h w 3"]) -> UInt8[np.ndarray, "y x 
 
 
 def candidate_table(actions: Sequence[str], plan: Plan) -> str:
-    """The best candidates of a plan's first task, as Markdown."""
-    lines = ["| cost | actions |", "|---:|---|"]
-    rows: list[tuple[Float[np.ndarray, ""], list[int]]] = list(
-        zip(plan.costs[0], plan.candidates[0].tolist(), strict=True)
-    )
-    for cost, sequence in rows:
+    """The best candidates of a plan's first task, as Markdown; with the parts of their costs, if there are several."""
+    parts = {name: values[0] for name, values in plan.parts.items()}
+    shown = list(parts) if any(np.any(values) for name, values in parts.items() if name != "distance") else []
+    lines = [f"| cost |{''.join(f' {name} |' for name in shown)} actions |", f"|---:|{'---:|' * len(shown)}---|"]
+    for place, (cost, sequence) in enumerate(zip(plan.costs[0], plan.candidates[0].tolist(), strict=True)):
         if np.isfinite(cost):
-            lines.append(f"| {cost:.4g} | {' '.join(actions[action] for action in sequence)} |")
+            values = "".join(f" {parts[name][place]:.4g} |" for name in shown)
+            lines.append(f"| {cost:.4g} |{values} {' '.join(actions[action] for action in sequence)} |")
     return "\n".join(lines)

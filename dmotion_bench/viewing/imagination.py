@@ -121,7 +121,7 @@ _Drawn = tuple[UInt8[Tensor, "s h w 3"], UInt8[Tensor, "s h w 3"]]
 
 
 def _by_actions(
-    model: ForwardModel[Any], images: Float[Tensor, "t c h w"], actions: Int[Tensor, " s"] | Float[Tensor, "s a"]
+    model: ForwardModel[Any], images: Float[Tensor, "t c h w"], actions: Int[Tensor, " m"] | Float[Tensor, "m a"]
 ) -> _Drawn:
     """One step, and imagined, from the recorded actions."""
     steps = [

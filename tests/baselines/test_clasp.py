@@ -47,7 +47,7 @@ def test_the_divergences_of_all_three_latent_actions_are_paid(build, video) -> N
 
 
 def _packed(*frames: torch.Tensor) -> list[torch.Tensor]:
-    from baselines.layers import pack
+    from baselines.patches import pack
 
     return [pack(frame) for frame in frames]
 

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import math
 
+import pytest
 import torch
 import torch.nn.functional as F
+from torch import Tensor
 
-from baselines.layers import CHANNELS, LARGEST_FLOW, PATCH, WIDTHS, RoundConv2d, UNet, pack, unpack, warped
+from baselines.layers import (
+    LARGEST_FLOW,
+    WIDTHS,
+    RoundConv2d,
+    UNet,
+    squared_error,
+    up,
+    warped,
+)
+from baselines.patches import CHANNELS, PATCH, from_patches, pack, patches, unpack
 
 
 def test_a_round_convolution_is_circular_padding_in_value_and_gradient() -> None:
@@ -33,6 +44,45 @@ def test_packing_moves_pixels_and_loses_none() -> None:
     assert torch.equal(unpack(packed), image)
     patch = packed[0, :, 2, 5].reshape(3, 4, 4)
     assert torch.equal(patch, image[0, :, 8:12, 20:24])
+
+
+@pytest.mark.parametrize(("dtype", "side"), [(torch.bfloat16, 2), (torch.bfloat16, 4), (torch.float32, 4)])
+def test_patches_are_what_pixel_unshuffle_gives_whatever_lies_in_them(dtype: torch.dtype, side: int) -> None:
+    bits = torch.randint(-(2**15), 2**15, (2, 3, 8, 16 * dtype.itemsize // 2), dtype=torch.int16)
+    image = bits.view(dtype)  # any bits, those of no number among them
+    for given in (image, image.contiguous(memory_format=torch.channels_last)):
+        packed = patches(given, side)
+        assert packed.is_contiguous(memory_format=torch.channels_last)
+        assert torch.equal(packed.contiguous().view(torch.int16), F.pixel_unshuffle(image, side).view(torch.int16))
+        assert torch.equal(from_patches(packed, side).view(torch.int16), bits)
+
+
+def test_the_gradient_of_patches_is_their_inverse() -> None:
+    generator = torch.Generator().manual_seed(0)
+    image = torch.randn(2, 3, 8, 16, generator=generator).requires_grad_()
+    packed = torch.randn(2, 12, 4, 8, generator=generator).requires_grad_()
+    for fast, slow, given in ((patches, F.pixel_unshuffle, image), (from_patches, F.pixel_shuffle, packed)):
+        result = fast(given, 2)
+        weight = torch.randn(result.shape, generator=generator)
+        (of_fast,) = torch.autograd.grad((result * weight).sum(), given)
+        (of_slow,) = torch.autograd.grad((slow(given, 2) * weight).sum(), given)
+        assert torch.equal(of_fast, of_slow)
+
+
+def test_upsampling_is_the_transposed_convolution_in_value_and_gradient() -> None:
+    generator = torch.Generator().manual_seed(0)
+    layer = up(6, 4).double()
+    assert layer.bias is not None
+    torch.nn.init.normal_(layer.bias, generator=generator)
+    picture = torch.randn(2, 6, 3, 5, generator=generator, dtype=torch.float64).requires_grad_()
+    fast, slow = layer(picture), F.conv_transpose2d(picture, layer.weight, layer.bias, 2)
+    assert fast.is_contiguous(memory_format=torch.channels_last)
+    torch.testing.assert_close(fast, slow)
+    weight = torch.randn(fast.shape, generator=generator, dtype=torch.float64)
+    given = (picture, layer.weight, layer.bias)
+    torch.testing.assert_close(
+        torch.autograd.grad((fast * weight).sum(), given), torch.autograd.grad((slow * weight).sum(), given)
+    )
 
 
 def test_warping_reads_each_pixel_where_the_flow_points() -> None:
@@ -65,3 +115,48 @@ def test_warping_adds_a_flow_and_its_gate_to_what_paints() -> None:
     assert {name for name in UNet(2, warps=True).state_dict() if name not in names} == {
         f"{layer}.{kind}" for layer in ("flow", "warp_gate") for kind in ("weight", "bias")
     }
+
+
+@pytest.mark.parametrize("shape", [(3, 4, 6, 5), (2, 7)])
+def test_squared_errors_have_the_gradient_of_the_plain_formula(shape: tuple[int, ...]) -> None:
+    generator = torch.Generator().manual_seed(0)
+    predicted, true = (torch.randn(shape, generator=generator, dtype=torch.float64).requires_grad_() for _ in range(2))
+    weight = torch.rand(len(predicted), generator=generator, dtype=torch.float64)
+    plain = (predicted - true).square().flatten(1).mean(1)
+    torch.testing.assert_close(squared_error(predicted, true), plain)
+    of_plain = torch.autograd.grad((plain * weight).sum(), (predicted, true))
+    of_fast = torch.autograd.grad((squared_error(predicted, true) * weight).sum(), (predicted, true))
+    torch.testing.assert_close(of_fast, of_plain)
+    torch.autograd.gradcheck(squared_error, (predicted, true))
+
+
+def test_squared_errors_of_bfloat16_frames_are_computed_in_float32() -> None:
+    generator = torch.Generator().manual_seed(0)
+    true = torch.rand(2, 48, 8, 8, generator=generator)
+    predicted = (true + 0.01 * torch.randn(true.shape, generator=generator)).bfloat16().requires_grad_()
+    each = squared_error(predicted, true)
+    wide = predicted.detach().float().requires_grad_()
+    plain = (wide - true).square().flatten(1).mean(1)
+    torch.testing.assert_close(each, plain, rtol=1e-6, atol=0)
+    (of_plain,) = torch.autograd.grad(plain.sum(), wide)
+    (of_fast,) = torch.autograd.grad(each.sum(), predicted)
+    assert of_fast.dtype == torch.bfloat16
+    torch.testing.assert_close(of_fast.float(), of_plain, rtol=2**-7, atol=0)
+
+
+def test_a_gate_lets_in_one_share_per_pixel_for_all_colours() -> None:
+    generator = torch.Generator().manual_seed(0)
+    network = UNet(1).double()
+    packed = torch.randn(2, CHANNELS, 8, 8, generator=generator, dtype=torch.float64)
+    seen: list[Tensor] = []
+    network.merge0.register_forward_hook(lambda _, __, features: seen.append(features))
+    blended = network.next_frame(packed, torch.zeros(2, WIDTHS[0], 1, 1))
+    weight = torch.randn(blended.shape, generator=generator, dtype=torch.float64)
+    parameters = [*network.painting.parameters(), *network.gate.parameters()]
+    of_blended = torch.autograd.grad((blended * weight).sum(), parameters)
+    features = seen[0].detach()
+
+    share = torch.sigmoid(network.gate(features) - 1).repeat(1, 3, 1, 1)
+    plain = packed + share * (network.painting(features) - packed)
+    torch.testing.assert_close(blended, plain)
+    torch.testing.assert_close(of_blended, torch.autograd.grad((plain * weight).sum(), parameters))

@@ -1,7 +1,7 @@
 """LeRobot's format v3: what is exported keeps its pixels and actions, and what is damaged is named.
 
 That LeRobot itself loads such a folder was checked with lerobot 0.4.4 in an environment of its own (see
-DECISIONS.md); here stand the facts that it relies on.
+decision 011); here stand the facts that it relies on.
 """
 
 from __future__ import annotations

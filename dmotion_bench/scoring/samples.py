@@ -18,8 +18,8 @@ A figure of the report is the mean of its column over the rows of its predictor 
 ``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``.
 
 In control a row is one moment of one task: ``task`` is its number, ``episode`` and ``step`` where it starts, ``ahead``
-how many steps have been taken, ``action`` the next (-1 for none), ``control_distance`` and ``control_lost`` how things
-stand then.
+how many steps have been taken, ``action`` the next (-1 for none, or a continuous one), ``control_distance`` and
+``control_lost`` how things stand then.
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ the predictor must reach the last frame in a single step from the first.
 Settled so (docs/baselines.md): sequences are the benchmark's triplets, so two latent actions are composed, and of the
 step-by-step predictions the last one is trained. Inference, predictor and decoder are of the shared backbone: the
 predictor's state enters a U-Net, whose skip connections are the original's, and z beside it: through the recurrent
-state alone z stayed unused for 700 steps (docs/baselines.md). The alignment is a table of the mean z of each action's
-demonstrations.
+state alone z stayed unused for 700 steps (docs/baselines.md). The alignment is ``ActionToLatent``.
 """
 
 from __future__ import annotations
@@ -18,15 +17,16 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
-from baselines.action_table import ActionTable
 from baselines.gaussian import Gaussian
 from baselines.layers import SLOPE, CodedUNet, FrameEncoder, MotionTrunk, check_size, linear, squared_error
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.action_encoding import Actions
+from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
     ForwardModel,
@@ -86,7 +86,7 @@ class Clasp(ForwardModel[ClaspConfig]):
         self.scene = FrameEncoder(inputs, config.hidden)
         self.predictor = nn.LSTMCell(config.hidden + config.length, config.hidden)
         self.decoder = CodedUNet(config.hidden + config.length, frames=1, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.length)
+        self.table = ActionToLatent(inputs.actions, config.length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
@@ -141,9 +141,9 @@ class Clasp(ForwardModel[ClaspConfig]):
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
-        """Fill the table with the mean z of each action."""
+        """Learn the z of each action."""
         shown = demonstrations
-        self.table.fill(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
+        self.table.fit(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
 
     def begin(
         self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]
@@ -155,9 +155,9 @@ class Clasp(ForwardModel[ClaspConfig]):
     def advance(
         self,
         state: tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]],
-        action: Int[Tensor, " b"],
+        action: Actions,
     ) -> tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]]:
-        """One step of the predictor under the action's row of the table."""
+        """One step of the predictor under the action's z."""
         current, hidden, cell = state
         predicted, (hidden, cell) = self._step(pack(current), self.table(action), (hidden, cell))
         return unpack(predicted).float(), hidden, cell

@@ -40,7 +40,9 @@ from baselines.layers import (
 )
 from baselines.patches import CHANNELS, pack, unpack
 from baselines.recipe import compact_recipe
+from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision
 
@@ -105,18 +107,20 @@ class SlotEncoder(nn.Module):
 class GraphTransition(nn.Module):
     """Predicts how an action changes all slots: each pair of slots exchanges messages, which each slot adds up."""
 
-    def __init__(self, config: ContrastiveConfig, actions: int) -> None:
+    def __init__(self, config: ContrastiveConfig, actions: ActionSpec | None) -> None:
         super().__init__()
-        self.actions = actions
+        self.encoding = ActionEncoding(actions)
         self.edge = _mlp(2 * config.features, config.hidden, config.hidden)
-        self.node = _mlp(config.features + config.hidden + actions, config.hidden, config.features, gain=0.1)
+        self.node = _mlp(
+            config.features + config.hidden + self.encoding.width, config.hidden, config.features, gain=0.1
+        )
 
-    def forward(self, state: Float[Tensor, "b k d"], action: Int[Tensor, " b"]) -> Float[Tensor, "b k d"]:
+    def forward(self, state: Float[Tensor, "b k d"], action: Actions) -> Float[Tensor, "b k d"]:
         slots = state.shape[1]
         receiver, sender = (~torch.eye(slots, dtype=torch.bool, device=state.device)).nonzero().unbind(1)
         messages = self.edge(torch.cat([state[:, receiver], state[:, sender]], dim=-1))
         received = rearrange(messages, "b (k s) d -> b k s d", k=slots).sum(2)
-        chosen = repeat(F.one_hot(action, self.actions).to(state.dtype), "b a -> b k a", k=slots)
+        chosen = repeat(self.encoding(action).to(state.dtype), "b a -> b k a", k=slots)
         change: Tensor = self.node(torch.cat([state, chosen, received], dim=-1))
         return change.float()
 
@@ -204,7 +208,7 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
         """z_t."""
         return (self.states(previous, current),)
 
-    def advance(self, state: tuple[Float[Tensor, "b k d"]], action: Int[Tensor, " b"]) -> tuple[Float[Tensor, "b k d"]]:
+    def advance(self, state: tuple[Float[Tensor, "b k d"]], action: Actions) -> tuple[Float[Tensor, "b k d"]]:
         """z_t + T(z_t, a_t)."""
         (slots,) = state
         return (slots + self.transition(slots, action),)

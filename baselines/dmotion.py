@@ -19,16 +19,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
-from jaxtyping import Float, Int
-from torch import Tensor
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from baselines import dmotion_compact, dmotion_paper
 from baselines.layers import squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift
+from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.action_encoding import Actions
+from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
     ForwardModel,
@@ -94,7 +97,6 @@ class DMotion(ForwardModel[DMotionConfig]):
     )
     Config: ClassVar[type] = DMotionConfig
     architectures: ClassVar[tuple[str, ...]] = ("compact", "paper")
-    table: Tensor
 
     def __init__(self, config: DMotionConfig, inputs: ModelInputs) -> None:
         super().__init__(config, inputs)
@@ -118,7 +120,10 @@ class DMotion(ForwardModel[DMotionConfig]):
             agent_entries=config.agent_entries,
             **({} if is_paper else {"warps": config.warp}),  # the paper's paints
         )
-        self.register_buffer("table", self.transform.identity().repeat(inputs.actions, 1))
+        identity = self.transform.identity()
+        self.table = ActionToLatent(inputs.actions, identity.shape[-1], unaligned=identity)
+        self.register_state_dict_post_hook(_without_the_tables_module)  # type: ignore[no-untyped-call]
+        self.register_load_state_dict_pre_hook(_with_the_tables_module)  # type: ignore[no-untyped-call]
         self.blur, self.jitter = config.blur, config.jitter
 
     @classmethod
@@ -140,15 +145,7 @@ class DMotion(ForwardModel[DMotionConfig]):
                 clip_norm=0.0,
                 channels_last=True,
             )
-        return TrainingConfig(
-            epochs={Preset.TINY: 1, Preset.SMALL: 10, Preset.PAPER: 8}[preset],
-            learning_rate=3e-3,
-            optimizer="muon",
-            schedule="linear",
-            clip_norm=0.0,
-            channels_last=True,
-            hard_share=0.5,
-        )
+        return compact_recipe(preset)
 
     def progress(self, share: float) -> None:
         """Narrow the interpolation kernel and reduce the noise as the training proceeds."""
@@ -175,21 +172,17 @@ class DMotion(ForwardModel[DMotionConfig]):
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
-        """Fill the action-transformation table: the mean of phi^0 over each action's demonstrations."""
-        motion = self.motion(demonstrations.current, demonstrations.next)
-        for action in range(self.inputs.actions):
-            of_action = motion[demonstrations.action == action]
-            if len(of_action):
-                self.table[action] = of_action.mean(0)
+        """Learn the phi^0 of each action: for discrete ones this is the paper's action-transformation table."""
+        self.table.fit(self.motion(demonstrations.current, demonstrations.next), demonstrations.action)
 
     def predict(
         self,
         previous: Float[Tensor, "b c h w"],
         current: Float[Tensor, "b c h w"],
-        action: Int[Tensor, " b"],
+        action: Actions,
     ) -> Float[Tensor, "b c h w"]:
-        """Predict x''_{t+1} with the action's phi^0 from the table."""
-        return self.predict_with_latent(previous, current, self.table[action])
+        """Predict x''_{t+1} with the action's phi^0."""
+        return self.predict_with_latent(previous, current, self.table(action))
 
     def predict_with_latent(
         self,
@@ -267,6 +260,16 @@ class DMotionNoSTN(DMotion):
     def configure(cls, arch: str) -> DMotionConfig:
         """A kernel of 27 reaches a grid cell; ``--set kernel=5`` is that of Visual Dynamics."""
         return dataclasses.replace(super().configure(arch), transform="cross_convolution")
+
+
+def _without_the_tables_module(model: nn.Module, state: dict[str, Any], prefix: str, _: object) -> None:
+    """Checkpoints hold the table under the name that it had as a tensor of the model's own."""
+    state[f"{prefix}table"] = state.pop(f"{prefix}table.rows")
+
+
+def _with_the_tables_module(model: nn.Module, state: dict[str, Any], prefix: str, *_: object) -> None:
+    if f"{prefix}table" in state:
+        state[f"{prefix}table.rows"] = state.pop(f"{prefix}table")
 
 
 def _transform(config: DMotionConfig) -> Motion:

@@ -1,6 +1,6 @@
 """Small and fast networks for DMotion: the same four parts and the same structure, with other layers.
 
-What differs from ``dmotion_paper.py``, and what each difference bought, is measured in DECISIONS.md:
+What differs from ``dmotion_paper.py``, and what each difference bought, is measured in decisions 018 to 020:
 
 - Everything runs on 4 x 4 patches of the frame as 48 channels, at 32 x 32 and below: wide convolutions on small maps
   keep the CPU's bfloat16 units busy, narrow ones on large maps wait for memory.

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from baselines.layers import CodedUNet, check_size, squared_error
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
+from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision
 
@@ -48,7 +48,8 @@ class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
     def __init__(self, config: EncoderDecoderConfig, inputs: ModelInputs) -> None:
         super().__init__(config, inputs)
         check_size("the E-D CNN", inputs)
-        self.network = CodedUNet(inputs.actions, frames=2 if config.second_frame else 1, warps=config.warp)
+        self.encoding = ActionEncoding(inputs.actions)
+        self.network = CodedUNet(self.encoding.width, frames=2 if config.second_frame else 1, warps=config.warp)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
@@ -67,13 +68,13 @@ class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
         self,
         previous: Float[Tensor, "b c h w"],
         current: Float[Tensor, "b c h w"],
-        action: Int[Tensor, " b"],
+        action: Actions,
     ) -> Float[Tensor, "b c h w"]:
         """The network's output."""
         return unpack(self._next(previous, current, action)).float()
 
-    def _next(self, previous: Tensor, current: Tensor, action: Int[Tensor, " b"]) -> Float[Tensor, "b p hp wp"]:
+    def _next(self, previous: Tensor, current: Tensor, action: Actions) -> Float[Tensor, "b p hp wp"]:
         frames = [pack(previous), pack(current)] if self.config.second_frame else [pack(current)]
-        code = F.one_hot(action, self.inputs.actions).to(frames[0].dtype)
+        code = self.encoding(action).to(frames[0].dtype)
         predicted: Tensor = self.network(torch.cat(frames, dim=1), code)
         return predicted

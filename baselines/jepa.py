@@ -25,13 +25,15 @@ from typing import ClassVar
 import torch
 import torch.nn.functional as F
 from einops import rearrange
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines.layers import FrameDecoder, FrameEncoder, check_size, left_to_adam, reconstruction_losses
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
+from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.action_encoding import Actions, action_embedding
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision
 
@@ -79,15 +81,16 @@ class Projector(nn.Sequential):
 class ModulatedLayer(nn.Module):
     """A residual layer that the action scales, shifts and gates; at first it changes nothing (AdaLN-zero)."""
 
-    def __init__(self, width: int, actions: int, dropout: float) -> None:
+    def __init__(self, width: int, actions: ActionSpec | None, dropout: float) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width, elementwise_affine=False)
         self.layers = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Dropout(dropout), nn.Linear(width, width))
-        self.modulation = nn.Embedding(actions, 3 * width)
-        nn.init.zeros_(self.modulation.weight)
-        left_to_adam(self.modulation.weight)
+        self.modulation = action_embedding(actions, 3 * width)
+        for weight in self.modulation.parameters():
+            nn.init.zeros_(weight)
+            left_to_adam(weight)
 
-    def forward(self, features: Float[Tensor, "b d"], action: Int[Tensor, " b"]) -> Float[Tensor, "b d"]:
+    def forward(self, features: Float[Tensor, "b d"], action: Actions) -> Float[Tensor, "b d"]:
         scale, shift, gate = self.modulation(action).chunk(3, dim=1)
         change: Tensor = self.layers(self.norm(features) * (1 + scale) + shift)
         modulated: Tensor = features + gate * change
@@ -97,14 +100,14 @@ class ModulatedLayer(nn.Module):
 class Predictor(nn.Module):
     """Predicts the next embedding from the last two and the action."""
 
-    def __init__(self, config: JepaConfig, actions: int) -> None:
+    def __init__(self, config: JepaConfig, actions: ActionSpec | None) -> None:
         super().__init__()
         self.entry = nn.Linear(2 * config.length, config.hidden)
         self.layers = nn.ModuleList(ModulatedLayer(config.hidden, actions, config.dropout) for _ in range(config.depth))
         self.projector = Projector(config.hidden, config.hidden, config.length)
 
     def forward(
-        self, previous: Float[Tensor, "b d"], current: Float[Tensor, "b d"], action: Int[Tensor, " b"]
+        self, previous: Float[Tensor, "b d"], current: Float[Tensor, "b d"], action: Actions
     ) -> Float[Tensor, "b d"]:
         features = self.entry(torch.cat([previous, current], dim=1))
         for layer in self.layers:
@@ -197,7 +200,7 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
         return self.embed(previous), self.embed(current)
 
     def advance(
-        self, state: tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]], action: Int[Tensor, " b"]
+        self, state: tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]], action: Actions
     ) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
         """The embeddings one action later."""
         previous, current = state

@@ -7,7 +7,7 @@ past cannot tell the forward model, z_t must; the codebooks limit how much that 
 Its sizes are the authors': two codebooks of 64 codes of length 16, four latents each. Settled so (docs/baselines.md):
 the inverse and the forward model are of the shared backbone; codes that nothing chooses are put where something is
 (Jukebox's random restarts, Dhariwal et al. 2020); and the alignment, for which LAPO trains a decoder of z into actions
-for a policy, goes the other way: a table of the mean z_t of each action's demonstrations, quantised when used.
+for a policy, goes the other way: from an action to z_t by ``ActionToLatent``, quantised when used.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from einops import rearrange
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from baselines.action_table import ActionTable
 from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.action_encoding import Actions
+from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
     ForwardModel,
@@ -133,7 +134,7 @@ class Lapo(ForwardModel[LapoConfig]):
         self.latent = linear(MotionTrunk.length, config.action_length)
         self.quantizer = VectorQuantizer(config)
         self.forward_model = CodedUNet(config.action_length, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.action_length)
+        self.table = ActionToLatent(inputs.actions, config.action_length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
@@ -164,17 +165,17 @@ class Lapo(ForwardModel[LapoConfig]):
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
-        """Fill the table with the mean z_t of each action."""
+        """Learn the z_t of each action."""
         shown = demonstrations
-        self.table.fill(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
+        self.table.fit(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
 
     def predict(
         self,
         previous: Float[Tensor, "b c h w"],
         current: Float[Tensor, "b c h w"],
-        action: Int[Tensor, " b"],
+        action: Actions,
     ) -> Float[Tensor, "b c h w"]:
-        """The forward model under the codes nearest to the action's row of the table."""
+        """The forward model under the codes nearest to the action's z_t."""
         return self.predict_with_latent(previous, current, self.table(action))
 
     def predict_with_latent(

@@ -16,15 +16,16 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
-from baselines.action_table import ActionTable
 from baselines.gaussian import Gaussian
 from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.action_encoding import Actions
+from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
     ForwardModel,
@@ -70,7 +71,7 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         self.trunk = MotionTrunk(frames=2)
         self.moments = linear(MotionTrunk.length, 2 * config.length, 0.5)
         self.decoder = CodedUNet(config.length, warps=config.warp)
-        self.table = ActionTable(inputs.actions, config.length)
+        self.table = ActionToLatent(inputs.actions, config.length)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
@@ -102,17 +103,17 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
-        """Fill the table with the mean latent action of each action."""
+        """Learn the latent action of each action."""
         shown = demonstrations
-        self.table.fill(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
+        self.table.fit(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
 
     def predict(
         self,
         previous: Float[Tensor, "b c h w"],
         current: Float[Tensor, "b c h w"],
-        action: Int[Tensor, " b"],
+        action: Actions,
     ) -> Float[Tensor, "b c h w"]:
-        """The decoder under the action's row of the table."""
+        """The decoder under the action's latent action."""
         return self.predict_with_latent(previous, current, self.table(action))
 
     def predict_with_latent(

@@ -2,7 +2,7 @@
 
 Everything runs on 4 x 4 patches of the frame as 48 channels, at a quarter of its side and below: wide convolutions on
 small maps keep the CPU's bfloat16 units busy, narrow ones on large maps wait for memory. There is no normalisation:
-scaled initial weights and residual connections do without. What this bought is measured in DECISIONS.md.
+scaled initial weights and residual connections do without. What this bought is measured in decision 018.
 
 Frames are *packed*: ``Float[b 48 h/4 w/4]``, channels-last in memory.
 """
@@ -77,7 +77,7 @@ def reconstruction_losses(drawn: Float[Tensor, "b *d"], true: Float[Tensor, "b *
 class _Wrap(torch.autograd.Function):
     """One more row and column on each side, from the opposite one; one copy each way, channels-last throughout.
 
-    ``torch.cat`` and circular ``F.pad`` take as long as the convolution that follows them (DECISIONS.md).
+    ``torch.cat`` and circular ``F.pad`` take as long as the convolution that follows them (decision 018).
     """
 
     @staticmethod
@@ -321,7 +321,7 @@ class FrameDecoder(nn.Module):
         inputs: The size of the frame.
         features: Length of the vector.
         hidden: Width of the layer between the vector and the smallest map; None: one linear map leads there, which
-            carries over to other layouts where the vector is a linear map of features, too (DECISIONS.md).
+            carries over to other layouts where the vector is a linear map of features, too (decision 024).
     """
 
     def __init__(self, inputs: ModelInputs, features: int, hidden: int | None) -> None:

@@ -45,7 +45,7 @@ class _SeparableShift(torch.autograd.Function):
 
     Bilinear interpolation with a shift is separable: moved = A_y m A_x^T, where row i of A holds the hat function
     around the place that output i is read from. Half the time of autograd through the same formula, and several times
-    faster than ``grid_sample`` in bfloat16, which is not vectorised on the CPU (DECISIONS.md).
+    faster than ``grid_sample`` in bfloat16, which is not vectorised on the CPU.
     """
 
     @staticmethod

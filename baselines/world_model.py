@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines.gaussian import Gaussian
@@ -25,6 +25,7 @@ from baselines.layers import SLOPE, FrameDecoder, FrameEncoder, check_size, line
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision
 
@@ -65,8 +66,9 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
         self.encoder = FrameEncoder(inputs, self._moments() * config.latent)
         self.decoder = FrameDecoder(inputs, config.latent, hidden=None)
         gain = nn.init.calculate_gain("leaky_relu", SLOPE)
+        self.encoding = ActionEncoding(inputs.actions)
         self.transition = nn.Sequential(
-            linear(2 * config.latent + inputs.actions, config.hidden, gain),
+            linear(2 * config.latent + self.encoding.width, config.hidden, gain),
             nn.LeakyReLU(SLOPE),
             linear(config.hidden, config.hidden, gain),
             nn.LeakyReLU(SLOPE),
@@ -126,7 +128,7 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
         return self.code(previous), self.code(current)
 
     def advance(
-        self, state: tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]], action: Int[Tensor, " b"]
+        self, state: tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]], action: Actions
     ) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
         """The codes one action later."""
         previous, current = state
@@ -141,9 +143,9 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
         return self._decode(state[1])
 
     def _step(
-        self, previous: Float[Tensor, "b d"], current: Float[Tensor, "b d"], action: Int[Tensor, " b"]
+        self, previous: Float[Tensor, "b d"], current: Float[Tensor, "b d"], action: Actions
     ) -> Float[Tensor, "b d"]:
-        chosen = F.one_hot(action, self.inputs.actions).to(current.dtype)
+        chosen = self.encoding(action).to(current.dtype)
         change: Tensor = self.transition(torch.cat([previous, current, chosen], dim=1))
         return current + change
 

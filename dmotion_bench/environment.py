@@ -15,9 +15,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from dmotion_bench.specs import EnvSpec, Episode, ObjectStates, Preset
+
+Action = int | Float[np.ndarray, " a"]
+"""The number of a discrete action, or a continuous one in its units."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +52,11 @@ class Environment(Protocol):
     ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:
         """Start an episode; ``options`` may fix factors of variation."""
 
-    def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
-        """Take one action; an impossible one changes nothing and ``info["illegal"]`` says so."""
+    def step(self, action: Any) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
+        """Take one ``Action``; an impossible one changes nothing and ``info["illegal"]`` says so."""
 
     def legal_actions(self) -> Bool[np.ndarray, " a"]:
-        """Which actions are possible in the present state."""
+        """Which discrete actions are possible in the present state; continuous ones are not asked about."""
 
     def agent(self) -> ObjectStates:
         """The agent's state, k = 1."""
@@ -106,7 +109,7 @@ class Restorable(Protocol):
 class Policy(Protocol):
     """Chooses the actions of a recording."""
 
-    def __call__(self, env: Environment, generator: np.random.Generator) -> int:
+    def __call__(self, env: Environment, generator: np.random.Generator) -> Action:
         """The action to take in ``env``'s present state, a legal one."""
 
 

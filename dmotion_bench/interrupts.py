@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any, Final
 
+INTERRUPTED: Final = "interrupted; run the same command again to go on where it stopped."
 ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 """What a process is asked to end by, beside Ctrl-C."""
 

@@ -144,7 +144,7 @@ def standing(difference: Estimate) -> Standing:
 
 def standing_words(difference: Estimate, above: str, between: str) -> str:
     """A run's standing in words; ``above`` is its difference from the best as text, ``between`` the interval."""
-    words = {"behind": f"{above} ({between})", "tie": f"a tie ({between})", "unknown": "cannot be told"}
+    words = {"behind": f"{above} ({between})", "tie": f"tied ({between})", "unknown": "unknown: one episode"}
     return words[standing(difference)]
 
 

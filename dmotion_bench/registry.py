@@ -1,22 +1,24 @@
-"""Registered environments and models: names to classes, through entry points that are loaded on use.
+"""Registered environments, models and speeds: names to what they stand for, by entry points that are loaded on use.
 
 Nothing is imported until a name is asked for, so listing names costs no torch and no simulator.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.errors import DmbenchError, UnknownName
 
 if TYPE_CHECKING:
+    from dmotion_bench.benchmarks.result import Result
     from dmotion_bench.environment import Environment
     from dmotion_bench.learning.model import ForwardModel
 
 ENVIRONMENTS = "dmbench.environments"
 MODELS = "dmbench.models"
+SPEEDS = "dmbench.speeds"
 
 
 def names(group: str) -> list[str]:
@@ -50,6 +52,21 @@ def environment_names() -> list[str]:
 def model_names() -> list[str]:
     """The names of all installed models."""
     return names(MODELS)
+
+
+def speed_names() -> list[str]:
+    """The names of all speeds that packages add to ``dmbench bench``."""
+    return names(SPEEDS)
+
+
+def speed(name: str) -> Callable[[float], Iterable[Result]]:
+    """The function that measures an added speed for so many seconds.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: Callable[[float], Iterable[Result]] = _load(SPEEDS, "speed", name)
+    return loaded
 
 
 def environment_class(name: str) -> type[Environment]:

@@ -14,6 +14,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from dmotion_bench.actions import ActionSpec
+
 Scalar = str | int | float | bool
 SplitName = Literal["train", "validation", "test"]
 
@@ -66,8 +68,7 @@ class EnvSpec:
 
     Attributes:
         id: The registry's name of it.
-        actions: The names of the discrete actions, in the order of their numbers; empty for recordings
-            whose actions are unknown.
+        actions: What can be done at each step; None for recordings whose actions are unknown.
         agent: The controllable thing. Its colour finds it in an image only where ``agent_has_color`` says so.
         objects: The things that the agent moves.
         height, width: Of a frame [px].
@@ -78,7 +79,7 @@ class EnvSpec:
     """
 
     id: str
-    actions: tuple[str, ...]
+    actions: ActionSpec | None
     agent: ObjectSpec
     objects: tuple[ObjectSpec, ...]
     height: int = 128
@@ -111,7 +112,8 @@ class EpisodeLabels:
     """The labels of an episode of ``t`` frames, which are kept apart from its video.
 
     Attributes:
-        actions: ``actions[i]`` is the action taken at frame i, so frame i+1 = step(frame i, actions[i]).
+        actions: ``actions[i]`` is the action taken at frame i, so frame i+1 = step(frame i, actions[i]): its number, or
+            the numbers of a continuous action in their units.
         pushed: Whether any object moved between frame i and frame i+1.
         agent: The agent's states, k = 1.
         objects: In the order of ``EnvSpec.objects``.
@@ -119,7 +121,7 @@ class EpisodeLabels:
         factors: The episode's factors of variation, empty by default.
     """
 
-    actions: Int[np.ndarray, "t-1"]
+    actions: Int[np.ndarray, "t-1"] | Float[np.ndarray, "t-1 a"]
     pushed: Bool[np.ndarray, "t-1"]
     agent: ObjectStates
     objects: ObjectStates

@@ -24,6 +24,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.learning.model_trial import ModelTrial
@@ -35,9 +36,12 @@ STEPS = 3
 SIZES = (64, 128)  # [px]
 WARM_UP = 3  # steps of training before it is asked whether demonstrations teach anything
 
+CONTINUOUS = Continuous(names=("dx", "dy"), low=(-0.04, -0.02), high=(0.04, 0.06), units=("m", "m"))
+"""Continuous actions to check a model with: ``check_model(MyModel, actions=CONTINUOUS)``."""
+
 
 def check_model(
-    kind: type[ForwardModel[Any]], *, arch: str | None = None, size: int | None = None, actions: int = 4
+    kind: type[ForwardModel[Any]], *, arch: str | None = None, size: int | None = None, actions: int | ActionSpec = 4
 ) -> None:
     """Check a class of models, built small, on contiguous images; channels last, too, if its training asks for that.
 
@@ -45,7 +49,7 @@ def check_model(
         kind: The class, as its entry point names it.
         arch: Which of its architectures; the first if left out.
         size: Side of the frames that it is tried on [px]; if left out, 64, or 128 if it refuses 64.
-        actions: Number of discrete actions.
+        actions: What can be done: so many discrete actions, or a specification, such as ``CONTINUOUS``.
 
     Raises:
         ModelContractBroken: At the first breach.
@@ -53,7 +57,8 @@ def check_model(
     _check_class(kind)
     _check_settings(kind)
     arch = arch or kind.architectures[0]
-    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), actions))
+    spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
+    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec))
     _check_building(subject)
     _check_phases(subject)
     for phase in subject.build().phases():
@@ -69,7 +74,7 @@ def check_model(
         _check_rollout(packed)
 
 
-def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ...], actions: int) -> ModelInputs:
+def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ...], actions: ActionSpec) -> ModelInputs:
     """The smallest frames on which the model is tried: ``__init__`` may refuse a size by ``InvalidSetting``."""
     said = ""
     for size in sizes:
@@ -91,7 +96,7 @@ def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ..
 def _check_class(kind: type[ForwardModel[Any]]) -> None:
     if not (inspect.isclass(kind) and issubclass(kind, ForwardModel)):
         raise ModelContractBroken(f"{kind!r} is no subclass of dmotion_bench.learning.model.ForwardModel.")
-    subject = ModelTrial(kind, "", ModelInputs(height=16, width=16, actions=1))
+    subject = ModelTrial(kind, "", ModelInputs(height=16, width=16, actions=Discrete.numbered(1)))
     lacking = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
     subject.require(not lacking, f"it does not define {lacking}")
     subject.require(
@@ -123,7 +128,7 @@ def _base(name: str) -> Any:
 
 
 def _check_settings(kind: type[ForwardModel[Any]]) -> None:
-    subject = ModelTrial(kind, "", ModelInputs(height=16, width=16, actions=1))
+    subject = ModelTrial(kind, "", ModelInputs(height=16, width=16, actions=Discrete.numbered(1)))
     for arch in kind.architectures:
         with subject.calling(f"configure({arch!r})"):
             config = kind.configure(arch)
@@ -326,7 +331,7 @@ def _check_prediction(subject: ModelTrial) -> None:
 def _check_rollout(subject: ModelTrial) -> None:
     model = subject.build().eval()
     previous, current = subject.images(BATCH, 1), subject.images(BATCH, 2)
-    actions = (torch.arange(BATCH)[:, None] + torch.arange(STEPS)) % subject.inputs.actions
+    actions = torch.stack([subject.actions(BATCH, shift) for shift in range(STEPS)], dim=1)
     with torch.no_grad(), subject.calling("begin, advance, frame"):
         state, frames = model.begin(previous, current), []
         for action in actions.unbind(1):

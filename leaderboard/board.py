@@ -57,7 +57,7 @@ class Row:
         behind: How much higher its error is than the best's, paired; None where that is not known.
         is_best: Whether it is the one the others are compared with.
         elsewhere: Whether it was trained on another data set than the board's.
-        leads: Other figures in which it is the best, or cannot be told from the best.
+        leads: Other figures in which it is the best, or statistically tied with the best.
         planned_by: The version of control behind its figures of control; None where it has none.
         planned_otherwise: Whether that is another one than the board's.
     """

@@ -18,19 +18,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid
+from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, Report
-from dmotion_bench.scoring.transfer import transfer_folders
-from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.scoring.transfer import fitting, transfer_folders
+from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import command
 from leaderboard.comparison import scored, sums_by_episode
 from leaderboard.control import actions_of
 from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
 from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
-from leaderboard.layout import ENTRIES, PAGE, SCHEMA
+from leaderboard.layout import ENTRIES, PAGE, REFERENCES, SCHEMA
 from leaderboard.page import make_page
 from leaderboard.paper import label_count
 from leaderboard.pictures import shows_pictures, take_pictures
@@ -89,6 +89,8 @@ def build(
                 left_out[path.name if folder is None else f"{path.name} on {folder.name}"] = str(error)
     on_progress("", len(runs), len(runs))
     entries = list({entry.slug: entry for entry in found}.values())
+    for folder in (out, out / ENTRIES, out / ENTRIES / REFERENCES):
+        remove_leftovers(folder)
     for entry in entries:
         write_entry(entry, out / ENTRIES)
     _remove_outdated(out / ENTRIES, entries)
@@ -166,14 +168,16 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
 
 
 def _dataset(run: Run, report: Report) -> Dataset | None:
-    """The data set that a report was scored on, if it still exists unchanged."""
+    """The data set that a report was scored on, as the run's model reads it, if it still exists unchanged."""
     own = run.dataset_path
     path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
     try:
         dataset = Dataset.open(path)
-    except DatasetError:
+        if dataset.fingerprint != report.dataset["fingerprint"]:
+            return None
+        return dataset if report.trained_on is None else fitting(run, dataset)
+    except (DatasetError, RunMismatch):
         return None
-    return dataset if dataset.fingerprint == report.dataset["fingerprint"] else None
 
 
 def _standing(folder: Path | None, entry: Entry) -> Entry | None:

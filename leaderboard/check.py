@@ -27,8 +27,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Bool
 
-from dmotion_bench.errors import DmbenchError, RunCorrupt
+from dmotion_bench.errors import DatasetError, DmbenchError, RunCorrupt
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import not_allowed, using_threads
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
 from dmotion_bench.scoring.references import REFERENCES, published_results
@@ -54,7 +55,7 @@ from leaderboard.entry import Entry, published_entry
 from leaderboard.entry_file import read_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, identity, take_pictures
-from leaderboard.sources import against_run, find_dataset, find_run
+from leaderboard.sources import against_run, as_read, find_dataset, find_run
 from leaderboard.verdict import SAME, SHOWN, Findings, Verdict, short
 
 ROUNDING: Final = 1e-3
@@ -110,20 +111,29 @@ def check_entry(
     run, dataset, asked = find_run(check, workspace), find_dataset(check, workspace), _settings(check)
     if run is None or dataset is None:
         return check.verdict()
+    try:
+        read = as_read(check, run, dataset)
+    except DatasetError as error:
+        check.missing.append(f"data set of the training: {error}")
+        return check.verdict()
     folder = report_folder(run.path, run.spec.fingerprint, dataset)
     against_run(check, run, dataset, folder)
     samples = _stored_samples(check, folder)
-    if asked is None:
+    if asked is None or read is None:
         return check.verdict()
     if samples is not None:
         _against_samples(check, samples, asked)
-    how = how or Execution()
+    how, threads = how or Execution(), run.threads if settings.score else None
+    if threads is not None and (told := not_allowed(threads)) is not None:
+        check.missing.append(f"threads: {told}")
+        return check.verdict()
     try:
-        if settings.score:
-            _score_anew(check, run, dataset, samples, asked, settings, how, references)
-        else:
-            check.remarks.append("not scored anew")
-        check_control(check, run, dataset, samples, anew=settings.score, differing=settings.differing, how=how)
+        with using_threads(threads):
+            if settings.score:
+                _score_anew(check, run, read, samples, asked, settings, how, references)
+            else:
+                check.remarks.append("not scored anew")
+            check_control(check, run, read, samples, anew=settings.score, differing=settings.differing, how=how)
     except DmbenchError as error:
         check.wrong.append(f"scoring anew fails: {error}")
     return check.verdict()

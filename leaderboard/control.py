@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.control import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
 from dmotion_bench.planning.controllers import Controller, Decision, ModelController, Seen
@@ -94,7 +95,9 @@ def check_control(
             check.expect(f"planning.{part}", content["planning"].get(part), own)
     found = dict[str, pa.Table]()
     for name in sorted({MODEL, *content[METRIC]}):
-        actions = _actions(check, name, problems, scoring.steps, len(dataset.spec.actions))
+        actions = _actions(
+            check, name, problems, scoring.steps, len(require_discrete(dataset.spec.actions, "an entry"))
+        )
         if actions is None:
             continue
         repeater = _Repeater(actions)

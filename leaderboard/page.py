@@ -103,8 +103,8 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board]) -> Markup:
                 element(
                     "li",
                     "\u201cMSE above the best\u201d is the paired difference on the same test episodes. Bold, of the "
-                    "MSE and of control at the end, are the best and those that cannot be told from it: their interval "
-                    "reaches zero. It speaks of these trained models, not of other seeds.",
+                    "MSE and of control at the end, are the best and those that are statistically tied with it: their "
+                    "interval reaches zero. It speaks of these trained models, not of other seeds.",
                 ),
                 element(
                     "li",

@@ -21,10 +21,12 @@ import torch
 from jaxtyping import UInt8
 from PIL import Image
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.learning.labels import LabelRequest
+from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelRequest
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.scoring.prediction import predicting
 from dmotion_bench.scoring.samples import column
 from dmotion_bench.storage.dataset import Dataset
@@ -70,9 +72,11 @@ def shows_pictures(labels: str) -> bool:
     """Whether runs of a label budget have pictures; each model has them for one budget only.
 
     Not again with several demonstrations, where only the table of actions differs from that of one, nor with a part of
-    the labels.
+    the labels; with the default number of transitions where actions are continuous.
     """
     budget = LabelRequest.parse(labels)
+    if budget.kind == "count":
+        return budget.amount == DEMONSTRATIONS
     return budget.amount <= 1 if budget.kind == "shots" else budget.kind == "none" or budget.amount == 1
 
 
@@ -87,14 +91,15 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
     frames = np.stack([dataset.video(one.episode)[one.step - 1 : one.step + 2] for one in steps])
     images = to_model(torch.from_numpy(frames))
     action = torch.tensor([one.action for one in steps])
+    names = require_discrete(dataset.spec.actions, "an entry").names
     model = run.model.to("cpu").laid_out().eval()
-    with predicting(torch.device("cpu")):
+    with using_threads(run.threads), predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
     return [
         {
             "episode": one.episode,
             "step": one.step,
-            "action": dataset.spec.actions[one.action],
+            "action": names[one.action],
             "pushed": one.pushed,
             "current": to_png(frames[place, 1]),
             "truth": to_png(frames[place, 2]),
@@ -143,7 +148,7 @@ def _check_head(raw: bytes) -> None:
 def shown(text: str) -> str:
     """A picture of an entry as the source of an ``<img>``, encoded again so that it holds nothing but pixels.
 
-    Lossless WebP, a fifth smaller than PNG (DECISIONS.md).
+    Lossless WebP, a fifth smaller than PNG.
     """
     return f"data:image/webp;base64,{_encoded(from_png(text), 'WEBP', lossless=True, quality=100, method=6)}"
 

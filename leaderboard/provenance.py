@@ -38,7 +38,7 @@ def _measured(entry: Entry) -> Markup:
         "labels": f"{labels['asked']}: {count(labels['total'])} handed out{f' ({given})' if given else ''}",
         "data set": f"{dataset['name']} ({dataset['environment']})",
         "data set's SHA-256": dataset["fingerprint"],
-        "trained on": f"{own['name']}, another data set; SHA-256 {own['fingerprint']}" if own else "",
+        "trained on": _training(own) if own else "",
         "weights' SHA-256": content["weights"],
         "samples": f"{count(samples['rows'])} rows",
         "samples' SHA-256": samples["sha256"],
@@ -53,6 +53,11 @@ def _measured(entry: Entry) -> Markup:
         "versions": _listed(content["versions"]),
     }
     return _folded(entry, facts, content["remarks"])
+
+
+def _training(own: Mapping[str, str]) -> str:
+    environment = f" ({own['environment']})" if "environment" in own else ""
+    return f"{own['name']}{environment}, another data set; SHA-256 {own['fingerprint']}"
 
 
 def _published(entry: Entry) -> Markup:

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import DmbenchError
+from dmotion_bench.errors import DmbenchError, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import read_report
-from dmotion_bench.scoring.transfer import require_transferable
+from dmotion_bench.scoring.transfer import training_of, transferable
 from dmotion_bench.storage.check import cache_damages
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import LABELS, VIDEO, file_facts, shard_path
@@ -71,6 +71,22 @@ def _damages(dataset: Dataset) -> Iterator[str]:
         yield f"{damage.file} {damage.what}; delete it"
 
 
+def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:
+    """The data set as the run's model reads it; None if the run cannot be scored on it, which is a finding.
+
+    Raises:
+        DatasetError: That takes the data set of the training, which is not there or damaged.
+    """
+    split = check.entry.content["settings"]["split"]
+    if dataset.fingerprint == run.spec.fingerprint or split not in SPLIT_NAMES:
+        return dataset
+    try:
+        return transferable(run, dataset, split)
+    except RunMismatch as error:
+        check.wrong.append(f"data set: {error}")
+    return None
+
+
 def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> None:
     """Compare an entry with its run, its data set and the run's report on that data set."""
     content, spec, result = check.entry.content, run.spec, run.result or {}
@@ -84,13 +100,7 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect("settings.protocol", content["settings"]["protocol"], "episode" if elsewhere else spec.protocol)
     for name, value in content["training"].items():
         check.expect(f"training.{name}", value, result.get(name))
-    own = {"name": spec.dataset, "fingerprint": spec.fingerprint} if elsewhere else None
-    check.expect("dataset.trained_on", content["dataset"].get("trained_on"), own)
-    if elsewhere and content["settings"]["split"] in SPLIT_NAMES:
-        try:
-            require_transferable(run, dataset, content["settings"]["split"])
-        except DmbenchError as error:
-            check.wrong.append(f"data set: {error}")
+    check.expect("dataset.trained_on", content["dataset"].get("trained_on"), training_of(run, dataset))
     check.expect("dataset.name", content["dataset"]["name"], dataset.name)
     check.expect("dataset.environment", check.entry.environment, dataset.recipe.environment)
     check.expect("dataset.version", check.entry.version, dataset.recipe.version)

@@ -67,7 +67,7 @@ def _table(
                 _heading(
                     "MSE above the best",
                     "Paired over the test episodes, with the 95% interval of the difference; "
-                    "a tie where the interval reaches zero.",
+                    "tied where the interval reaches zero.",
                 )
             )
     if compute:

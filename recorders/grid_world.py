@@ -21,6 +21,7 @@ import gymnasium
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.recording.rollout import policy_generator
@@ -36,9 +37,10 @@ from recorders import grid_drawing
 from recorders.grid_drawing import CELLS, SIZE, Drawn, Version
 from recorders.policies import RandomPolicy
 
+ACTIONS: Final = Discrete(("up", "down", "left", "right"))
 FACTS: Final = EnvSpec(
     id="grid_world",
-    actions=("up", "down", "left", "right"),
+    actions=ACTIONS,
     agent=ObjectSpec(name="agent", shape="square", color=(0, 255, 0)),
     objects=(
         ObjectSpec(name="red_circle", shape="circle", color=(255, 0, 0)),
@@ -136,7 +138,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             raise InvalidSetting(f"version is {version!r}; it can be {', '.join(map(str, self.versions))}.")
         self.facts, self._version = FACTS, version
         self.render_mode = render_mode
-        self.action_space = gymnasium.spaces.Discrete(len(FACTS.actions))
+        self.action_space = ACTIONS.space()
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE, 3), np.uint8)
         self._place(starting_cells(np.random.default_rng(0)), np.ones(1 + OBJECTS, np.bool_))
 

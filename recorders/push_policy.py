@@ -2,6 +2,9 @@
 
 With probability .7 one step toward an object, which is chosen anew with probability .15, else any legal move: about
 a third of the steps move an object, and an episode ends after some 40 frames because one falls, as in the paper.
+
+With continuous actions a step toward an object has a length between half a step and a whole one and misses the
+direction by up to 30 degrees; any other is evenly distributed over the bounds. No step leads out of the pusher's area.
 """
 
 from __future__ import annotations
@@ -12,10 +15,13 @@ from typing import Protocol, cast
 import numpy as np
 from jaxtyping import Float
 
-from dmotion_bench.environment import Environment
+from dmotion_bench.actions import Continuous
+from dmotion_bench.environment import Action, Environment
 
 TOWARD = 0.7
 CHOOSE_ANEW = 0.15
+ASTRAY = math.pi / 6  # [rad] by which a displacement misses its direction, at most
+SHORTEST = 0.5  # displacement toward an object, of the longest
 
 
 class Pushing(Protocol):
@@ -23,7 +29,11 @@ class Pushing(Protocol):
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:
-        """Where each action takes the agent [m]."""
+        """Where each discrete action takes the agent [m]."""
+
+    @property
+    def room(self) -> Float[np.ndarray, "2 2"]:
+        """The least and the greatest displacement that nothing cuts short [m]."""
 
 
 class PushPolicy:
@@ -33,8 +43,10 @@ class PushPolicy:
         self._target: int | None = None
         self._moves: list[list[float]] = []
 
-    def __call__(self, env: Environment, generator: np.random.Generator) -> int:
+    def __call__(self, env: Environment, generator: np.random.Generator) -> Action:
         """The next action; ``env`` must also be ``Pushing``."""
+        if isinstance(env.facts.actions, Continuous):
+            return self._displacement(env, env.facts.actions, generator)
         legal = [action for action, possible in enumerate(env.legal_actions().tolist()) if possible]
         objects: list[list[float]] = env.objects().position.tolist()
         present = [index for index, position in enumerate(objects) if not math.isnan(position[0])]
@@ -49,6 +61,24 @@ class PushPolicy:
             if sum(weights) > 0:
                 return legal[_drawn(weights, generator.random())]
         return legal[int(generator.random() * len(legal))]
+
+    def _displacement(
+        self, env: Environment, spec: Continuous, generator: np.random.Generator
+    ) -> Float[np.ndarray, "2"]:
+        positions = env.objects().position[:, :2]
+        present = np.flatnonzero(~np.isnan(positions[:, 0])).tolist()
+        if self._target not in present or generator.random() < CHOOSE_ANEW:
+            self._target = present[int(generator.random() * len(present))] if present else None
+        low, high = np.asarray(spec.low), np.asarray(spec.high)
+        if self._target is not None and generator.random() < TOWARD:
+            x, y = positions[self._target] - env.agent().position[0, :2]
+            direction = math.atan2(y, x) + generator.uniform(-ASTRAY, ASTRAY)
+            way = float(high.min()) * generator.uniform(SHORTEST, 1) * np.array([np.cos(direction), np.sin(direction)])
+        else:
+            way = generator.uniform(low, high)
+        least, greatest = cast(Pushing, env).room
+        displacement: Float[np.ndarray, "2"] = np.clip(way, np.maximum(low, least), np.minimum(high, greatest))
+        return displacement
 
 
 def _drawn(weights: list[float], number: float) -> int:

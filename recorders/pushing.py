@@ -1,4 +1,4 @@
-"""What the two pushing environments share: four directions, six coloured objects, episodes out of seeds.
+"""What the two pushing environments share: how the pusher moves, six coloured objects, episodes out of seeds.
 
 A subclass says how an episode is built, how a step is simulated, and how the scene is drawn.
 """
@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.specs import EnvSpec, ObjectSpec, ObjectStates, Preset, Scalar
@@ -54,7 +55,7 @@ class Snapshot:
 
 
 class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
-    """A pusher moves on a lattice over a table, in four directions, and pushes what it meets.
+    """A pusher moves over a table, in four directions on a lattice or freely, and pushes what it meets.
 
     A step lasts until everything is at rest. An object that falls off the table is gone, and the episode has
     terminated; stepping on is allowed.
@@ -99,7 +100,9 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self.facts = facts
         self.lattice = lattice
         self.render_mode = render_mode
-        self.action_space = gymnasium.spaces.Discrete(len(facts.actions))
+        assert facts.actions is not None, "a pushing world knows what can be done in it"
+        self.actions = facts.actions
+        self.action_space = self.actions.space()
         self.observation_space = gymnasium.spaces.Box(0, 255, (facts.height, facts.width, 3), np.uint8)
         self._variation = Variation(factors, [one.name for one in facts.objects], ranges)
         self._vary = named_factors(vary)
@@ -111,7 +114,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:
-        """Where each action takes the pusher, along the world's x and y [m]."""
+        """Where each discrete action takes the pusher, along the world's x and y [m]."""
         moves: Float[np.ndarray, "a 2"] = self.lattice.step * np.asarray(self.lattice.moves)
         return moves
 
@@ -130,24 +133,45 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._drawn_as_is = True
         return self._frame.copy(), {"factors": dict(self._factors)}
 
-    def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
-        """Move the pusher; a move off the lattice changes nothing and ``info["illegal"]`` says so."""
-        legal = bool(self.legal_actions()[action])
-        if legal:
-            self._place = self.lattice.after(self._place, int(action))
+    @property
+    def room(self) -> Float[np.ndarray, "2 2"]:
+        """The least and the greatest displacement along x and y that nothing cuts short [m]."""
+        return self.lattice.room(self._place)
+
+    def step(self, action: Any) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
+        """Move the pusher; ``info["illegal"]`` says that a move would have left its area.
+
+        Such a discrete action changes nothing; a displacement ends at the area's edge.
+
+        Raises:
+            InvalidSetting: A displacement has a number outside of its bounds.
+        """
+        place, illegal = self._after(action)
+        acts = not illegal or isinstance(self.actions, Continuous)
+        if acts:
+            self._place = place
             self._moment += 1
             self._push(self.lattice.at(self._place))
-        if legal or not self._drawn_as_is:
+        if acts or not self._drawn_as_is:
             self._frame, self._masks = self._draw()
             self._drawn_as_is = True
-        return self._frame.copy(), 0.0, self._terminated(), False, {"illegal": not legal}
+        return self._frame.copy(), 0.0, self._terminated(), False, {"illegal": illegal}
+
+    def _after(self, action: Any) -> tuple[Place, bool]:
+        """Where an action leads, and whether it would leave the pusher's area."""
+        if not isinstance(self.actions, Continuous):
+            return self.lattice.after(self._place, int(action)), not bool(self.legal_actions()[action])
+        values = np.asarray(action, np.float64)
+        if fault := self.actions.fault(values[None]):
+            raise InvalidSetting(f"{self.facts.id!r} was given {fault}; an action is {self.actions}.")
+        return self.lattice.moved(self._place, (float(values[0]), float(values[1])))
 
     def render(self) -> UInt8[np.ndarray, "h w 3"]:
         """The present frame."""
         return self._frame.copy()
 
     def legal_actions(self) -> Bool[np.ndarray, " a"]:
-        """Which moves stay on the lattice."""
+        """Which moves of a whole step, in the four directions, stay in the pusher's area."""
         return self.lattice.legal(self._place)
 
     def masks(self) -> UInt8[np.ndarray, "h w"]:
@@ -204,6 +228,22 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     def _color(self, one: ObjectSpec) -> tuple[float, float, float]:
         """An object's colour in this episode: RGB, 0-1."""
         return turned(one.color, self._factor("colour", one.name))
+
+
+def pushing_actions(kind: str, lattice: Lattice) -> ActionSpec:
+    """Four directions, or a displacement of the pusher of up to one step of the lattice along each axis.
+
+    Args:
+        kind: ``"discrete"`` or ``"continuous"``.
+
+    Raises:
+        UnknownName: It is neither.
+    """
+    if kind == "discrete":
+        return Discrete(ACTIONS)
+    if kind != "continuous":
+        raise UnknownName("kind of actions", kind, ("discrete", "continuous"))
+    return Continuous(names=("dx", "dy"), low=(-lattice.step,) * 2, high=(lattice.step,) * 2, units=("m", "m"))
 
 
 def colored_objects(count: int, shapes: str, known: Iterable[str]) -> tuple[ObjectSpec, ...]:

@@ -1,17 +1,21 @@
-"""The lattice that a pusher's tip stands on: every step leads from one place of it to the next, so none is partial."""
+"""The lattice that a pusher's tip stands on: every step leads from one place of it to the next, so none is partial.
+
+With continuous actions the tip goes anywhere between the lattice's outer places; a place then has fractions.
+"""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-Place = tuple[int, int]  # along the world's x and y
+Place = tuple[float, float]
+"""Along the world's x and y, in steps from the lattice's origin; whole numbers on the lattice."""
+NEAR = 1e-9  # steps: as good as there
+KEPT_PLACES = 256  # for which a picture of the pusher is kept: more than a lattice has
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +32,7 @@ class Lattice:
     places: tuple[int, int]
     origin: tuple[float, float]
     step: float
-    moves: tuple[Place, ...]
+    moves: tuple[tuple[int, int], ...]
 
     def at(self, place: Place) -> tuple[float, float]:
         """A place in the world [m]."""
@@ -39,18 +43,22 @@ class Lattice:
         return place[0] + self.moves[action][0], place[1] + self.moves[action][1]
 
     def legal(self, place: Place) -> Bool[np.ndarray, " a"]:
-        """Which actions stay on the lattice."""
-        legal: Bool[np.ndarray, " a"] = self._legal[place].copy()
-        return legal
-
-    @cached_property
-    def _legal(self) -> dict[Place, Bool[np.ndarray, " a"]]:
+        """Which actions stay on the lattice, or between its outer places."""
         width, height = self.places
-        found = {}
-        for place in itertools.product(range(width), range(height)):
-            reached = [self.after(place, action) for action in range(len(self.moves))]
-            found[place] = np.array([0 <= x < width and 0 <= y < height for x, y in reached])
-        return found
+        reached = [self.after(place, action) for action in range(len(self.moves))]
+        return np.array([0 <= x <= width - 1 and 0 <= y <= height - 1 for x, y in reached])
+
+    def moved(self, place: Place, by: tuple[float, float]) -> tuple[Place, bool]:
+        """Where a displacement leads [m], at most to the outer places; and whether it would have led farther."""
+        free = [one + length / self.step for one, length in zip(place, by, strict=True)]
+        kept = [min(max(one, 0.0), count - 1.0) for one, count in zip(free, self.places, strict=True)]
+        return (kept[0], kept[1]), any(abs(one - two) > NEAR for one, two in zip(free, kept, strict=True))
+
+    def room(self, place: Place) -> Float[np.ndarray, "2 2"]:
+        """The least and the greatest displacement [m] along x and y that stays between the outer places."""
+        here = np.asarray(place, np.float64)
+        room: Float[np.ndarray, "2 2"] = self.step * np.stack([-here, np.asarray(self.places) - 1.0 - here])
+        return room
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,11 @@
-"""Shape annotations are checked while the tests run, and only then; Ctrl-C reaches the commands that tests start."""
+"""Shape annotations are checked while the tests run, and only then; Ctrl-C reaches the commands that tests start.
+
+Commands write no lines of progress, whose number depends on how busy the machine is.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
 
 import pytest
@@ -9,6 +13,7 @@ import torch
 from jaxtyping import install_import_hook
 
 torch.set_num_threads(1)
+os.environ["DMBENCH_QUIET"] = "1"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job; children would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

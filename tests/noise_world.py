@@ -6,15 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectSpec, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
 
+LEFT_RIGHT = Discrete(("left", "right"))
+MOVES = Continuous(names=("dx", "turn"), low=(-0.04, 0.0), high=(0.04, 1.5), units=("m", "rad"))
 
-def noise_spec(height: int = 6, width: int = 5, objects: int = 2) -> EnvSpec:
+
+def noise_spec(height: int = 6, width: int = 5, objects: int = 2, actions: ActionSpec = LEFT_RIGHT) -> EnvSpec:
     return EnvSpec(
         id="noise",
-        actions=("left", "right"),
+        actions=actions,
         agent=ObjectSpec(name="agent", shape="dot", color=(0, 255, 0)),
         objects=tuple(ObjectSpec(name=f"thing {n}", shape="box", color=(n, 0, 0)) for n in range(objects)),
         height=height,
@@ -37,12 +41,20 @@ def noise_states(generator: np.random.Generator, frames: int, count: int) -> Obj
     )
 
 
+def noise_actions(generator: np.random.Generator, steps: int, spec: ActionSpec) -> np.ndarray:
+    if isinstance(spec, Discrete):
+        return generator.integers(0, len(spec), steps)
+    actions = spec.denormalise(generator.uniform(-1, 1, (steps, spec.width)))
+    actions[generator.random(actions.shape) < 0.2] = 0.0
+    return actions
+
+
 def noise_episode(seed: int, frames: int, spec: EnvSpec) -> Episode:
     generator = np.random.default_rng(seed)
     return Episode(
         frames=generator.integers(0, 256, (frames, spec.height, spec.width, 3), dtype=np.uint8),
         labels=EpisodeLabels(
-            actions=generator.integers(0, len(spec.actions), frames - 1),
+            actions=noise_actions(generator, frames - 1, spec.actions),
             pushed=generator.random(frames - 1) < 0.5,
             agent=noise_states(generator, frames, 1),
             objects=noise_states(generator, frames, len(spec.objects)),

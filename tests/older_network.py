@@ -23,7 +23,7 @@ class OlderNetwork(ForwardModel[NoConfig]):
     def __init__(self, config: NoConfig, inputs: ModelInputs) -> None:
         super().__init__(config, inputs)
         self.encoder, self.painter = nn.Conv2d(6, 4, 8, stride=8), nn.Conv2d(10, 3, 3, padding=1)
-        self.register_buffer("table", torch.zeros(inputs.actions, 4))
+        self.register_buffer("table", torch.zeros(inputs.actions.width, 4))
 
     def losses(self, batch: TripletBatch) -> Losses:
         latent = self.latent_action(batch.previous, batch.current, batch.next)

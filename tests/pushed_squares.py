@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectSpec, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
@@ -13,7 +14,7 @@ from dmotion_bench.storage.writer import DatasetWriter
 SIZE, SIDE = 64, 9
 SPEC = EnvSpec(
     id="squares",
-    actions=("up", "down", "left", "right"),
+    actions=Discrete(("up", "down", "left", "right")),
     agent=ObjectSpec(name="green_square", shape="square", color=(0, 200, 0)),
     objects=(
         ObjectSpec(name="red_square", shape="square", color=(230, 30, 30)),

@@ -32,7 +32,7 @@ class Sound(ForwardModel[SoundConfig]):
 
     def __init__(self, config, inputs) -> None:
         super().__init__(config, inputs)
-        self.layer = nn.Conv2d(6 + inputs.actions, 3, 3, padding=1)
+        self.layer = nn.Conv2d(6 + len(inputs.actions), 3, 3, padding=1)
 
     def losses(self, batch):
         error = (self._next(batch.previous, batch.current, batch.action) - batch.next).square().mean((1, 2, 3))
@@ -42,7 +42,7 @@ class Sound(ForwardModel[SoundConfig]):
         return self._next(previous, current, action)
 
     def _next(self, previous, current, action):
-        chosen = nn.functional.one_hot(action, self.inputs.actions).float()[..., None, None]
+        chosen = nn.functional.one_hot(action, len(self.inputs.actions)).float()[..., None, None]
         return self.layer(torch.cat([previous, current, chosen.expand(-1, -1, *current.shape[2:])], dim=1)).float()
 
 
@@ -53,8 +53,8 @@ class SoundVideo(Sound):
 
     def __init__(self, config, inputs) -> None:
         super().__init__(config, inputs)
-        self.register_buffer("table", torch.zeros(inputs.actions, 3))
-        self.code = nn.Linear(3, inputs.actions)
+        self.register_buffer("table", torch.zeros(len(inputs.actions), 3))
+        self.code = nn.Linear(3, len(inputs.actions))
 
     def losses(self, batch):
         error = self._coded(batch.previous, batch.current, self._code(batch.current, batch.next)) - batch.next

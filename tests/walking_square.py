@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectSpec, ObjectStates
 from dmotion_bench.storage.writer import DatasetWriter
 
 MOVES = np.array([[0, -1], [0, 1], [-1, 0], [1, 0]])
 SPEC = EnvSpec(
     id="walk",
-    actions=("up", "down", "left", "right"),
+    actions=Discrete(("up", "down", "left", "right")),
     agent=ObjectSpec(name="agent", shape="square", color=(250, 250, 250)),
     objects=(),
     height=32,

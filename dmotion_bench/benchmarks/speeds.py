@@ -1,34 +1,42 @@
-"""The speeds that matter to a user: recording, loading, training, planning."""
+"""The speeds that matter to a user: recording, loading, training, planning.
+
+Every registered environment and model is measured. A package can add speeds of its own by an entry point of the group
+``dmbench.speeds``: its name is the speed's, and it is called with the seconds to measure for and yields results.
+"""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
 from torch.utils.flop_counter import FlopCounterMode
 
-from dmotion_bench.benchmarks import machine, original
+from dmotion_bench.benchmarks import machine
 from dmotion_bench.benchmarks.result import Failure, Result
-from dmotion_bench.benchmarks.training_step import SIZE, TrainingStep, untrained
+from dmotion_bench.benchmarks.rounds import measure_in_rounds
+from dmotion_bench.benchmarks.scene import SIZE, scene_facts, scene_frames
+from dmotion_bench.benchmarks.training_step import TrainingStep, untrained
 from dmotion_bench.errors import DmbenchError, UnknownName
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.triplets import TripletSet
-from dmotion_bench.planning.speed import measure_one_by_one, measure_planning
+from dmotion_bench.planning.speed import PlanningOneByOne, PlanningTogether
 from dmotion_bench.positions import PositionFinder
-from dmotion_bench.recording.preset import recipe_for
-from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.recording.speed import measure_recording
-from dmotion_bench.registry import environment_class, environment_names, model_class, model_names
-from dmotion_bench.specs import EnvSpec, Preset
-from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.recording.speed import RecordedFrames
+from dmotion_bench.registry import environment_names, model_class, model_names, speed, speed_names
+from dmotion_bench.specs import Preset
+from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
 from dmotion_bench.wording import sentence
+
+_FRAME_BYTES: Final = SIZE * SIZE * 3
+_EPISODES, _FRAMES = 100, 30  # of the cache that is loaded from
+_BATCH: Final = 32
+_IMAGES: Final = 64
 
 
 def measure(only: str, seconds: float, announce: Callable[[str], None]) -> Iterator[Result | Failure]:
@@ -48,15 +56,12 @@ def measure(only: str, seconds: float, announce: Callable[[str], None]) -> Itera
     works["load_triplets"] = partial(loading, seconds)
     for name in model_names():
         works |= {f"train[{name}{arch}]": partial(training, name, arch[1:], seconds) for arch in _architectures(name)}
-    if original.MODEL in model_names():
-        works["train[dmotion-paper-reference]"] = partial(training_as_original, seconds)
     for name in model_names():
         works[f"plan[{name}]"] = partial(planning, name, seconds, together=True)
-    if original.MODEL in model_names():
-        works["plan[dmotion-one-by-one]"] = partial(planning, "dmotion", seconds, together=False)
+        works[f"plan[{name}-one-by-one]"] = partial(planning, name, seconds, together=False)
     works["find_centres"] = partial(finding, seconds)
-    if original.MODEL in model_names():
-        works["compact_over_original"] = partial(original.compare, seconds)
+    for name in speed_names():
+        works[name] = partial(_added, name, seconds)
     chosen = {name: work for name, work in works.items() if only in name}
     if not chosen:
         raise UnknownName("speed", only, works)
@@ -79,103 +84,75 @@ def _architectures(model: str) -> list[str]:
         return [""]
 
 
+def _added(name: str, seconds: float) -> Iterator[Result]:
+    """A speed that another package has added."""
+    yield from speed(name)(seconds)
+
+
 def recording(environment: str, seconds: float) -> Result:
     """Frames a second that one process simulates, draws and writes."""
-    return Result(
-        name=f"record[{environment}]",
-        value=measure_recording(environment, seconds).frames_per_s,
-        unit="frames/s",
-        limit=machine.compression(SIZE * SIZE * 3),
-        limit_name="zstd alone, one core",
-    )
+    with RecordedFrames(environment) as work:
+        yardstick = machine.compression(_FRAME_BYTES)
+        return measure_in_rounds(f"record[{environment}]", "frames/s", work, seconds, yardstick)
 
 
 def loading(seconds: float) -> Result:
     """Triplets a second gathered at random from a warm cache, on one core."""
+    lengths = np.full(_EPISODES, _FRAMES)
     with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
-        recipe = replace(recipe_for("grid_world", Preset.SMALL, tasks=0), episodes=100)
-        record_dataset(Path(folder) / "data", recipe)
-        dataset = Dataset.open(Path(folder) / "data")
-        triplets = TripletSet.of(dataset.cache(), np.arange(len(dataset)))
+        file = CacheFile(folder=Path(folder), fingerprint="0" * 64, count=int(lengths.sum()), height=SIZE, width=SIZE)
+
+        def make() -> None:
+            file.build(scene_frames(_FRAMES, episode) for episode in range(_EPISODES))
+
+        triplets = TripletSet.of(FrameCache(file, lengths, make), np.arange(_EPISODES))
         generator = np.random.default_rng(0)
-        out = np.empty((32, 3, SIZE, SIZE, 3), np.uint8)
-        value = machine.rate(lambda: triplets.gather(generator.integers(0, len(triplets), 32), out), 32, seconds)
-    return Result(
-        name="load_triplets",
-        value=value,
-        unit="triplets/s",
-        limit=machine.memory_copy() / out[0].nbytes,
-        limit_name="memory copy, one core",
-    )
+        out = np.empty((_BATCH, 3, SIZE, SIZE, 3), np.uint8)
+
+        def work() -> float:
+            triplets.gather(generator.integers(0, len(triplets), _BATCH), out)
+            return _BATCH
+
+        return measure_in_rounds("load_triplets", "triplets/s", work, seconds, machine.memory_copy(3 * _FRAME_BYTES))
 
 
 def training(name: str, arch: str, seconds: float) -> Result:
     """Triplets a second of a model's training step, on all cores, as the model is trained by default."""
     arch = arch or model_class(name).architectures[0]
-    return _trained(f"train[{name}-{arch}]", {"": TrainingStep(name, arch)}, seconds)
+    step = TrainingStep(name, arch)
 
+    def work() -> float:
+        step()
+        return step.config.batch_size
 
-def training_as_original(seconds: float) -> Result:
-    """The same of the paper's networks as the original trains them, in the better of two sizes of batches."""
-    return _trained("train[dmotion-paper-reference]", original.original_steps(), seconds)
-
-
-def _trained(name: str, steps: Mapping[str, TrainingStep], seconds: float) -> Result:
-    rates = original.rates_in_turn(steps, seconds)
-    best = max(rates, key=rates.__getitem__)
-    operations = steps[best].operations()
-    return Result(
-        name=name,
-        value=rates[best],
-        unit="triplets/s",
-        limit=machine.matrix_products(steps[best].precision) / operations if operations else None,
-        limit_name="matrix products alone, all cores",
-        setting=best,
-    )
+    operations = step.operations()
+    yardstick = machine.matrix_products(step.precision, operations) if operations else None
+    return measure_in_rounds(f"train[{name}-{arch}]", "triplets/s", work, seconds, yardstick)
 
 
 def planning(name: str, seconds: float, *, together: bool) -> Result:
     """Control steps a second of the paper's planner: as the control loop takes them, or candidate by candidate."""
-    kind, images = model_class(name), _frames()
+    kind, images = model_class(name), scene_frames(_IMAGES)
     arch = kind.architectures[0]
     channels_last = kind.training_defaults(Preset.SMALL, arch).channels_last
     model = untrained(name, arch).laid_out(channels_last=channels_last).eval()
     with FlopCounterMode(display=False) as counter, torch.inference_mode():
         image = to_model(torch.from_numpy(images[:1]))
         model.advance(model.begin(image, image), torch.zeros(1, dtype=torch.long))
-    speed = (measure_planning if together else measure_one_by_one)(model, _environment_facts(), images, seconds)
-    flops = counter.get_total_flops() * speed.frames / speed.steps
+    work = (PlanningTogether if together else PlanningOneByOne)(model, scene_facts(), images)
+    operations = counter.get_total_flops() * work.frames_per_step
     precision = "bf16" if has_bf16(torch.device("cpu")) else "float32"
-    return Result(
-        name=f"plan[{name}{'' if together else '-one-by-one'}]",
-        value=speed.steps_per_s,
-        unit="control steps/s",
-        limit=machine.matrix_products(precision) / flops if flops else None,
-        limit_name="matrix products alone, all cores",
-    )
+    yardstick = machine.matrix_products(precision, operations) if operations else None
+    label = f"plan[{name}{'' if together else '-one-by-one'}]"
+    return measure_in_rounds(label, "control steps/s", work, seconds, yardstick)
 
 
 def finding(seconds: float) -> Result:
     """Pictures a second in which every object's centre is found."""
-    finder, images = PositionFinder(_environment_facts()), torch.from_numpy(_frames())
-    return Result(
-        name="find_centres",
-        value=machine.rate(lambda: finder.find(images), len(images), seconds),
-        unit="images/s",
-        limit=machine.memory_copy() / images[0].numpy().nbytes,
-        limit_name="memory copy, one core",
-    )
+    finder, images = PositionFinder(scene_facts()), torch.from_numpy(scene_frames(_IMAGES))
 
+    def work() -> float:
+        finder.find(images)
+        return len(images)
 
-def _environment_facts() -> EnvSpec:
-    return environment_class("grid_world")().facts
-
-
-def _frames() -> UInt8[np.ndarray, "n h w 3"]:
-    """Some pictures of Grid World."""
-    with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
-        record_dataset(
-            Path(folder) / "data", replace(recipe_for("grid_world", Preset.TINY, tasks=0), episodes=2, frames=32)
-        )
-        dataset = Dataset.open(Path(folder) / "data")
-        return np.concatenate([dataset.video(episode) for episode in range(2)])
+    return measure_in_rounds("find_centres", "images/s", work, seconds, machine.memory_copy(_FRAME_BYTES))

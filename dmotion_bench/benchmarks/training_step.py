@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig, TripletBatch
 from dmotion_bench.learning.optimization import autocast, make_optimizer
@@ -62,7 +63,7 @@ def untrained(name: str, arch: str) -> ForwardModel[Any]:
     kind = model_class(name)
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        return kind(kind.configure(arch), ModelInputs(height=SIZE, width=SIZE, actions=ACTIONS))
+        return kind(kind.configure(arch), ModelInputs(height=SIZE, width=SIZE, actions=Discrete.numbered(ACTIONS)))
 
 
 def _noise(size: int, labelled: bool) -> TripletBatch:

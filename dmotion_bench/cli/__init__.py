@@ -4,10 +4,11 @@ Every command lives in a file of its own; what it needs beyond the core's light 
 runs, so that ``dmbench --help`` loads no torch.
 """
 
+import contextlib
 import os
 import sys
 
-from dmotion_bench.interrupts import ended_like_ctrl_c, exit_code
+from dmotion_bench.interrupts import INTERRUPTED, ended_like_ctrl_c, exit_code
 
 __all__ = ["main"]
 
@@ -20,15 +21,18 @@ long as with one (docs/decisions/051-waiting-threads-give-way.md).
 
 
 def main() -> None:
-    """Entry point of the ``dmbench`` script. Ctrl-C ends it without a traceback, also while it is still loading."""
+    """Entry point of the ``dmbench`` script. Ctrl-C ends it with a sentence, also while it is still loading."""
     _open_streams()
     bound_waiting()
-    with ended_like_ctrl_c():
-        try:
+    try:
+        with ended_like_ctrl_c():
             from dmotion_bench.cli.app import main as run
-        except KeyboardInterrupt:
-            sys.exit(exit_code())
-        run()
+
+            run()
+    except KeyboardInterrupt:
+        with contextlib.suppress(OSError):
+            print(f"dmbench: {INTERRUPTED}", file=sys.stderr, flush=True)  # noqa: T201
+        sys.exit(exit_code())
 
 
 def bound_waiting() -> None:

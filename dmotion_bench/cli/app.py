@@ -18,7 +18,7 @@ import typer
 
 from dmotion_bench import __version__
 from dmotion_bench.errors import DmbenchError, Interrupted, UsageError
-from dmotion_bench.interrupts import exit_code, received
+from dmotion_bench.interrupts import INTERRUPTED, exit_code, received
 from dmotion_bench.storage.atomic import FULL
 from dmotion_bench.storage.limits import LONGEST_TEXT
 from dmotion_bench.wording import sentence, shown
@@ -51,7 +51,6 @@ COMMANDS = (
 """Modules of this package, in the order of ``dmbench --help``; each has ``register(app)``."""
 
 
-INTERRUPTED = "interrupted; run the same command again to go on where it stopped."
 _DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
 _GONE = (errno.ENOENT, errno.ESTALE)
 

@@ -1,8 +1,11 @@
-"""``dmbench bench``: speeds on this machine beside their physical limits."""
+"""``dmbench bench``: speeds on this machine beside their physical limits, and beside those of an earlier run."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -10,6 +13,7 @@ import typer
 from dmotion_bench.cli.options import AsJson
 
 if TYPE_CHECKING:
+    from dmotion_bench.benchmarks.comparison import Change, Stored
     from dmotion_bench.benchmarks.result import Result
 
 
@@ -23,40 +27,77 @@ def bench(
         str, typer.Option(help="Measure only the speeds whose names contain this text, such as 'train'.")
     ] = "",
     seconds: Annotated[float, typer.Option(min=0.1, help="Duration of each measurement.")] = 5.0,
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Say what became slower since this output of 'dmbench bench --json'; exit with 1 if anything did.",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure how fast this machine records, loads, trains and plans, beside its limits."""
-    from dataclasses import asdict
-
     import torch
 
+    from dmotion_bench.benchmarks.comparison import changes, read_stored
     from dmotion_bench.benchmarks.machine import processor
     from dmotion_bench.benchmarks.result import Failure
     from dmotion_bench.benchmarks.speeds import measure
     from dmotion_bench.cli.progress import progress_bar
 
+    stored = None if compare is None else read_stored(compare)
     with progress_bar() as bar:
         task = bar.add_task("measuring", total=None, status="")
         measured = list(measure(only, seconds, lambda name: bar.update(task, status=name)))
     results = [one for one in measured if not isinstance(one, Failure)]
     failures = [one for one in measured if isinstance(one, Failure)]
+    changed = [] if stored is None else list(changes(stored, results))
+    threads = torch.get_num_threads()
     if as_json:
-        found = {"processor": processor(), "threads": torch.get_num_threads()}
-        typer.echo(json.dumps(found | {"results": list(map(asdict, results)), "failures": list(map(asdict, failures))}))
+        found = {"processor": processor(), "threads": threads, "results": [one.to_json() for one in results]}
+        compared = {} if stored is None else {"changes": list(map(asdict, changed))}
+        typer.echo(json.dumps(found | {"failures": list(map(asdict, failures))} | compared))
     elif results:
         from dmotion_bench.cli.tables import show_rows
 
-        typer.echo(f"{processor()}, {torch.get_num_threads()} threads")
+        typer.echo(f"{processor()}, {threads} threads")
         head = ("what", "speed", "unit", "of limit", "limit, or the fastest setting")
         show_rows(head, map(_row, results), right=frozenset({"speed", "of limit"}))
     for failure in failures:
         typer.echo(f"{failure.name} could not be measured: {failure.said}", err=True)
-    if failures:
+    if stored is not None and not as_json:
+        _show_changes(stored, changed, processor(), threads)
+    if failures or any(one.verdict == "slower" for one in changed):
         raise typer.Exit(1)
+
+
+def _show_changes(stored: Stored, changed: Sequence[Change], processor: str, threads: int) -> None:
+    """Print what was compared, and what became slower."""
+    from dmotion_bench.cli.tables import show_rows
+
+    if (stored.processor, stored.threads) != (processor, threads):
+        typer.echo(f"The stored run is of another machine: {stored.processor}, {stored.threads} threads.")
+    if not changed:
+        typer.echo("The stored run has none of these speeds.")
+        return
+    head = ("what", "before", "now", "unit", "change", "verdict")
+    show_rows(head, map(_change_row, changed), right=frozenset({"before", "now", "change"}))
+    slower = [one.name for one in changed if one.verdict == "slower"]
+    typer.echo(f"Slower: {', '.join(slower)}." if slower else "Nothing became slower.")
+
+
+def _change_row(change: Change) -> tuple[str, ...]:
+    beside = " of the limit" if change.relative else ""
+    ratio = f"{100 * (change.ratio - 1):+.1f}%{beside}"
+    return change.name, _number(change.before), _number(change.now), change.unit, ratio, change.verdict
 
 
 def _row(result: Result) -> tuple[str, ...]:
     share = f"{100 * result.value / result.limit:.0f}%" if result.limit else ""
     bound = f"{result.limit:,.0f} ({result.limit_name})" if result.limit else ""
-    speed = f"{result.value:,.1f}" if result.value >= 10 else f"{result.value:.3g}"
-    return result.name, speed, result.unit, share, "; ".join(part for part in (bound, result.setting) if part)
+    said = "; ".join(part for part in (bound, result.setting) if part)
+    return result.name, _number(result.value), result.unit, share, said
+
+
+def _number(value: float) -> str:
+    return f"{value:,.1f}" if value >= 10 else f"{value:.3g}"

@@ -29,6 +29,7 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """Try everything on a small example: record, train on video alone, score, and write a Rerun file."""
+    from dmotion_bench.cli.progress import duration
     from dmotion_bench.cli.record import record_with_progress
     from dmotion_bench.cli.report_table import show_report
     from dmotion_bench.cli.score import score_runs
@@ -85,6 +86,5 @@ def demo(
         return
     for path, report in reports.items():
         show_report(report, path)
-    minutes, rest = divmod(round(seconds), 60)
-    say(f"Done in {minutes} min {rest} s. See the model's imagination with {command('rerun', recording)},")
+    say(f"Done in {duration(seconds)}. See the model's imagination with {command('rerun', recording)},")
     say(f"or in a browser with {command('dmbench view', run.path, '--web')}.")

@@ -69,11 +69,13 @@ def models(as_json: AsJson = False) -> None:
 
 
 def _model(name: str) -> tuple[str, ...]:
+    from dmotion_bench.actions import Discrete
     from dmotion_bench.learning.model import ModelInputs
     from dmotion_bench.registry import model_class
 
     kind = model_class(name)
-    built = kind(kind.configure(kind.architectures[0]), ModelInputs(height=128, width=128, actions=4))
+    inputs = ModelInputs(height=128, width=128, actions=Discrete.numbered(4))
+    built = kind(kind.configure(kind.architectures[0]), inputs)
     learns_from = "video" if kind.supervision.value == "none" else "video and actions"
     millions = sum(parameter.numel() for parameter in built.parameters()) / 1e6
     return learns_from, f"{millions:.2f} M", ", ".join(kind.architectures), kind.paper

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.cli.options import COSTS, REFERENCES, CostName, PlannerName, require_one_of
 from dmotion_bench.wording import command
 
@@ -157,7 +158,7 @@ def _solve(
 
 
 def _summary(who: str, dataset: Dataset, result: ControlResult, planner: str) -> dict[str, Any]:
-    names = dataset.spec.actions
+    names = require_discrete(dataset.spec.actions, "planning").names
     distance = result.distance[0].round(6).tolist()
     return {
         "run": who,

@@ -33,6 +33,7 @@ def play(
     save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a Rerun file.")] = None,
 ) -> None:
     """Choose actions with the arrow keys and see what a model predicts, beside what truly happens."""
+    from dmotion_bench.actions import require_discrete
     from dmotion_bench.cli.keys import read_keys, require_terminal, single_keys
     from dmotion_bench.errors import LabelsNotAvailable, UsageError
     from dmotion_bench.workspace import Workspace
@@ -53,8 +54,9 @@ def play(
     opened = Run.open(path)
     opened.require_aligned()
     dataset = Dataset.open(opened.dataset_path)
-    if not dataset.spec.actions:
+    if dataset.spec.actions is None:
         raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
+    names = require_discrete(dataset.spec.actions, "'dmbench play'").names
     chosen = int(dataset.split("test")[0]) if episode is None and len(dataset.split("test")) else episode or 0
 
     import torch
@@ -71,16 +73,16 @@ def play(
     with live_recording(title, blueprint, window=not web and save is None, web=web, save=save, linger=False) as log:
         moment = 0
         log_drive(log, moment, start, None if truth is None else truth(None))
-        typer.echo(_legend(dataset.spec.actions), err=True)
+        typer.echo(_legend(names), err=True)
         with single_keys(terminal):
-            for action in commands(read_keys(terminal), dataset.spec.actions):
+            for action in commands(read_keys(terminal), names):
                 moment += 1
                 if action is None:
                     drive.restart()
                 else:
                     drive.step(action)
                 log_drive(log, moment, drive.frame.numpy(), None if truth is None else truth(action))
-                _tell(drive, dataset.spec.actions)
+                _tell(drive, names)
     typer.echo("", err=True)
 
 

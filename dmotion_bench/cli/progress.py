@@ -1,39 +1,125 @@
-"""Progress bars on stderr; silent when that is no terminal."""
+"""Progress on stderr: a bar on a terminal, a line now and then where stderr is a file or a pipe."""
 
 from __future__ import annotations
 
+import os
 import sys
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Final
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
+QUIET: Final = "DMBENCH_QUIET"
+"""Where this environment variable is set, no line of progress is written to a file or a pipe."""
 
-def progress_bar() -> Progress:
-    """A bar with a description, done/total, free text (field ``status``), elapsed and remaining time."""
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[status]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not sys.stderr.isatty(),
-        transient=True,
-    )
+FIRST_SECONDS: Final = 5.0
+"""After so long the first line is written, which says how long it will take."""
+
+SECONDS: Final = 15.0
+"""Between two lines."""
+
+
+class ProgressDisplay:
+    """The progress of one or more pieces of work, one after the other; used as a context manager.
+
+    Args:
+        clock: Gives the time in seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        terminal = sys.stderr.isatty()
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[status]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            disable=not terminal,
+            transient=True,
+        )
+        self._clock, self._lines = clock, not (terminal or os.environ.get(QUIET))
+        self._began: dict[TaskID, tuple[float, float]] = {}  # when, and how much was done already
+        self._due = clock() + FIRST_SECONDS
+
+    def add_task(self, description: str, *, total: float | None = None, status: str = "") -> TaskID:
+        """A piece of work.
+
+        Args:
+            description: What it is.
+            total: How much there is to do, if that is known.
+            status: Free text beside it.
+        """
+        return self._bar.add_task(description, total=total, status=status)
+
+    def update(
+        self,
+        task: TaskID,
+        *,
+        description: str | None = None,
+        completed: float | None = None,
+        total: float | None = None,
+        status: str | None = None,
+    ) -> None:
+        """Say how far a piece of work is; what is left out stays as it was."""
+        given: dict[str, Any] = {} if status is None else {"status": status}
+        self._bar.update(task, description=description, completed=completed, total=total, **given)
+        if not self._lines:
+            return
+        now = self._clock()
+        if completed is not None:
+            self._began.setdefault(task, (now, completed))
+        if now >= self._due:
+            self._due = now + SECONDS
+            sys.stderr.write(self._line(task, now) + "\n")
+            sys.stderr.flush()
+
+    def _line(self, task: TaskID, now: float) -> str:
+        known = next(one for one in self._bar.tasks if one.id == task)
+        done, total, status = known.completed, known.total, known.fields["status"]
+        parts = [] if total is None else [f"{done:,.0f} of {total:,.0f}"]
+        parts += [status] if status else []
+        began, before = self._began.get(task, (now, done))
+        if total is not None and done > before:
+            parts.append(f"{duration((total - done) * (now - began) / (done - before))} left")
+        return f"{known.description}: {', '.join(parts)}" if parts else str(known.description)
+
+    def __enter__(self) -> ProgressDisplay:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+
+def progress_bar() -> ProgressDisplay:
+    """A display with a description, how much is done of how much, free text (``status``), and the remaining time."""
+    return ProgressDisplay()
 
 
 def note(text: str) -> None:
     """Print a line on stderr, if it is a terminal."""
     if sys.stderr.isatty():
         Console(stderr=True).print(text, highlight=False, markup=False)
+
+
+def duration(seconds: float) -> str:
+    """So many seconds, for people: ``"2 min 10 s"``."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

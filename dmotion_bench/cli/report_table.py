@@ -148,7 +148,7 @@ def show_differences(differences: Sequence[Any], first: str, second: str, *, eve
         if everything or _is_shown(one.figure):
             estimate = one.difference.to_json()
             values = (_number(one.first), _number(one.second), _number(estimate["mean"]), _interval(estimate))
-            rows.append((_words(one.figure), *values, one.better or "cannot be told"))
+            rows.append((_words(one.figure), *values, one.better or "tied"))
     headings = ("figure", "first", "second", "first - second", "95% interval", "better")
     show_figures(f"{first} against {second}, on the same held-out frames", headings, rows)
 

@@ -66,7 +66,8 @@ def score(
         Path | None,
         typer.Option(
             help="Data set to score on: another one of the same environment, such as one recorded with '--ranges "
-            "shifted'. Default: the data set that the run was trained on. A reference needs a data set, too."
+            "shifted', or an import whose actions have the same names. Default: the data set that the run was trained "
+            "on. A reference needs a data set, too."
         ),
     ] = None,
     batch_size: Annotated[
@@ -154,6 +155,8 @@ def score_runs(
     from dmotion_bench.cli.progress import note, progress_bar
     from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
     from dmotion_bench.learning.run import Run
+    from dmotion_bench.learning.threads import scoring_shortage
+    from dmotion_bench.recording.executor import available_workers
     from dmotion_bench.scoring.prediction import Execution
     from dmotion_bench.scoring.score import ReferenceScores, score_run
 
@@ -163,6 +166,7 @@ def score_runs(
     references = ReferenceScores()
     reports: dict[Path, Report] = {}
     failures: dict[str, str] = {}
+    warned: set[str] = set()
     with progress_bar() as bar:
         task = bar.add_task("scoring", total=None, status="")
         for path in paths:
@@ -171,7 +175,10 @@ def score_runs(
                 bar.update(task, description=f"scoring {name}", completed=done, total=total, status=what)
 
             try:
-                Run.open(path).require_aligned()
+                told = scoring_shortage(Run.open(path).threads or 1, available_workers())
+                if told is not None and told not in warned:
+                    warned.add(told)
+                    note(told)
                 reports[path] = score_run(
                     path,
                     metrics=metrics,

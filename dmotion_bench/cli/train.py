@@ -40,10 +40,11 @@ def train(
     labels: Annotated[
         str | None,
         typer.Option(
-            metavar="[none|one-shot|K-shot|P%]",
-            help="Label budget: how many action labels the model is given. one-shot, 5-shot: this many demonstrations "
-            "of each action; 10%, 100%: the actions of this share of the episodes. Models that learn from video alone "
-            "use one-shot by default; other models need a budget.",
+            metavar="[none|N|all|P%|one-shot|K-shot]",
+            help="Label budget: how many action labels the model is given. 64: this many labelled transitions; 10%, "
+            "all: the actions of this share of the episodes; one-shot, 5-shot: this many demonstrations of each "
+            "discrete action. Models that learn from video alone use one-shot by default, and 64 if the actions are "
+            "continuous; other models need a budget.",
         ),
     ] = None,
     preset: Annotated[
@@ -151,6 +152,8 @@ def _follower(run: Path) -> Follower:
 
 def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None:
     """Print the result of a training."""
+    from dmotion_bench.cli.progress import duration
+
     summary = {
         "run": str(run.path),
         "model": run.spec.model,
@@ -166,18 +169,24 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
         return
     typer.echo(f"{run.path}")
     typer.echo(
-        f"  {result['steps']} steps, {result['triplets']} triplets in {_duration(result['seconds'])} "
+        f"  {result['steps']} steps, {result['triplets']} triplets in {duration(result['seconds'])} "
         f"({result['triplets_per_s']:.0f} triplets/s), {result['parameters'] / 1e6:.2f} M parameters"
     )
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
-    known = f" of {_transitions(dataset)} transitions in the data set" if dataset.spec.actions else ", there are none"
+    known = (
+        f" of {_transitions(dataset)} transitions in the data set"
+        if dataset.spec.actions is not None
+        else ", there are none"
+    )
     typer.echo(f"  labels used: {result['labels_total']}{known}")
     if run.conditions is not None:
         typer.echo(f"  computed in {_conditions(run.conditions)}")
-    if run.spec.labels == "none" and dataset.spec.actions:
+    if run.spec.labels == "none" and dataset.spec.actions is not None:
+        from dmotion_bench.learning.labels import first_budget
+
         typer.echo(
             "The model does not know yet which action is which. "
-            "The same command with '--labels one-shot' tells it, without training again."
+            f"The same command with '--labels {first_budget(dataset.spec.actions)}' tells it, without training again."
         )
     else:
         typer.echo(f"Score it with {command('dmbench score', run.path)}.")
@@ -202,6 +211,7 @@ def _train_all(
     as_json: bool,
 ) -> None:
     """Train every model with each of its budgets; raises an error at the end if one of them failed."""
+    from dmotion_bench.cli.progress import duration
     from dmotion_bench.errors import RunError
     from dmotion_bench.learning.start import TrainingRequest
     from dmotion_bench.learning.table import train_table
@@ -220,7 +230,7 @@ def _train_all(
             row["labels"] = result.get("labels_total")
         rows.append(row)
         if not as_json:
-            done = outcome.error or f"{_duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
+            done = outcome.error or f"{duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
             typer.echo(f"{row['model']:16s} {row['budget']:9s} {done}")
     if as_json:
         typer.echo(json.dumps({"rows": rows}))
@@ -279,8 +289,3 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
 
 def _transitions(dataset: Any) -> int:
     return int((dataset.lengths - 1).sum())
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -88,6 +88,7 @@ def view(
     target = targets[0]
     if target.kind == "recording" and save is not None:
         raise UsageError(f"{str(target.path)!r} is a Rerun file already; copy it, or leave out --save to show it.")
+    data = data or next((one.data for one in targets if one.data is not None), None)
     if data is not None and (live or len(targets) > 1 or target.kind not in ("run", "report")):
         raise UsageError("--data shows one run on another data set; name that run alone.")
     other = None if data is None else workspace.dataset(data)
@@ -163,7 +164,7 @@ def _chosen(
     run the worst, the middle and the best; of several the worst, the best and where they differ most.
     """
     from dmotion_bench.learning.run import Run
-    from dmotion_bench.scoring.transfer import report_folder, require_fitting
+    from dmotion_bench.scoring.transfer import fitting, report_folder
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.viewing.comparison import comparable, contrasting_episodes
     from dmotion_bench.viewing.episodes import choose_episodes
@@ -174,7 +175,7 @@ def _chosen(
         runs = comparable(runs)
     dataset = Dataset.open(data or runs[0].dataset_path)
     if data is not None:
-        require_fitting(runs[0], dataset)
+        dataset = fitting(runs[0], dataset)
     told: dict[int, str] = {}
     if not episodes and split is None and len(paths) > 1:
         told = contrasting_episodes([run.path for run in runs])

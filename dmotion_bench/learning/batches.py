@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.learning.triplets import TripletSet
@@ -28,10 +29,15 @@ class TripletBatches:
         device: Where the batches are to be.
     """
 
-    def __init__(self, triplets: TripletSet, actions: Int[np.ndarray, " n"] | None, device: torch.device) -> None:
+    def __init__(
+        self,
+        triplets: TripletSet,
+        actions: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"] | None,
+        device: torch.device,
+    ) -> None:
         self.triplets, self.device = triplets, device
         self._episodes = torch.from_numpy(triplets.episode).to(device)
-        self._actions = None if actions is None else torch.from_numpy(actions).to(device)
+        self._actions = None if actions is None else as_tensor(actions, device)
         self._resident: Tensor | None = None
         self._first = torch.from_numpy(triplets.first_frame)
         if device.type == "cuda" and self._fits():

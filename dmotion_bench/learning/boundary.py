@@ -1,7 +1,7 @@
 """Checks and converts the arguments of a model's methods to the form that the contract in ``model.py`` asks for.
 
 Every method of the contract is wrapped once, when its class is defined (``ForwardModel.__init_subclass__``). So a model
-sees images in [-1, 1] in the memory format that its training asks for, and whole numbers of actions, one a row,
+sees images in [-1, 1] in the memory format that its training asks for, and actions of its own kind, one a row,
 whoever calls: a command, a notebook that passes stored frames, or a test that passes the number of an action.
 """
 
@@ -100,28 +100,38 @@ def _images(model: ForwardModel[Any], method: str, value: Any) -> Tensor:
 
 
 def _actions(model: ForwardModel[Any], method: str, value: Any, like: Tensor, sequences: bool) -> Tensor:
-    """Actions as whole numbers, one a row or, of a rollout, one a row and step; a single one is every row's."""
+    """A row of actions for each image or, of a rollout, a row and step; what is given for one is every row's."""
+    spec = model.inputs.actions
+    if spec is None:
+        raise UsageError(
+            f"{type(model).__name__}.{method} was given actions, and those of the model's data set are not known. "
+            "Predict with a latent action: predict_with_latent(previous, current, latent)."
+        )
     try:
         actions = torch.as_tensor(value)
     except (TypeError, ValueError, RuntimeError):
-        actions = torch.empty(0)
-    whole = not actions.is_floating_point() and actions.dtype != torch.bool
-    rows, axes, count = len(like), 2 if sequences else 1, model.inputs.actions
-    if whole and actions.ndim == axes - 1:
+        actions = torch.empty(0, dtype=torch.bool)
+    fitting = actions.dtype != torch.bool and (bool(spec.shape) or not actions.is_floating_point())
+    rows, axes = len(like), (2 if sequences else 1) + len(spec.shape)
+    if fitting and actions.ndim == axes - 1:
         actions = actions.expand(rows, *actions.shape)
-    if whole and actions.ndim == axes and len(actions) == rows:
-        known = isinstance(value, Tensor) or not actions.numel()  # what the library made is in range
-        if not known and not 0 <= int(actions.min()) <= int(actions.max()) < count:
-            raise UsageError(
-                f"{type(model).__name__}.{method} was given the action {shown(value)}; the model was made for {count} "
-                "actions, numbered from 0."
-            )
-        return actions.to(like.device, torch.long)
-    wanted = f"({rows}, steps)" if sequences else f"({rows},)"
+    if (
+        fitting
+        and actions.ndim == axes
+        and len(actions) == rows
+        and actions.shape[axes - len(spec.shape) :] == spec.shape
+    ):
+        checked = not isinstance(value, Tensor) or (bool(spec.shape) and value.device.type == "cpu")
+        if checked and actions.numel():
+            numbers = actions.detach().reshape(-1, *spec.shape)
+            if fault := spec.fault(numbers.double() if spec.shape else numbers, "in row"):
+                raise UsageError(f"{type(model).__name__}.{method} was given {fault}.")
+        return actions.to(like.device, torch.float32 if spec.shape else torch.long)
+    wanted = ", ".join(map(str, (rows, *(("steps",) if sequences else ()), *spec.shape)))
     raise UsageError(
-        f"{type(model).__name__}.{method} was given {_described(value)} as actions; it takes whole numbers of the "
-        f"shape {wanted}, a row for each of the {rows} images, or {'one sequence' if sequences else 'one number'} for "
-        "all of them."
+        f"{type(model).__name__}.{method} was given {_described(value)} as actions; it takes "
+        f"{'numbers' if spec.shape else 'whole numbers'} of the shape ({wanted}{'' if ', ' in wanted else ','}), a row "
+        f"for each of the {rows} images, or {'one sequence' if sequences else 'one action'} for all of them."
     )
 
 

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from dmotion_bench.errors import LabelsNotAvailable
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.batches import TripletBatches
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.labels import LabelBudget
 from dmotion_bench.learning.model import Demonstrations, Phase, TrainingConfig
 from dmotion_bench.learning.triplets import BatchOrder, TripletSet
+from dmotion_bench.specs import Supervision
 
 VALIDATION_TRIPLETS = 1024
 
@@ -43,13 +46,13 @@ class Part:
     validation: TripletBatches
 
 
-def demonstrations_of(data: TrainingData, device: torch.device) -> Demonstrations | None:
-    """The demonstrations that the budget gives; None where it gives none.
+def demonstrations_of(data: TrainingData, supervision: Supervision, device: torch.device) -> Demonstrations | None:
+    """The demonstrations that the budget gives a model of video; None where it gives none.
 
     Raises:
         LabelsNotAvailable: They are not there.
     """
-    if data.budget.request.kind != "shots":
+    if supervision is not Supervision.NONE or data.budget.request.kind == "none":
         return None
     given = data.budget.demonstrations(data.train)
     images = to_model(torch.from_numpy(given.frames)).to(device)
@@ -57,7 +60,7 @@ def demonstrations_of(data: TrainingData, device: torch.device) -> Demonstration
         previous=images[:, 0],
         current=images[:, 1],
         next=images[:, 2],
-        action=torch.from_numpy(given.actions).to(device),
+        action=as_tensor(given.actions, device),
     )
 
 
@@ -83,6 +86,11 @@ def parts_of(
         size = phase.batch_size or config.batch_size
         total = BatchOrder(len(video), size, 0).steps(config.epochs)
         start = parts[-1].stop if parts else 0
+        if phase.needs_actions and np.unique(batches.triplets.episode, return_counts=True)[1].max() < phase.together:
+            raise LabelsNotAvailable(
+                f"the phase {phase.name!r} compares {phase.together} labelled transitions of one episode, and the "
+                f"budget {data.budget.request} has fewer of each; give more, such as --labels 64."
+            )
         parts.append(
             Part(
                 phase=phase,

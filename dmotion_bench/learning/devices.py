@@ -19,7 +19,7 @@ M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -3, -1  # malloc.h of the GNU C library
 def keep_freed_memory() -> None:
     """Let the C library keep what a training step frees for the next one.
 
-    Page faults on fresh memory cost a fifth of a step (DECISIONS.md). Only the GNU C library can do this.
+    Page faults on fresh memory cost a fifth of a step. Only the GNU C library can do this.
     """
     with contextlib.suppress(AttributeError, OSError):
         library = ctypes.CDLL(None)

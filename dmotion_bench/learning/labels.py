@@ -1,37 +1,47 @@
 """The label budget: the only door from training to ``labels/``, and the count of all that went through it.
 
-A run asks for a budget (``none``, ``one-shot``, ``5-shot``, ``10%``, ``100%``). Unsupervised models are given a few
-demonstrations per action, once they are trained; supervised ones the actions of a part of the training episodes.
-Whatever is handed out is counted, and the count stands in the run, the report and the leaderboard.
+A run asks for a budget: ``none``, so many labelled transitions (``64``), all of them (``all``, ``100%``), a share
+(``10%``), or so many demonstrations of each discrete action (``one-shot``, ``5-shot``). Unsupervised models are given
+demonstrations once they are trained; supervised ones the actions of a part of the training episodes. Budgets are
+nested: what a small one gives, a larger one of the same kind gives, too. Whatever is handed out is counted, and the
+count stands in the run, the report and the leaderboard.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Int, UInt8
+from jaxtyping import Float, Int, Shaped, UInt8
 
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete, require_discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.specs import EnvSpec, EpisodeLabels, Supervision
 
-ALLOWED = "none, one-shot, K-shot (such as 5-shot), or a share such as 10% or 100%"
+ALLOWED = "none, a number of labelled transitions such as 64, all, a share such as 10%, one-shot or K-shot (5-shot)"
+MOST_DEMONSTRATIONS = 4096
+"""Demonstrations are in memory as a whole."""
+DEMONSTRATIONS = 64
+"""Given to models of video by default if the actions are continuous."""
+HELD_BACK = 8
+"""Of so many transitions in a budget, one is of the validation episodes, where a model learns from actions."""
 
 
 @dataclass(frozen=True)
 class LabelRequest:
-    """A budget: so many demonstrations of each action, or the actions of a share of the episodes.
+    """A budget: so many demonstrations of each action, so many transitions, or the actions of a share of the episodes.
 
     Attributes:
-        kind: ``"none"``, ``"shots"`` or ``"share"``.
-        amount: Demonstrations per action, or the share in (0, 1].
+        kind: ``"none"``, ``"shots"``, ``"count"`` or ``"share"``.
+        amount: Demonstrations per action, transitions, or the share in (0, 1].
     """
 
-    kind: Literal["none", "shots", "share"]
+    kind: Literal["none", "shots", "count", "share"]
     amount: float = 0.0
 
     @classmethod
@@ -43,6 +53,10 @@ class LabelRequest:
         """
         if text == "none":
             return cls("none")
+        if text == "all":
+            return cls("share", 1)
+        if re.fullmatch(r"[1-9]\d{0,8}", text):
+            return cls("count", int(text))
         if text == "one-shot":
             return cls("shots", 1)
         if (match := re.fullmatch(r"(\d{1,6})-shot", text)) and int(match[1]) > 0:
@@ -56,30 +70,51 @@ class LabelRequest:
             return "none"
         if self.kind == "shots":
             return "one-shot" if self.amount == 1 else f"{self.amount:.0f}-shot"
-        return f"{self.amount * 100:g}%"
+        return f"{self.amount:.0f}" if self.kind == "count" else f"{self.amount * 100:g}%"
 
     @classmethod
-    def for_model(cls, model: str, supervision: Supervision, asked: str | None) -> LabelRequest:
-        """The budget of a run, checked against what the model can use.
+    def for_model(
+        cls, model: str, supervision: Supervision, asked: str | None, actions: ActionSpec | None = None
+    ) -> LabelRequest:
+        """The budget of a run, checked against what the model and the actions can use.
+
+        Args:
+            model: Its name.
+            supervision: What it learns from.
+            asked: The budget, None for the default.
+            actions: Of the data set.
 
         Raises:
-            UsageError: A supervised model without labels, or an unsupervised one with a share of them.
+            UsageError: A supervised model without labels, an unsupervised one with a share of them, or demonstrations
+                of each of continuous actions.
         """
         request = cls.parse(asked) if asked is not None else None
+        continuous = isinstance(actions, Continuous)
+        if continuous and request is not None and request.kind == "shots":
+            raise UsageError(
+                f"{asked!r} asks for demonstrations of each action, and continuous actions ({actions}) cannot be "
+                "counted one by one; give a number of labelled transitions, such as --labels 64."
+            )
         if supervision is Supervision.ACTIONS:
-            if request is None or request.kind != "share":
+            if request is None or request.kind not in ("share", "count") or request == cls("count", 1):
                 given = f"not {asked!r}" if asked else "and none was given"
                 raise UsageError(
                     f"{model} learns from the actions of its training episodes, {given}; "
-                    "give it a share of them: --labels 100% or --labels 10%."
+                    "give it a share of them: --labels 100% or --labels 10%, or a number, 2 or more: --labels 64."
                 )
             return request
-        if request is not None and request.kind == "share":
+        usual = "64 (the default)" if continuous else "one-shot (the default), K-shot"
+        if request is not None and (request.kind == "share" or request.amount > MOST_DEMONSTRATIONS):
             raise UsageError(
                 f"{model} learns from video alone and takes a few demonstrations afterwards, not {asked!r}; "
-                "give it --labels one-shot (the default), K-shot, or none."
+                f"give it --labels {usual}, a number of transitions up to {MOST_DEMONSTRATIONS}, or none."
             )
-        return request or cls("shots", 1)
+        return request or (cls("count", DEMONSTRATIONS) if continuous else cls("shots", 1))
+
+
+def first_budget(actions: ActionSpec | None) -> str:
+    """The budget that a model of video has by default, as it is written."""
+    return str(LabelRequest.for_model("", Supervision.NONE, None, actions))
 
 
 @runtime_checkable
@@ -97,7 +132,7 @@ class LabelledTriplets:
     """Triplets with labels from the budget; row i of ``triplets`` has ``actions[i]``."""
 
     triplets: TripletSet
-    actions: Int[np.ndarray, " n"]
+    actions: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +140,7 @@ class DemonstrationFrames:
     """Labelled transitions as stored pixels; axis 1 of ``frames`` is previous, current, next."""
 
     frames: UInt8[np.ndarray, "n 3 h w 3"]
-    actions: Int[np.ndarray, " n"]
+    actions: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"]
 
 
 class LabelBudget:
@@ -124,26 +159,37 @@ class LabelBudget:
         """All labels handed out so far."""
         return sum(self.given.values())
 
-    def actions(self, triplets: TripletSet, purpose: str) -> LabelledTriplets:
-        """The actions of the budget's share of the episodes.
+    def actions(self, triplets: TripletSet, purpose: Literal["training", "validation"]) -> LabelledTriplets:
+        """The actions that the budget gives for training or for validation.
 
-        Shares are nested: the episodes of 10% are among those of 20%, and the same for every model and seed.
+        Episodes come in an order that is the same for every model and seed: those of 10% are among those of 20%, and
+        64 transitions are the first ones of that order. Of a number of transitions, an eighth is for validation.
 
         Raises:
-            LabelsNotAvailable: The request is not for a share.
+            LabelsNotAvailable: The request is for demonstrations, or for nothing.
         """
-        if self.request.kind != "share":
+        if self.request.kind not in ("share", "count"):
             raise LabelsNotAvailable(f"the budget {self.request} has no actions for {purpose}; ask for --labels 100%.")
         episodes = np.unique(triplets.episode)
         order = np.random.default_rng(0).permutation(episodes)
-        chosen = order[: max(1, round(self.request.amount * len(order)))]
-        part = triplets.subset(np.flatnonzero(np.isin(triplets.episode, chosen)))
-        actions = self._of_each(part, lambda labels, steps: labels.actions[steps])
+        if self.request.kind == "share":
+            chosen = order[: max(1, round(self.request.amount * len(order)))]
+            rows = np.flatnonzero(np.isin(triplets.episode, chosen))
+        else:
+            held_back = max(1, int(self.request.amount) // HELD_BACK)
+            wanted = held_back if purpose == "validation" else int(self.request.amount) - held_back
+            rank = np.argsort(order)[np.searchsorted(episodes, triplets.episode)]
+            rows = np.sort(np.argsort(rank, kind="stable")[:wanted])
+        part = triplets.subset(rows)
+        actions = self._of_each(part)
         self.given[purpose] = len(part)
         return LabelledTriplets(triplets=part, actions=actions)
 
     def demonstrations(self, triplets: TripletSet, draw: int = 0) -> DemonstrationFrames:
-        """So many transitions of each action as the budget has, drawn from triplets in which nothing is pushed.
+        """As many transitions as the budget has, drawn from triplets in which nothing is pushed.
+
+        Of ``K-shot`` there are so many of each action, or an error is raised. A number of transitions is given as
+        far as there are so many.
 
         Args:
             triplets: Where they are drawn from: the training's.
@@ -152,45 +198,71 @@ class LabelBudget:
         Raises:
             LabelsNotAvailable: The request is not for demonstrations, or an action does not occur often enough.
         """
-        if self.request.kind != "shots":
+        if self.request.kind not in ("shots", "count"):
             raise LabelsNotAvailable(f"the budget {self.request} has no demonstrations; ask for --labels one-shot.")
-        if not self._dataset.spec.actions:
+        spec = self._dataset.spec.actions
+        if spec is None:
             raise LabelsNotAvailable(
                 "the actions of this data set are not known, so there is nothing to demonstrate; train without labels "
                 "(--labels none), or import the recording again with '--actions TOPIC'."
             )
+        order = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(draw,))).permutation(len(triplets))
+        if self.request.kind == "count":
+            rows, actions = self._first_unpushed(triplets, order)
+        else:
+            rows, actions = self._of_each_action(triplets, order, require_discrete(spec, f"the budget {self.request}"))
+        self.given["demonstrations"] = self.given.get("demonstrations", 0) + len(rows)
+        return DemonstrationFrames(frames=triplets.gather(rows), actions=actions)
+
+    def _of_each_action(
+        self, triplets: TripletSet, order: Int[np.ndarray, " n"], spec: Discrete
+    ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+        """The first rows of each action in which nothing is pushed, by action."""
         wanted = int(self.request.amount)
-        missing = dict.fromkeys(range(len(self._dataset.spec.actions)), wanted)
-        rows: list[int] = []
-        found: list[int] = []
-        generator = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(draw,)))
-        known: dict[int, EpisodeLabels] = {}
-        for row in generator.permutation(len(triplets)).tolist():
+        missing = dict.fromkeys(range(len(spec)), wanted)
+        found: list[tuple[int, int]] = []
+        for row, action in self._unpushed(triplets, order):
+            if missing[int(action)]:
+                missing[int(action)] -= 1
+                found.append((int(action), row))
             if not any(missing.values()):
                 break
-            episode, step = int(triplets.episode[row]), int(triplets.step[row])
-            labels = known.get(episode) or known.setdefault(episode, self._dataset.labels(episode))
-            action = int(labels.actions[step])
-            if missing[action] and not labels.pushed[step]:
-                missing[action] -= 1
-                rows.append(row)
-                found.append(action)
-        if lacking := [self._dataset.spec.actions[action] for action, count in missing.items() if count]:
+        if lacking := [spec.names[action] for action, count in missing.items() if count]:
             raise LabelsNotAvailable(
                 f"the training episodes hold fewer than {wanted} demonstrations of {', '.join(lacking)}; "
                 "ask for fewer (--labels one-shot) or record more episodes."
             )
-        order = np.argsort(np.asarray(found), kind="stable")
-        self.given["demonstrations"] = self.given.get("demonstrations", 0) + len(rows)
-        return DemonstrationFrames(frames=triplets.gather(np.asarray(rows)[order]), actions=np.asarray(found)[order])
+        actions, rows = zip(*sorted(found, key=lambda one: one[0]), strict=True)
+        return np.asarray(rows), np.asarray(actions)
 
-    def _of_each(
-        self,
-        triplets: TripletSet,
-        read: Callable[[EpisodeLabels, Int[np.ndarray, " n"]], Int[np.ndarray, " n"]],
-    ) -> Int[np.ndarray, " n"]:
-        values = np.zeros(len(triplets), np.int64)
+    def _first_unpushed(
+        self, triplets: TripletSet, order: Int[np.ndarray, " n"]
+    ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"] | Float[np.ndarray, "m a"]]:
+        found = list(itertools.islice(self._unpushed(triplets, order), int(self.request.amount)))
+        if not found:
+            raise LabelsNotAvailable(
+                "something is pushed in every transition of the training episodes, so there is no demonstration; "
+                "record more episodes."
+            )
+        rows, actions = zip(*found, strict=True)
+        return np.asarray(rows), np.stack(actions)
+
+    def _unpushed(
+        self, triplets: TripletSet, order: Int[np.ndarray, " n"]
+    ) -> Iterator[tuple[int, Shaped[np.ndarray, "..."]]]:
+        """The rows in which nothing is pushed and their actions, one by one; only their episodes are opened."""
+        known: dict[int, EpisodeLabels] = {}
+        for row in order.tolist():
+            episode, step = int(triplets.episode[row]), int(triplets.step[row])
+            labels = known.get(episode) or known.setdefault(episode, self._dataset.labels(episode))
+            if not labels.pushed[step]:
+                yield row, np.asarray(labels.actions[step])
+
+    def _of_each(self, triplets: TripletSet) -> Int[np.ndarray, " n"] | Float[np.ndarray, "n a"]:
+        spec = self._dataset.spec.actions
+        kind, shape = (np.dtype(np.int64), ()) if spec is None else (spec.dtype, spec.shape)
+        values = np.zeros((len(triplets), *shape), kind)
         for episode in np.unique(triplets.episode).tolist():
             rows = np.flatnonzero(triplets.episode == episode)
-            values[rows] = read(self._dataset.labels(episode), triplets.step[rows])
+            values[rows] = self._dataset.labels(episode).actions[triplets.step[rows]]
         return values

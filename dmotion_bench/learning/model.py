@@ -20,6 +20,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from dmotion_bench.actions import ActionSpec
+from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.boundary import guarded
 from dmotion_bench.specs import Preset, Supervision
 
@@ -30,12 +32,12 @@ class ModelInputs:
 
     Attributes:
         height, width: Of a frame [px].
-        actions: Number of discrete actions; 0 where they are unknown.
+        actions: What can be done at each step; None where it is unknown. ``ActionEncoding`` makes vectors of them.
     """
 
     height: int
     width: int
-    actions: int
+    actions: ActionSpec | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +51,7 @@ class TripletBatch:
     previous: Float[Tensor, "b c h w"]
     current: Float[Tensor, "b c h w"]
     next: Float[Tensor, "b c h w"]
-    action: Int[Tensor, " b"] | None = None
+    action: Actions | None = None
     episode: Int[Tensor, " b"] | None = None
 
 
@@ -60,7 +62,7 @@ class Demonstrations:
     previous: Float[Tensor, "n c h w"]
     current: Float[Tensor, "n c h w"]
     next: Float[Tensor, "n c h w"]
-    action: Int[Tensor, " n"]
+    action: Int[Tensor, " n"] | Float[Tensor, "n a"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +242,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         self,
         previous: Float[Tensor, "b c h w"],
         current: Float[Tensor, "b c h w"],
-        action: Int[Tensor, " b"],
+        action: Actions,
     ) -> Float[Tensor, "b c h w"]:
         """The frame after ``current`` if ``action`` is taken at it, in [-1, 1]."""
         return self.frame(self.advance(self.begin(previous, current), action))
@@ -251,7 +253,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         return previous, current
 
     @guarded
-    def advance(self, state: State, action: Int[Tensor, " b"]) -> State:
+    def advance(self, state: State, action: Actions) -> State:
         """The state one action later."""
         previous, current = state
         return current, self.predict(previous, current, action)
@@ -266,7 +268,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         self,
         previous: Float[Tensor, "b c h w"],
         current: Float[Tensor, "b c h w"],
-        actions: Int[Tensor, "b t"],
+        actions: Int[Tensor, "b t"] | Float[Tensor, "b t a"],
     ) -> Float[Tensor, "b t c h w"]:
         """The frames that a sequence of actions leads to, each predicted from the model's own last ones."""
         state, frames = self.begin(previous, current), []

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.learning.action_encoding import Actions, as_tensor
 from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInputs, TripletBatch
+
+GOLDEN: Final = (5**0.5 - 1) / 2  # its multiples are spread evenly over the unit interval
 
 
 class ModelTrial:
@@ -29,6 +34,8 @@ class ModelTrial:
     ) -> None:
         self.kind, self.arch, self.inputs, self.channels_last = kind, arch, inputs, channels_last
         asked = " on channels-last images, which its training_defaults ask for (TrainingConfig.channels_last)"
+        assert inputs.actions is not None, "a trial shows actions"
+        self._spec = inputs.actions
         self.name = kind.__qualname__ + (asked if channels_last else "")
 
     def build(self) -> ForwardModel[Any]:
@@ -45,9 +52,18 @@ class ModelTrial:
         images = torch.rand(shape, generator=generator) * 2 - 1
         return images.contiguous(memory_format=torch.channels_last) if self.channels_last else images
 
-    def actions(self, count: int, shift: int = 0) -> Int[Tensor, " n"]:
-        """A batch of actions that contains every action in turn."""
-        return (torch.arange(count) + shift) % self.inputs.actions
+    def actions(self, count: int, shift: int = 0) -> Actions:
+        """A batch of actions: every discrete one in turn, or continuous ones spread over their bounds.
+
+        Args:
+            shift: Another number gives other actions in the same order.
+        """
+        spec = self._spec
+        place = np.arange(count) + shift
+        if isinstance(spec, Discrete):
+            return as_tensor(place % len(spec))
+        turns = place[:, None] * np.arange(1, spec.width + 1) * GOLDEN
+        return as_tensor(spec.denormalise(2 * (turns % 1) - 1))
 
     def batch(self, count: int, *, actions: bool) -> TripletBatch:
         """Triplets, with or without their actions."""
@@ -60,8 +76,8 @@ class ModelTrial:
         )
 
     def demonstrations(self, each: int, shift: int = 0) -> Demonstrations:
-        """So many of each action; with another ``shift`` the same frames show other actions."""
-        count = each * self.inputs.actions
+        """So many of each action, or for each number of one; with another ``shift`` the same frames show other ones."""
+        count = each * self._spec.width
         return Demonstrations(
             previous=self.images(count, 4),
             current=self.images(count, 5),

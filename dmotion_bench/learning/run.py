@@ -25,6 +25,7 @@ from torch import Tensor
 
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunError, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.labels import first_budget
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.precision import AUTO
 from dmotion_bench.learning.run_manifest import RUN_FORMAT, Conditions, RunSpec, read_manifest
@@ -188,9 +189,11 @@ class Run:
             LabelsNotAvailable: It was trained without labels, on a data set whose actions have names.
         """
         if self.spec.labels == "none" and self.spec.actions:
+            named = first_budget(self.spec.action_spec)
             raise LabelsNotAvailable(
                 f"{self.name!r} was trained with '--labels none', so nothing says what any action does in it; the same "
-                "'dmbench train' command with '--labels one-shot' takes the training over and names the actions."
+                f"'dmbench train' command with '--labels {named}' takes the training over "
+                "and names the actions."
             )
 
     def begin_anew(self) -> None:

@@ -16,6 +16,7 @@ from typing import Any, Final, get_args
 import torch
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
+from dmotion_bench.actions import MOST_ACTIONS, ActionSpec, Discrete, actions_from_json, actions_to_json
 from dmotion_bench.errors import DmbenchError, InvalidSetting
 from dmotion_bench.learning.checkpoint import Form, forms_of
 from dmotion_bench.learning.labels import LabelRequest
@@ -27,7 +28,7 @@ from dmotion_bench.registry import model_class
 from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import read_json
-from dmotion_bench.storage.limits import LARGEST_SIDE, LONGEST_NAME, LONGEST_TEXT, MOST_ACTIONS
+from dmotion_bench.storage.limits import LARGEST_SIDE, LONGEST_NAME, LONGEST_TEXT
 from dmotion_bench.wording import shown
 
 RUN_FORMAT: Final = "dmbench-run/1"
@@ -49,7 +50,9 @@ class RunSpec:
         dataset: Its name.
         fingerprint: The hash of its content.
         protocol: How triplets are split.
-        height, width, actions: What the model was built for.
+        height, width: What the model was built for [px].
+        actions: What the model was built for: the number of discrete actions, 0 if they are not known, or the fields of
+            ``Continuous``.
     """
 
     model: str
@@ -64,13 +67,16 @@ class RunSpec:
     protocol: str = "episode"
     height: int
     width: int
-    actions: int
+    actions: int | Mapping[str, Any]
 
     def __post_init__(self) -> None:
         _within("seed", self.seed, range(2**63))
         _within("height", self.height, range(1, LARGEST_SIDE + 1))
         _within("width", self.width, range(1, LARGEST_SIDE + 1))
-        _within("actions", self.actions, range(MOST_ACTIONS + 1))
+        if isinstance(self.actions, int):
+            _within("actions", self.actions, range(MOST_ACTIONS + 1))
+        else:
+            _ = self.action_spec
         for name, choices in (("preset", [one.value for one in Preset]), ("protocol", get_args(SplitProtocol))):
             if getattr(self, name) not in choices:
                 raise InvalidSetting(f"{name} is {shown(getattr(self, name))}; it can be {', '.join(choices)}.")
@@ -79,7 +85,21 @@ class RunSpec:
     @property
     def inputs(self) -> ModelInputs:
         """The facts that the model is built for."""
-        return ModelInputs(height=self.height, width=self.width, actions=self.actions)
+        return ModelInputs(height=self.height, width=self.width, actions=self.action_spec)
+
+    @property
+    def action_spec(self) -> ActionSpec | None:
+        """The actions that the model is built for; discrete ones have numbers in the place of names.
+
+        Raises:
+            InvalidSetting: There are no such actions.
+        """
+        if isinstance(self.actions, int):
+            return Discrete.numbered(self.actions) if self.actions else None
+        try:
+            return actions_from_json(dict(self.actions))
+        except ValueError as error:
+            raise InvalidSetting(f"{error}.") from None
 
     @property
     def training_config(self) -> TrainingConfig:
@@ -124,6 +144,12 @@ class RunSpec:
             if "meta" in str(error):  # it reads numbers while it is built, and tensors without memory have none
                 return forms_of(self.build().state_dict())
             raise InvalidSetting(f"no {self.model} can be built so: {type(error).__name__}: {error}") from None
+
+
+def stored_actions(spec: ActionSpec | None) -> int | dict[str, Any]:
+    """A data set's actions as ``RunSpec`` holds them."""
+    stored = actions_to_json(spec)
+    return stored if isinstance(stored, dict) else len(stored)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -8,12 +8,13 @@ from pathlib import Path
 
 from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.learning.curriculum import TrainingData
-from dmotion_bench.learning.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelBudget, LabelRequest
 from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.run_manifest import stored_actions
 from dmotion_bench.learning.settings import to_json, with_settings
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.registry import model_class
-from dmotion_bench.specs import IMPORTED, Preset
+from dmotion_bench.specs import IMPORTED, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.split import FEWEST_EPISODES
 from dmotion_bench.versions import versions
@@ -31,7 +32,8 @@ class TrainingRequest:
 
     Attributes:
         model: Registry name.
-        labels: Label budget; one-shot for models that see video only, no default for supervised ones.
+        labels: Label budget; one-shot for models that see video only, 64 transitions if the actions are continuous; no
+            default for supervised ones.
         preset: The data set's own where its name ends with one, else small.
         arch: The model's first architecture.
         settings: ``KEY=VALUE`` of the model's or the training's config.
@@ -60,9 +62,9 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
     arch = request.arch or kind.architectures[0]
     if arch not in kind.architectures:
         raise UnknownName(f"architecture of {request.model}", arch, kind.architectures)
-    labels = LabelRequest.for_model(request.model, kind.supervision, request.labels)
-    if not dataset.spec.actions:
-        if labels.kind == "share":
+    labels = LabelRequest.for_model(request.model, kind.supervision, request.labels, dataset.spec.actions)
+    if dataset.spec.actions is None:
+        if kind.supervision is Supervision.ACTIONS:
             raise UsageError(f"{dataset.name!r} has no action labels; train a model that needs none, such as dmotion.")
         if request.labels is None:
             labels = LabelRequest("none")
@@ -85,7 +87,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         protocol=request.protocol,
         height=dataset.spec.height,
         width=dataset.spec.width,
-        actions=len(dataset.spec.actions),
+        actions=stored_actions(dataset.spec.actions),
     )
 
 
@@ -98,7 +100,7 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
     parts.append(spec.dataset)
     if not spec.dataset.endswith(f"-{spec.preset}"):
         parts.append(spec.preset)
-    if spec.labels not in ("one-shot", "100%"):
+    if spec.labels not in ("one-shot" if isinstance(spec.actions, int) else str(DEMONSTRATIONS), "100%"):
         parts.append(spec.labels.replace("%", "pct"))
     if spec.protocol != "episode":
         parts.append(f"split_{spec.protocol}")

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import DmbenchError, StorageFull
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.run import Run
@@ -23,6 +24,9 @@ from dmotion_bench.workspace import Workspace
 
 BUDGETS = {Supervision.NONE: ("one-shot", "5-shot", "20-shot"), Supervision.ACTIONS: ("100%", "10%")}
 """Label budgets of models that name none of their own."""
+
+TRANSITIONS = ("64", "16", "256")
+"""Label budgets of models of video where the actions are continuous."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +57,15 @@ class Outcome:
     error: str | None = None
 
 
-def budgets(kind: type[ForwardModel[Any]]) -> tuple[str, ...]:
-    """The label budgets that a class of models is ranked under."""
-    return kind.budgets or BUDGETS[kind.supervision]
+def budgets(kind: type[ForwardModel[Any]], actions: ActionSpec | None) -> tuple[str, ...]:
+    """The label budgets that a class of models is ranked under on a data set with such actions."""
+    video = kind.supervision is Supervision.NONE
+    if actions is None:
+        return ("none",) if video else ()
+    named = kind.budgets or BUDGETS[kind.supervision]
+    if isinstance(actions, Continuous):
+        return tuple(name for name in named if not name.endswith("-shot")) or TRANSITIONS
+    return named
 
 
 def rows(dataset: Dataset) -> Iterator[Row]:
@@ -64,8 +74,7 @@ def rows(dataset: Dataset) -> Iterator[Row]:
         named: tuple[str, ...] = ("",)  # of what cannot be loaded; said when the row is trained
         with contextlib.suppress(DmbenchError):
             kind = model_class(name)
-            unlabelled = ("none",) if kind.supervision is Supervision.NONE else ()
-            named = budgets(kind) if dataset.spec.actions else unlabelled
+            named = budgets(kind, dataset.spec.actions)
         for labels in named:
             yield Row(model=name, labels=labels)
 

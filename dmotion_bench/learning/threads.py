@@ -1,5 +1,7 @@
 """How many threads compute: part of what decides a training's bits, for other numbers of threads add in another order.
 
+So a run is scored, too, with the number that it was trained with.
+
 The same number gives the same bits however many cores there are (measured, docs/decisions); with fewer cores than
 threads it takes several times as long.
 """
@@ -17,18 +19,17 @@ from dmotion_bench.learning.precision import FEWEST_STEPS
 
 
 @contextlib.contextmanager
-def using_threads(count: int) -> Iterator[None]:
-    """Compute with so many threads within the block.
+def using_threads(count: int | None) -> Iterator[None]:
+    """Compute with so many threads within the block; None leaves their number as it is.
 
     Raises:
         UsageError: The environment does not allow so many.
     """
-    limit = os.environ.get("OMP_THREAD_LIMIT", "")
-    if limit.isdecimal() and int(limit) < count:
-        raise UsageError(
-            f"the run computes with {count} threads, and OMP_THREAD_LIMIT allows {limit}; unset that variable, or "
-            f"begin another run with '--threads {limit} --out DIR'."
-        )
+    if count is None:
+        yield
+        return
+    if (told := not_allowed(count)) is not None:
+        raise UsageError(told)
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -46,12 +47,34 @@ def has_choice_of_threads(steps: int, device: torch.device, processes: int) -> b
     return own and steps >= FEWEST_STEPS and torch.get_num_threads() > 1
 
 
+def not_allowed(count: int) -> str | None:
+    """Why so many threads cannot be had here; None if they can."""
+    limit = os.environ.get("OMP_THREAD_LIMIT", "")
+    if not limit.isdecimal() or int(limit) >= count:
+        return None
+    return (
+        f"the run computes with {count} threads, and OMP_THREAD_LIMIT allows {limit}; unset that variable, or "
+        f"begin another run with '--threads {limit} --out DIR'."
+    )
+
+
 def shortage(threads: int, cores: int) -> str | None:
-    """A warning for a run with more threads than there are cores; None if there are enough."""
+    """A warning for a training with more threads than there are cores; None if there are enough."""
+    few = _few(threads, cores)
+    return few and (
+        f"{few} It goes on with {threads}, which gives the same weights and takes several times as long; "
+        f"'--threads {cores} --out DIR' begins another run."
+    )
+
+
+def scoring_shortage(threads: int, cores: int) -> str | None:
+    """A warning for the scoring of a run with more threads than there are cores; None if there are enough."""
+    few = _few(threads, cores)
+    return few and f"{few} It is scored with {threads}, which gives the same figures and takes several times as long."
+
+
+def _few(threads: int, cores: int) -> str | None:
     if threads <= cores:
         return None
     free = "1 core is" if cores == 1 else f"{cores} cores are"
-    return (
-        f"this run computes with {threads} threads, and {free} free here. It goes on with {threads}, which gives the "
-        f"same weights and takes several times as long; '--threads {cores} --out DIR' begins another run."
-    )
+    return f"this run computes with {threads} threads, and {free} free here."

@@ -41,8 +41,10 @@ from dmotion_bench.learning.resuming import BestFacts, Checkpoints, LastFacts
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.run_manifest import Conditions, RunResult
 from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets, write_sample
+from dmotion_bench.learning.samples import FOLDER as SAMPLES
 from dmotion_bench.learning.step import Stepper
 from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.lock import held
 
 CHECKPOINT_SECONDS = 60.0
@@ -104,6 +106,8 @@ def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Repor
             return trainer.fit(on_step)
         run.path.mkdir(parents=True, exist_ok=True)
         with held(run.path):
+            for folder in (run.path, run.path / SAMPLES):
+                remove_leftovers(folder)
             return trainer.fit(on_step)
 
 
@@ -112,9 +116,8 @@ class _Trainer:
         self.run, self.data, self.fabric = run, data, fabric
         self.config: TrainingConfig = run.spec.training_config
         self.model = run.spec.build().laid_out()
-        self.demonstrations = demonstrations_of(
-            data, fabric.device
-        )  # asked for first: what is missing is said before the work
+        # asked for first: what is missing is said before the work
+        self.demonstrations = demonstrations_of(data, self.model.supervision, fabric.device)
         self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device)
         self.steps, self.watched = self.parts[-1].stop, steps_before_labels(self.parts)
         wrapped, self.optimizer = fabric.setup(self.model, make_optimizer(self.model, self.config))
@@ -193,9 +196,9 @@ class _Trainer:
                         counted = 0
                     if self.state.step % validate_every == 0 or self.state.step == part.stop:
                         self._validate(part, log)
-                        saved = self._save()
-                        if self.state.step == self.watched:
+                        if self.state.step == self.watched:  # before the other: a kill in between takes this step again
                             self._write_checkpoint(self.run.watched)
+                        saved = self._save()
                     elif stopping() or time.monotonic() - saved > CHECKPOINT_SECONDS:
                         saved = self._save()
                     if stopping():

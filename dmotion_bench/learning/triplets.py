@@ -2,7 +2,7 @@
 
 A triplet is (x_{t-1}, x_t, x_{t+1}); the action that belongs to it is a_t, taken at the middle frame. Frames of
 one episode lie one after the other, so a triplet is one contiguous piece of memory and a batch is a handful of
-copies: no worker processes, nothing is decoded (measured in DECISIONS.md).
+copies: no worker processes, nothing is decoded (decision 008).
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.environment import Environment
 from dmotion_bench.planning.controllers import NO_ACTION, Controller, Decision, KnowsSimulator, Seen
 from dmotion_bench.planning.exploring import Sights
@@ -154,7 +155,7 @@ def control(
     loop = _Loop(
         controller=controller,
         settings=settings,
-        actions=len(envs[0].facts.actions) if envs else 0,
+        actions=len(require_discrete(envs[0].facts.actions, "planning")) if envs else 0,
         journal=journal or Journal.nowhere(),
         watch=watch,
         on_progress=lambda: on_progress(_progress(loop.records, settings, len(problems))),

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Int, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.environment import Environment
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
@@ -112,9 +113,10 @@ class ModelController:
         bf16: bool | None = None,
         device: torch.device | None = None,
     ) -> None:
-        if model.inputs.actions != len(spec.actions):
+        own, known = (require_discrete(actions, "planning") for actions in (model.inputs.actions, spec.actions))
+        if not known.fits(own):
             raise ModelContractBroken(
-                f"the model was made for {model.inputs.actions} actions, and {spec.id!r} has {len(spec.actions)}; "
+                f"the model was made for {len(own)} actions, and {spec.id!r} has {len(known)}; "
                 "plan on the data set that it was trained on."
             )
         self.device = device or torch.device("cpu")

@@ -24,6 +24,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.planning.approaching import Approach
 from dmotion_bench.planning.tracking import Outlines
 from dmotion_bench.specs import EnvSpec
@@ -156,7 +157,7 @@ class Exploration:
         self._weight, self._seen = weight, sights.pictures * weight[:, None]
         self._approach, self._seeking = approach, misplaced.amax(dim=1) > 0
         self._scale = torch.where(self._seeking, 1.0, PLACID)
-        tried = sights.to(torch.device("cpu")).tried(len(spec.actions)).to(misplaced)
+        tried = sights.to(torch.device("cpu")).tried(len(require_discrete(spec.actions, "planning"))).to(misplaced)
         self._weariness = WEARINESS * tried
 
     def appeal(self, frames: UInt8[Tensor, "n h w 3"], task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
@@ -80,7 +81,7 @@ class ModelFutures:
         self._previous, self._current = previous, current
         self._device = current.device
         self._bf16 = has_bf16(self._device) if bf16 is None else bf16
-        self.tasks, self.actions = len(current), model.inputs.actions
+        self.tasks, self.actions = len(current), len(require_discrete(model.inputs.actions, "planning"))
         self.at_once = at_once or FRAMES_AT_ONCE.get(self._device.type, 64)
 
     def begin(self) -> States:

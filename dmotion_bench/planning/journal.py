@@ -2,13 +2,14 @@
 
 One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the planner
 of the unfinished group remembers. A file of another key is not taken up: it belongs to other weights, other tasks
-or another planner.
+or another planner. Neither is a file that does not fit its checksum.
 """
 
 from __future__ import annotations
 
 import json
 import time
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -19,8 +20,9 @@ from jaxtyping import Int
 
 from dmotion_bench.planning.problems import Problem, World
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.json_file import read_json
 
-FORMAT: Final = "dmbench-control/1"
+FORMAT: Final = "dmbench-control/2"
 WRITE_EVERY: Final = 5.0  # [s]
 
 
@@ -99,7 +101,7 @@ class Journal:
                 "tasks": {str(number): asdict(record) for number, record in self._records.items()},
                 "memory": {str(number): own for number, own in self._memory.items()},
             }
-            write_atomically(self._path, json.dumps(content).encode())
+            write_atomically(self._path, json.dumps(content | {"crc32": _checksum(content)}).encode())
             self._written = time.monotonic()
 
     def remove(self) -> None:
@@ -109,7 +111,9 @@ class Journal:
 
     def _read(self, path: Path) -> None:
         try:
-            content = json.loads(path.read_text())
+            content = read_json(path, nan=True)
+            if content.pop("crc32") != _checksum(content):
+                return
             if content["format"] != FORMAT or content["key"] not in self._accepted:
                 return
             records = {int(number): _record(**fields) for number, fields in content["tasks"].items()}
@@ -117,6 +121,10 @@ class Journal:
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return  # nothing, or nothing usable: begin at the beginning
         self._records, self._memory = records, memory
+
+
+def _checksum(content: Mapping[str, Any]) -> int:
+    return zlib.crc32(json.dumps(content).encode())
 
 
 def _record(actions: list[int], distance: list[float], lost: list[int], frames: int) -> TaskRecord:

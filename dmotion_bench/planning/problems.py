@@ -74,7 +74,7 @@ class Problem:
     task: ControlTask
     seed: int
     vary: tuple[str, ...]
-    opening: Int[np.ndarray, " t"]
+    opening: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]
     start_frame: UInt8[np.ndarray, "h w 3"]
     goal_frame: UInt8[np.ndarray, "h w 3"]
     start_positions: Float[np.ndarray, "k 3"]
@@ -141,7 +141,7 @@ def _problem(dataset: TaskDataset, number: int, task: ControlTask) -> Problem:
         task=task,
         seed=dataset.rows[task.episode].seed,
         vary=tuple(dataset.recipe.vary),
-        opening=states.actions[: task.start].astype(np.int64),
+        opening=states.actions[: task.start],
         start_frame=video[task.start],
         goal_frame=video[task.goal],
         start_positions=states.objects.position[task.start].astype(np.float64),

@@ -15,7 +15,7 @@ from typing import Literal
 
 from dmotion_bench.errors import PackageNotInstalled, UsageError
 from dmotion_bench.recording.executor import Executor, SerialExecutor
-from dmotion_bench.recording.session import ShardJob, record_shard
+from dmotion_bench.recording.session import ShardJob, environment_facts, record_shard
 from dmotion_bench.registry import environment_names
 from dmotion_bench.storage.atomic import sync_folder
 from dmotion_bench.storage.check import CheckReport, cache_damages, check_dataset
@@ -87,6 +87,8 @@ def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor)
         shutil.rmtree(staging, ignore_errors=True)
         staging.mkdir()
         try:
+            if environment_facts(manifest.recipe) != manifest.spec:
+                return False
             jobs = [ShardJob(dataset=staging, recipe=manifest.recipe, spec=manifest.spec, index=one) for one in shards]
             for receipt in executor.map_unordered(record_shard, jobs):
                 entry = manifest.shards[receipt.index]

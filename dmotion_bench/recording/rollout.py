@@ -10,11 +10,11 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Final, Literal
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
-from dmotion_bench.environment import Environment, EpisodeGenerator, Policy
+from dmotion_bench.environment import Action, Environment, EpisodeGenerator, Policy
 from dmotion_bench.errors import InvalidSetting, UnknownName
-from dmotion_bench.specs import DatasetRecipe, Episode, EpisodeLabels, ObjectStates, Scalar, episode_seed
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectStates, Scalar, episode_seed
 
 _POLICY_STREAM: Final = 0x70F1  # sets the policy's random numbers apart from the environment's
 
@@ -71,7 +71,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
     factors = {name: _plain(value) for name, value in info.get("factors", {}).items()}
     images, masks, agents, objects = _Film(frame), _Film(env.masks()), [env.agent()], [env.objects()]
-    actions: list[int] = []
+    actions: list[Action] = []
     ended: Literal["truncated", "terminated"] = "truncated"
     while len(objects) < frames:
         action = policy(env, generator)
@@ -89,7 +89,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     return Episode(
         frames=images.developed(),
         labels=EpisodeLabels(
-            actions=np.array(actions, np.int64),
+            actions=_recorded(env.facts, actions),
             pushed=_pushed(states, env.facts.push_threshold),
             agent=_stacked(agents),
             objects=states,
@@ -99,6 +99,22 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
         seed=seed,
         ended=ended,
     )
+
+
+def _recorded(facts: EnvSpec, actions: Sequence[Action]) -> Int[np.ndarray, " s"] | Float[np.ndarray, "s a"]:
+    """The actions of an episode, as its labels hold them.
+
+    Raises:
+        InvalidSetting: The environment names none, or one of them cannot be.
+    """
+    if facts.actions is None:
+        raise InvalidSetting(
+            f"the environment {facts.id!r} does not say what can be done in it, so nothing is recorded."
+        )
+    taken = np.array(actions, facts.actions.dtype).reshape(len(actions), *facts.actions.shape)
+    if fault := facts.actions.fault(taken):
+        raise InvalidSetting(f"the policy of {facts.id!r} took {fault}; mend the policy.")
+    return taken
 
 
 class _Film:

@@ -14,6 +14,7 @@
     explanation.py      what can be measured on video whose actions are not known
     control.py          how near a model and a planner bring the objects to their goals
     transfer.py         scoring on another data set than the one of the training
+    overlap.py          which episodes of an import show what a run was trained on
     samples.py          the samples: one row for each predicted frame
     statistics.py       means, and their 95% intervals over episodes
     figures.py          the figures of a report, computed from the samples

@@ -13,7 +13,7 @@
       weights        the hash of the weights
       settings       split, horizon, precision ...; metrics: what has been scored so far; of control its version, too
       planning       of control: the planner and the cost, every field and every constant, and the arithmetic
-      training       what the run cost
+      training       what the run cost; threads: that trained it, and scored it
       versions       of Python and the packages
       figures        name -> mean, std, low, high, n
       reference      the same for predictors that know nothing, and published results, by their names
@@ -40,6 +40,7 @@ import pyarrow as pa
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 
 PROTOCOL = "dmbench-1"
 SCORING_VERSION: Final = 1
@@ -137,17 +138,17 @@ def read_report(folder: Path) -> Report | None:
     """
     path = folder / REPORT_FILE
     try:
-        stored = json.loads(path.read_text())
+        stored = read_json(path)
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (JsonUnreadable, OSError) as error:
         raise RunCorrupt(
             f"the report {str(path)!r} cannot be read ({error}); delete it and score the run again."
         ) from None
-    if isinstance(stored, dict) and "code" in stored:
+    if "code" in stored:
         stored = _with_versions(stored)
     names = {field.name for field in fields(Report)}
-    if not isinstance(stored, dict) or stored.get("protocol") != PROTOCOL or set(stored) != names:
+    if stored.get("protocol") != PROTOCOL or set(stored) != names:
         return None
     return Report(**stored)
 

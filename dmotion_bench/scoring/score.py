@@ -9,11 +9,13 @@ from typing import Any, Literal, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
+import torch
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.controllers import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks
@@ -41,9 +43,10 @@ from dmotion_bench.scoring.report import (
 )
 from dmotion_bench.scoring.samples import SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
-from dmotion_bench.scoring.transfer import report_folder, require_transferable
+from dmotion_bench.scoring.transfer import report_folder, training_of, transfer_remark, transferable
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import VERSION, SplitName
+from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.versions import versions
@@ -152,13 +155,13 @@ def score_model(
     settings, how = settings or ScoreSettings(), how or Execution()
     references = references or ReferenceScores()
     model = model.to(how.device).laid_out().eval()
-    if not dataset.spec.actions:
+    if dataset.spec.actions is None:
         with predicting(how.device, settings.precision):
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
         metrics = tuple(metric for metric in metrics if metric == "control")
-    identity = (dataset.fingerprint, settings.split, settings.protocol)
+    identity = (dataset.fingerprint, dataset.spec.actions, settings.split, settings.protocol, torch.get_num_threads())
     tables = [] if earlier is None else [earlier]
     with predicting(how.device):
         if "prediction" in metrics:
@@ -199,18 +202,22 @@ def score_run(
 ) -> Report:
     """Score a run on the held-out episodes of its data set, or of another one, and write its report.
 
+    It computes with as many threads as the training: another number rounds otherwise (``learning/threads.py``).
     Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings and
     version; of control the same planner and cost, too.
 
     Args:
         renew: Whether to score again what the report already holds.
-        data: Another data set of the same environment, see ``transfer.py``; the run's own if left out. The other
-            arguments are ``score_model``'s.
+        data: Another data set of the same environment, or an import, see ``transfer.py``; the run's own if left out.
+            The other arguments are ``score_model``'s.
 
     Raises:
         RunMissing, RunCorrupt: There is no trained run at this path.
         RunMismatch: The data set has changed since the run was trained on it, or the other one does not fit the run.
+        DatasetMissing: The other one is an import, and the data set of the training is not there.
+        LabelsNotAvailable: Nothing says what the actions do in the model; or as ``score_model`` raises it.
         DatasetError, LabelsNotAvailable: Control is asked for where it cannot be scored.
+        UsageError: The run's number of threads is not allowed here.
         FolderInUse: Another process scores the run.
     """
     run = Run.open(path)
@@ -224,14 +231,17 @@ def score_run(
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
     settings = replace(settings or ScoreSettings(), protocol=protocol)
     if elsewhere:
-        require_transferable(run, dataset, settings.split)
+        dataset = transferable(run, dataset, settings.split)
+    if dataset.spec.actions is not None:
+        run.require_aligned()
     folder = report_folder(run.path, run.spec.fingerprint, dataset)
     if "control" in metrics:
         require_tasks(dataset)  # said before the work, not after it
-    if not dataset.spec.actions:
+    if dataset.spec.actions is None:
         metrics = ("prediction",)
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder):
+        remove_leftovers(folder)
         report, samples = _stored(folder, run, dataset)
         true: tuple[str, ...] = ()
         if report is not None:
@@ -241,16 +251,17 @@ def score_run(
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
-        scores = score_model(
-            run.model,
-            dataset,
-            metrics=metrics,
-            settings=settings,
-            how=how,
-            references=references,
-            earlier=samples.filter(pc.is_in(samples["metric"], pa.array(set(true) - set(metrics), pa.string()))),
-            journal=(journal := folder / "control.json"),
-        )
+        with using_threads(run.threads):
+            scores = score_model(
+                run.model,
+                dataset,
+                metrics=metrics,
+                settings=settings,
+                how=how,
+                references=references,
+                earlier=samples.filter(pc.is_in(samples["metric"], pa.array(set(true) - set(metrics), pa.string()))),
+                journal=(journal := folder / "control.json"),
+            )
         scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*true, *metrics))))
         if "control" in metrics:
             arithmetic = "bfloat16" if has_bf16((how or Execution()).device) else "float32"
@@ -300,19 +311,16 @@ def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Map
 
 def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
     result = run.result or {}
-    own = {"name": run.spec.dataset, "fingerprint": run.spec.fingerprint}
-    elsewhere = {} if dataset.fingerprint == run.spec.fingerprint else {"trained_on": own}
-    published = None if elsewhere else published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
+    own = training_of(run, dataset)
+    published = None if own else published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
     reference = {name: _json(figures) for name, figures in scores.reference.items()}
     remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
-    if not dataset.spec.actions:
+    if dataset.spec.actions is None:
         remarks["actions"] = EXPLAINED
     elif not dataset.spec.objects and not dataset.spec.agent_has_color:
         remarks["positions"] = "where the agent and the objects are is not known, so no figure is about them"
-    if elsewhere:
-        ranges = " (shifted)" if dataset.recipe.parameters.get("ranges") == "shifted" else ""
-        vary = f", in which {', '.join(dataset.recipe.vary)} vary{ranges}" if dataset.recipe.vary else ""
-        remarks["trained_on"] = f"trained on {own['name']!r}, and scored on {dataset.name!r}{vary}"
+    if own:
+        remarks["trained_on"] = transfer_remark(run, dataset)
     if published is not None:
         reference["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
         remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()
@@ -342,13 +350,16 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             "fingerprint": dataset.fingerprint,
         }
         | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
-        | elsewhere,
+        | ({"trained_on": own} if own else {}),
         weights=result["weights"],
         settings=settings.to_json(metrics),
         training={
             key: result[key]
-            for key in ("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes")
-            if key in result
+            for key in (
+                *("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes"),
+                *("threads", "precision"),
+            )
+            if result.get(key) is not None
         },
         versions=versions(),
         figures=_json(scores.figures),

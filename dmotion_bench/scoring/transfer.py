@@ -7,21 +7,30 @@ what the run was trained on.
 It must be the same environment: the same actions and pictures of the same size. And the episodes must be new to the
 run: two recordings with the same seed begin their episodes alike, and where nothing that can be seen varies, one may
 hold as a test what the other holds as training.
+
+An import names no environment, so any import of frames of the same size fits whose actions have the same names. It may
+list them in another order: scoring numbers them as the training did. An import has no seeds either; whether its
+episodes are new is told by their pictures (``overlap.py``). Both take the data set that the run was trained on.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Int
 
-from dmotion_bench.errors import DatasetError, RunMismatch
+from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.errors import DatasetError, DatasetMissing, RunMismatch
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.run_manifest import stored_actions
+from dmotion_bench.scoring.overlap import copied_episodes
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
-from dmotion_bench.specs import SplitName
+from dmotion_bench.specs import IMPORTED, SplitName
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, shortened, shown
 
 _SHOWN: Final = 5
 
@@ -54,52 +63,126 @@ def transfer_folders(run: Path) -> list[Path]:
     return sorted(path.parent for path in (run / REPORT_FOLDER / TRANSFERS).glob(f"*/{REPORT_FILE}"))
 
 
-def require_transferable(run: Run, dataset: Dataset, split: SplitName) -> None:
-    """Raise an error if a run cannot be scored on another data set, or was trained on its episodes.
+def transferable(run: Run, dataset: Dataset, split: SplitName) -> Dataset:
+    """Another data set than the run's own as its model reads it, which was trained on none of its episodes.
 
     Raises:
-        RunMismatch: It is of another environment, or holds episodes that the run was trained on.
+        RunMismatch: It does not fit the run, or holds episodes that the run was trained on.
+        DatasetMissing: As ``fitting`` raises it.
     """
-    require_fitting(run, dataset)
-    own, name = _trained_on(run), dataset.name
-    known = [] if own is None else _known_before(own, dataset, split)
+    read, own = fitting(run, dataset), _own_dataset(run)
+    if own is None:
+        return read
+    trained = np.arange(len(own)) if run.spec.protocol == "paper" else _concatenated(own, "train", "validation")
+    asked = dataset.split(split).tolist()
+    if _is_import(dataset):
+        known, how = copied_episodes(own, trained.tolist(), dataset, asked), "show the same as"
+        instead = "import recordings that the training did not have."
+    else:
+        known, how = _known_before(own, trained.tolist(), dataset, asked), "have the seed and the first picture of"
+        instead = "record the data set with another '--seed'."
     if known:
         listed = ", ".join(map(str, known[:_SHOWN])) + (" ..." if len(known) > _SHOWN else "")
         raise RunMismatch(
-            f"{len(known)} of the {len(dataset.split(split))} {split} episodes of {name!r} have the seed and the first "
-            f"picture of episodes that {run.name!r} was trained on (episodes {listed}); record the data set with "
-            "another '--seed'."
+            f"{len(known)} of the {len(asked)} {split} episodes of {shown(dataset.name)} {how} episodes that "
+            f"{shown(run.name)} was trained on (episodes {listed}); {instead}"
         )
+    return read
 
 
-def require_fitting(run: Run, dataset: Dataset) -> None:
-    """Raise an error unless a data set has the environment, actions and image size of a run's model.
+def fitting(run: Run, dataset: Dataset) -> Dataset:
+    """A data set as a run's model reads it: the actions of an import are numbered as in the training.
 
     Raises:
-        RunMismatch: It cannot.
+        RunMismatch: It has other pictures or actions than the run's model, or is of another environment.
+        DatasetMissing: It is an import with actions, and the run's own data set, which has their order, is not there.
     """
-    spec, name = run.spec, dataset.name
-    own = _trained_on(run)
-    if own is not None and own.recipe.environment != dataset.recipe.environment:
+    spec, name, own = run.spec, dataset.name, _own_dataset(run)
+    if own is not None and not _is_import(dataset) and own.recipe.environment != dataset.recipe.environment:
+        again = (
+            "import other recordings of it with 'dmbench data import'"
+            if _is_import(own)
+            else command("dmbench record", own.recipe.environment, "--seed", "1", "--out", "DIR")
+        )
         raise RunMismatch(
             f"{run.name!r} was trained in {own.recipe.environment!r}, and {name!r} is of "
-            f"{dataset.recipe.environment!r}; take data of its own environment: "
-            f"{command('dmbench record', own.recipe.environment, '--seed', '1', '--out', 'DIR')}."
+            f"{dataset.recipe.environment!r}; take data of its own environment: {again}."
         )
-    for what, mine, theirs in (
-        ("actions", spec.actions, len(dataset.spec.actions)),
-        ("pixels", f"{spec.width} x {spec.height}", f"{dataset.spec.width} x {dataset.spec.height}"),
-    ):
-        if mine != theirs:
-            raise RunMismatch(f"{run.name!r} was trained on {mine} {what}, and {name!r} has {theirs}.")
-    if own is not None and own.spec.actions != dataset.spec.actions:
+    mine, theirs = (f"{one.width} x {one.height}" for one in (spec, dataset.spec))
+    if mine != theirs:
+        again = f"import it again with '--size {spec.width}'" if _is_import(dataset) else "take data of the same size"
+        raise RunMismatch(f"{run.name!r} was trained on {mine} pixels, and {name!r} has {theirs}; {again}.")
+    if _is_import(dataset) and own is None and dataset.fingerprint != spec.fingerprint:
+        raise DatasetMissing(
+            f"{name!r} is an import, and only the data set that {run.name!r} was trained on says which actions and "
+            f"episodes it knows; {shown(str(run.dataset_path))} is not there or has changed: put it there again."
+        )
+    if _is_import(dataset) and dataset.spec.actions is None:
+        return dataset
+    read = dataset if own is None else _numbered(run, own, dataset)
+    if spec.actions != stored_actions(read.spec.actions):
+        mine = f"{spec.actions} actions" if isinstance(spec.actions, int) else _listed(spec.action_spec)
         raise RunMismatch(
-            f"the actions of {name!r} are {', '.join(dataset.spec.actions)}, and those of {own.name!r}, which "
-            f"{run.name!r} was trained on, {', '.join(own.spec.actions)}."
+            f"{run.name!r} was trained on {mine}, and those of {name!r} are {_listed(dataset.spec.actions)}; take data "
+            "of the same actions."
         )
+    return read
 
 
-def _trained_on(run: Run) -> Dataset | None:
+def _numbered(run: Run, own: Dataset, dataset: Dataset) -> Dataset:
+    """A data set with the actions of the training in their order; only an import may have stored another one."""
+    mine, theirs = own.spec.actions, dataset.spec.actions
+    if mine == theirs:
+        return dataset
+    match mine, theirs:
+        case Discrete(), Discrete() if _is_import(dataset) and set(mine.names) == set(theirs.names):
+            return dataset.numbered(mine.names)
+    again = "import it again without '--actions'" if mine is None else "take data of the same actions"
+    raise RunMismatch(
+        f"the actions of {dataset.name!r} are {_listed(theirs)}, and those of {own.name!r}, which {run.name!r} was "
+        f"trained on, {_listed(mine)}; {again}."
+    )
+
+
+def training_of(run: Run, dataset: Dataset) -> dict[str, Any] | None:
+    """What a run was trained on, as its report on another data set says it; None on its own data set."""
+    if dataset.fingerprint == run.spec.fingerprint:
+        return None
+    said, own = {"name": run.spec.dataset, "fingerprint": run.spec.fingerprint}, _own_dataset(run)
+    differs = own is not None and own.recipe.environment != dataset.recipe.environment
+    return said | ({"environment": own.recipe.environment} if own is not None and differs else {})
+
+
+def transfer_remark(run: Run, dataset: Dataset) -> str:
+    """What to bear in mind of a report on another data set than the run's own."""
+    own = _own_dataset(run)
+    world = f" ({own.recipe.environment})" if own is not None and _is_import(dataset) else ""
+    said = f"trained on {run.spec.dataset!r}{world}, and scored on {dataset.name!r}"
+    if dataset.recipe.vary:
+        ranges = " (shifted)" if dataset.recipe.parameters.get("ranges") == "shifted" else ""
+        said += f", in which {', '.join(dataset.recipe.vary)} vary{ranges}"
+    if _is_import(dataset):
+        said += ", an import" + (
+            " whose actions are matched by their names" if dataset.spec.actions is not None else ""
+        )
+    if own is not None and own.spec.step_ns != dataset.spec.step_ns:
+        said += f"; a step of it takes {dataset.spec.step_ns / 1e9:g} s, of the training {own.spec.step_ns / 1e9:g} s"
+    return said
+
+
+def _is_import(dataset: Dataset) -> bool:
+    return dataset.recipe.environment == IMPORTED
+
+
+def _listed(actions: ActionSpec | None) -> str:
+    return "not known" if actions is None else shortened(str(actions), 300)
+
+
+def _concatenated(dataset: Dataset, *splits: SplitName) -> Int[np.ndarray, " n"]:
+    return np.concatenate([dataset.split(name) for name in splits])
+
+
+def _own_dataset(run: Run) -> Dataset | None:
     """The data set that the run was trained on, if it still exists unchanged."""
     try:
         dataset = Dataset.open(run.dataset_path)
@@ -108,17 +191,16 @@ def _trained_on(run: Run) -> Dataset | None:
     return dataset if dataset.fingerprint == run.spec.fingerprint else None
 
 
-def _known_before(own: Dataset, dataset: Dataset, split: SplitName) -> list[int]:
-    """Episodes of a split with the seed and first image of one of the run's training or validation episodes.
+def _known_before(own: Dataset, trained: Sequence[int], dataset: Dataset, asked: Sequence[int]) -> list[int]:
+    """The episodes with the seed and first image of one that the run was trained or validated on.
 
     Two versions of an environment may draw the same episode otherwise, so between them the seed alone decides.
     """
     redrawn = own.recipe.version != dataset.recipe.version
-    trained = np.concatenate([own.split("train"), own.split("validation")])
-    seen = {own.rows[episode].seed: episode for episode in trained.tolist()}
-    asked = [(episode, seen.get(dataset.rows[episode].seed)) for episode in dataset.split(split).tolist()]
+    seen = {own.rows[episode].seed: episode for episode in trained}
+    pairs = [(episode, seen.get(dataset.rows[episode].seed)) for episode in asked]
     return [
         episode
-        for episode, same in asked
+        for episode, same in pairs
         if same is not None and (redrawn or np.array_equal(dataset.video(episode)[0], own.video(same)[0]))
     ]

@@ -82,7 +82,7 @@ class HeldOut:
     """
 
     def __init__(self, dataset: Dataset, split: SplitName, protocol: SplitProtocol = "episode") -> None:
-        if not dataset.spec.actions:
+        if dataset.spec.actions is None:
             raise LabelsNotAvailable(
                 f"the actions of {dataset.name!r} are not known, so predictions that follow them cannot be scored; "
                 "import the recording again with its actions: 'dmbench data import FILE --actions TOPIC --out DIR'."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import secrets
 from collections.abc import Iterator
@@ -31,7 +32,8 @@ def atomic_file(path: Path, *, make_folders: bool = True) -> Iterator[BinaryIO]:
     """A file that appears under ``path`` when the block ends well, and leaves nothing when it does not.
 
     A process that is killed leaves ``<name>.<token>.part``, which ``remove_leftovers`` takes away.
-    Two processes may write the same file, even on two machines: the tokens keep their pieces apart.
+    Two processes may write the same file, even on two machines: the tokens keep their pieces apart. As long as its
+    process lives, the temporary file is locked.
 
     Args:
         path: The file.
@@ -57,17 +59,38 @@ def atomic_file(path: Path, *, make_folders: bool = True) -> Iterator[BinaryIO]:
 def _written(path: Path, make_folders: bool) -> Iterator[BinaryIO]:
     if make_folders:
         path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}")
+    temporary, file = _temporary(path)
     try:
-        with temporary.open("wb") as file:
+        with file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(path)
+            temporary.replace(path)  # still locked
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def _temporary(path: Path) -> tuple[Path, BinaryIO]:
+    """A new file beside ``path``, locked."""
+    while True:
+        temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}")
+        file = temporary.open("xb")
+        if _lock(file.fileno()) is not False and os.fstat(file.fileno()).st_nlink:
+            return temporary, file
+        file.close()  # it was taken for a leftover before it was locked
+
+
+def _lock(handle: int) -> bool | None:
+    """Whether a file is ours now; None on a file system without locks."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
 
 
 def write_atomically(path: Path, data: bytes, *, make_folders: bool = True) -> None:
@@ -77,6 +100,15 @@ def write_atomically(path: Path, data: bytes, *, make_folders: bool = True) -> N
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Delete the temporary files of processes that were killed; call it only where nobody else writes."""
+    """Delete the temporary files of processes that were killed; those that are still written stay.
+
+    On a file system without locks all of them stay.
+    """
     for leftover in folder.glob(f"*{TEMPORARY_SUFFIX}"):
-        leftover.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # gone meanwhile, or not ours to delete
+            handle = os.open(leftover, os.O_RDONLY | os.O_NONBLOCK)
+            try:
+                if _lock(handle):
+                    leftover.unlink()
+            finally:
+                os.close(handle)

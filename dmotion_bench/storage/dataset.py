@@ -6,13 +6,16 @@ opened by ``labels``, ``states`` and ``episode`` alone, and may be missing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable, UnknownName, UsageError
 from dmotion_bench.specs import Episode, EpisodeLabels, SplitName
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
@@ -34,7 +37,7 @@ class Dataset:
         path: Its folder.
         name: The folder's name.
         manifest: The content of ``dataset.json``.
-        recipe, spec: How it was made, and what is true of every episode.
+        recipe, spec: How it was made, and what is true of every episode; see also ``numbered``.
         fingerprint: SHA-256 over format, recipe and the hashes of all shards.
         rows: Where each episode is and how it came about.
         lengths: Frames of each episode.
@@ -46,6 +49,7 @@ class Dataset:
         self.lengths = rows.lengths
         self._split = split_episodes(self.recipe.seed, len(rows))
         self._cache: FrameCache | None = None
+        self._numbers: Int[np.ndarray, " a"] | None = None  # of the stored actions, where they are numbered anew
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_cache": None}
@@ -78,6 +82,26 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def numbered(self, names: Sequence[str]) -> Dataset:
+        """The same data set with its discrete actions numbered in another order; ``manifest`` keeps the stored one.
+
+        Args:
+            names: Of its actions, in the order of their new numbers.
+
+        Raises:
+            UsageError: They are other names, or the actions are not discrete.
+        """
+        stored = self.manifest.spec.actions
+        if not isinstance(stored, Discrete) or sorted(names) != sorted(stored.names):
+            raise UsageError(
+                f"the actions of {shown(self.name)} are {shown(str(stored))}, and {shown(list(names))} were named; "
+                "name the same ones in another order."
+            )
+        view = copy.copy(self)
+        view.spec = replace(self.spec, actions=Discrete(tuple(names)))
+        view._numbers = np.array([tuple(names).index(name) for name in stored.names], np.int64)
+        return view
+
     def _row(self, episode: int) -> EpisodeRow:
         if not 0 <= episode < len(self.rows):
             raise UsageError(f"{shown(self.name)} has no episode {shown(episode)}; it has 0 to {len(self) - 1}.")
@@ -103,9 +127,10 @@ class Dataset:
         row = self._row(episode)
         file = self._labels_file(row)
         try:
-            return read_states(file, row.states, self.spec, row.frames)
+            states = read_states(file, row.states, self.spec, row.frames)
         except (DamagedFile, FileNotFoundError, MemoryError) as damage:
             raise corrupt(self.path, file, damage) from None
+        return states if self._numbers is None else replace(states, actions=self._numbers[states.actions])
 
     def labels(self, episode: int) -> EpisodeLabels:
         """The labels of an episode.

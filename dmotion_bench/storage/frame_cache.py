@@ -26,7 +26,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Int, UInt8, UInt32
 
 from dmotion_bench.errors import CacheNotWritable, DatasetCorrupt, StorageFull
-from dmotion_bench.storage.atomic import atomic_file
+from dmotion_bench.storage.atomic import atomic_file, remove_leftovers
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import ANOTHER_CACHE
 
@@ -126,6 +126,7 @@ class CacheFile:
             CacheNotWritable: The folder can take no file.
             StorageFull: It has not enough space.
         """
+        remove_leftovers(self.folder)
         self._require_space()
         sums = np.empty(self.count, np.uint32)
         with atomic_file(self.path) as file:

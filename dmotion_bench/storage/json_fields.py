@@ -51,6 +51,10 @@ class Fields:
             raise ValueError(f"{self._where}.{name} is {shown(values)}, not {count} whole numbers")
         return tuple(values)
 
+    def value(self, name: str) -> object:
+        """Whatever is there, None if nothing is."""
+        return self._value.get(name)
+
     def many(self, name: str) -> list[Any]:
         """An array."""
         return list(self._take(name, list))

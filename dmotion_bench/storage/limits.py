@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.specs import EnvSpec
 
 MIB: Final = 2**20
@@ -14,7 +15,6 @@ MOST_FRAMES: Final = 1_000_000  # an episode
 MOST_TASKS: Final = 100_000
 MOST_SHARD_EPISODES: Final = 10_000
 MOST_OBJECTS: Final = 253  # a mask has a byte a pixel, and 0 and 1 are taken
-MOST_ACTIONS: Final = 4096
 MOST_FACTORS: Final = 256
 MOST_PARAMETERS: Final = 200_000  # an import names its files here
 MOST_VERSIONS: Final = 256
@@ -31,6 +31,8 @@ _STATE_BYTES: Final = 80  # ten numbers of eight bytes for each thing in each fr
 def most_frames(spec: EnvSpec) -> int:
     """Frames that an episode can have."""
     frame = spec.height * spec.width * (3 + 1) + _STATE_BYTES * (1 + len(spec.objects))
+    if isinstance(spec.actions, Continuous):
+        frame += 8 * spec.actions.width
     return min(MOST_FRAMES, EPISODE_BYTES // frame)
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from dmotion_bench.actions import actions_from_json, actions_to_json
 from dmotion_bench.errors import (
     DatasetCorrupt,
     DatasetIncomplete,
@@ -84,7 +85,7 @@ class Manifest:
             "complete": self.complete,
             "salvaged": self.salvaged,
             "recipe": dataclasses.asdict(self.recipe),
-            "environment": dataclasses.asdict(self.spec),
+            "environment": dataclasses.asdict(self.spec) | {"actions": actions_to_json(self.spec.actions)},
             "versions": dict(self.versions),
             "tables": {name: facts._asdict() for name, facts in self.tables.items()},
             "shards": [
@@ -222,7 +223,7 @@ def _recipe(fields: Fields) -> DatasetRecipe:
 def _spec(fields: Fields) -> EnvSpec:
     return EnvSpec(
         id=fields.text("id"),
-        actions=fields.texts("actions"),
+        actions=actions_from_json(fields.value("actions")),
         agent=_object(fields.inner("agent")),
         objects=tuple(_object(Fields(one, "an object")) for one in fields.many("objects")),
         height=fields.whole("height"),

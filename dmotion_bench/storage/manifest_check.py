@@ -19,7 +19,6 @@ from dmotion_bench.storage.limits import (
     LAST_NS,
     LONGEST_NAME,
     LONGEST_TEXT,
-    MOST_ACTIONS,
     MOST_EPISODES,
     MOST_FACTORS,
     MOST_FRAMES,
@@ -74,14 +73,11 @@ def check_spec(spec: EnvSpec) -> None:
         ValueError: They cannot.
     """
     _check_texts("environment.id", [spec.id], LONGEST_NAME)
-    _check_count("environment.actions", len(spec.actions), 0, MOST_ACTIONS)
-    _check_texts("environment.actions", spec.actions, LONGEST_NAME)
     _check_count("environment.objects", len(spec.objects), 0, MOST_OBJECTS)
     for thing in (spec.agent, *spec.objects):
         _check_thing(thing)
-    for name, what in (("actions", spec.actions), ("objects", [thing.name for thing in spec.objects])):
-        if len(set(what)) != len(what):
-            raise ValueError(f"two of the {name} have the same name")
+    if len({thing.name for thing in spec.objects}) != len(spec.objects):
+        raise ValueError("two of the objects have the same name")
     _check_count("environment.height", spec.height, 1, LARGEST_SIDE)
     _check_count("environment.width", spec.width, 1, LARGEST_SIDE)
     _check_count("environment.step_ns", spec.step_ns, 1, LAST_NS)

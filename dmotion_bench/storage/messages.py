@@ -18,8 +18,10 @@ from typing import Any, Final
 
 import numpy as np
 from google.protobuf.message import DecodeError
-from jaxtyping import Bool, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
+from dmotion_bench.actions import ActionSpec, Continuous, require_discrete
+from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectStates, Scalar
 from dmotion_bench.storage.json_file import JsonUnreadable, parse_json
 from dmotion_bench.storage.mcap_reader import DamagedFile, MessageView
@@ -28,6 +30,7 @@ from dmotion_bench.storage.schema import (
     ACTION,
     ACTION_TOPIC,
     AGENT_TOPIC,
+    CONTINUOUS_ACTION,
     FACTORS,
     FACTORS_TOPIC,
     LABEL_CHANNELS,
@@ -131,7 +134,12 @@ def decode_masks(messages: Iterable[MessageView], out: UInt8[np.ndarray, "t h w"
 
 
 def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: int) -> Iterator[Message]:
-    """The messages of ``/factors``, ``/action``, ``/agent`` and ``/objects``, in the order of their times."""
+    """The messages of ``/factors``, ``/action``, ``/agent`` and ``/objects``, in the order of their times.
+
+    Raises:
+        InvalidSetting: A continuous action is none that the environment has.
+    """
+    acts = _acts(labels, spec)
     if labels.factors:
         content = json.dumps(dict(labels.factors), sort_keys=True)
         yield Message(
@@ -139,18 +147,37 @@ def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: 
         )
     agent = _states_encoder((spec.agent.name,)).encode(labels.agent)
     objects = _states_encoder(tuple(one.name for one in spec.objects)).encode(labels.objects)
-    acts: dict[tuple[int, bool], bytes] = {}
     for frame, (agent_states, object_states) in enumerate(zip(agent, objects, strict=True)):
         t_ns = start_ns + frame * step_ns
         stamp = _stamp(t_ns)
         if frame < len(labels.actions):
-            act = int(labels.actions[frame]), bool(labels.pushed[frame])
-            if act not in acts:
-                name = spec.actions[act[0]] if act[0] < len(spec.actions) else ""
-                acts[act] = _serialized(ACTION.new(action=act[0], name=name, pushed=act[1]))
-            yield Message(_LABEL_NUMBER[ACTION_TOPIC], t_ns, (stamp, acts[act]))
+            yield Message(_LABEL_NUMBER[ACTION_TOPIC], t_ns, (stamp, acts[frame]))
         yield Message(_LABEL_NUMBER[AGENT_TOPIC], t_ns, (stamp, agent_states))
         yield Message(_LABEL_NUMBER[OBJECTS_TOPIC], t_ns, (stamp, object_states))
+
+
+def _acts(labels: EpisodeLabels, spec: EnvSpec) -> list[bytes]:
+    """What follows the stamp in the message of each action."""
+    pushed = labels.pushed.tolist()
+    if isinstance(spec.actions, Continuous):
+        if fault := spec.actions.fault(labels.actions):
+            raise InvalidSetting(
+                f"an episode of {shown(spec.id)} holds {fault}; mend the environment or recording that it comes from."
+            )
+        values = np.asarray(labels.actions, np.float64).tolist()
+        return [
+            _serialized(CONTINUOUS_ACTION.new(values=one, pushed=moved))
+            for one, moved in zip(values, pushed, strict=True)
+        ]
+    numbers = labels.actions.tolist()
+    names = require_discrete(spec.actions, "a label").names if numbers else ()
+    known = {
+        (number, moved): _serialized(
+            ACTION.new(action=number, name=names[number] if number < len(names) else "", pushed=moved)
+        )
+        for number, moved in set(zip(numbers, pushed, strict=True))
+    }
+    return [known[act] for act in zip(numbers, pushed, strict=True)]
 
 
 class _StatesEncoder:
@@ -195,7 +222,7 @@ def _states_encoder(names: tuple[str, ...]) -> _StatesEncoder:
 class StateLabels:
     """An episode's labels without its masks."""
 
-    actions: Int[np.ndarray, " s"]  # s = t - 1 steps
+    actions: Int[np.ndarray, " s"] | Float[np.ndarray, "s a"]  # s = t - 1 steps
     pushed: Bool[np.ndarray, " s"]
     agent: ObjectStates
     objects: ObjectStates
@@ -204,21 +231,17 @@ class StateLabels:
 
 def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -> StateLabels:
     """The labels of an episode of so many frames."""
-    actions, pushed = np.empty(max(frames - 1, 0), np.int64), np.empty(max(frames - 1, 0), np.bool_)
+    actions, pushed = _ActionsDecoder(spec.actions, frames), np.empty(max(frames - 1, 0), np.bool_)
     agent, objects = (
         _StatesDecoder((spec.agent.name,), frames),
         _StatesDecoder(tuple(one.name for one in spec.objects), frames),
     )
     factors: dict[str, Scalar] = {}
-    acted = 0
     for view in messages:
         topic = LABEL_CHANNELS[view.channel - 1][0] if 1 <= view.channel <= len(LABEL_CHANNELS) else ""
         if topic == ACTION_TOPIC:
-            message = _parse(ACTION.new(), view, view.channel, _MESSAGE_OVERHEAD)
-            if acted == len(actions) or not 0 <= message.action < len(spec.actions):
-                raise DamagedFile(f"holds action {message.action} at step {acted} of an episode of {frames} frames")
-            actions[acted], pushed[acted] = message.action, message.pushed
-            acted += 1
+            moved = actions.decode(view)
+            pushed[actions.count - 1] = moved
         elif topic == AGENT_TOPIC:
             agent.decode(view)
         elif topic == OBJECTS_TOPIC:
@@ -227,9 +250,47 @@ def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -
             factors = _factors(_parse(FACTORS.new(), view, view.channel, _FACTORS_LARGEST).json)
         else:
             raise DamagedFile(f"holds a message of channel {view.channel} among the states")
-    if agent.count != frames or objects.count != frames or acted != len(actions):
-        raise DamagedFile(f"holds {agent.count} states and {acted} actions of an episode of {frames} frames")
-    return StateLabels(actions=actions, pushed=pushed, agent=agent.states(), objects=objects.states(), factors=factors)
+    if agent.count != frames or objects.count != frames or actions.count != len(pushed):
+        raise DamagedFile(f"holds {agent.count} states and {actions.count} actions of an episode of {frames} frames")
+    return StateLabels(
+        actions=actions.array(), pushed=pushed, agent=agent.states(), objects=objects.states(), factors=factors
+    )
+
+
+class _ActionsDecoder:
+    """Takes an episode's actions out of message after message.
+
+    Attributes:
+        count: Messages so far.
+    """
+
+    def __init__(self, spec: ActionSpec | None, frames: int) -> None:
+        self._spec, self._frames, self.count = spec, frames, 0
+        kind, shape = (np.dtype(np.int64), ()) if spec is None else (spec.dtype, spec.shape)
+        self._table = np.empty((max(frames - 1, 0), *shape), kind)
+
+    def decode(self, view: MessageView) -> bool:
+        """Take one message; says whether something was pushed."""
+        if isinstance(self._spec, Continuous):
+            message = _parse(CONTINUOUS_ACTION.new(), view, view.channel, _MESSAGE_OVERHEAD)
+            action, known = list(message.values), len(message.values) == self._spec.width
+        else:
+            message = _parse(ACTION.new(), view, view.channel, _MESSAGE_OVERHEAD)
+            action = message.action
+            known = self._spec is not None and 0 <= action < len(self._spec)
+        if self.count == len(self._table) or not known:
+            raise DamagedFile(
+                f"holds action {shown(action)} at step {self.count} of an episode of {self._frames} frames"
+            )
+        self._table[self.count] = action
+        self.count += 1
+        return bool(message.pushed)
+
+    def array(self) -> Int[np.ndarray, " s"] | Float[np.ndarray, "s a"]:
+        """All of them."""
+        if self._spec is not None and (fault := self._spec.fault(self._table)):
+            raise DamagedFile(f"holds {fault}")
+        return self._table
 
 
 class _StatesDecoder:

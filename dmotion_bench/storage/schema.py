@@ -16,6 +16,8 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorP
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
+from dmotion_bench.actions import ActionSpec, Continuous
+
 CAMERA_TOPIC: Final = "/camera"
 ACTION_TOPIC: Final = "/action"
 AGENT_TOPIC: Final = "/agent"
@@ -69,6 +71,10 @@ _FILES: Final[dict[str, tuple[str, dict[str, tuple[tuple[str, int, str], ...]]]]
             "States": (_TIMESTAMP, ("states", 2, "repeated .dmbench.State")),
             "Factors": (_TIMESTAMP, ("json", 2, "string")),
         },
+    ),
+    "dmbench/continuous_action.proto": (
+        "dmbench",
+        {"ContinuousAction": (_TIMESTAMP, ("values", 2, "repeated double"), ("pushed", 3, "bool"))},
     ),
 }
 """File -> (package, message -> (field, number, type)); a type with a dot names a message."""
@@ -133,6 +139,7 @@ def _message_type(file: str, name: str) -> MessageType:
 
 RAW_IMAGE: Final = _message_type("foxglove/RawImage.proto", "foxglove.RawImage")
 ACTION: Final = _message_type("dmbench/labels.proto", "dmbench.Action")
+CONTINUOUS_ACTION: Final = _message_type("dmbench/continuous_action.proto", "dmbench.ContinuousAction")
 STATES: Final = _message_type("dmbench/labels.proto", "dmbench.States")
 FACTORS: Final = _message_type("dmbench/labels.proto", "dmbench.Factors")
 
@@ -145,3 +152,9 @@ LABEL_CHANNELS: Final = (
     (MASKS_TOPIC, RAW_IMAGE),
 )
 """The channels of the two kinds of file, in the order of their numbers, which start at 1."""
+
+
+def label_channels(actions: ActionSpec | None) -> tuple[tuple[str, MessageType], ...]:
+    """``LABEL_CHANNELS`` with the type that these actions have."""
+    kind = CONTINUOUS_ACTION if isinstance(actions, Continuous) else ACTION
+    return tuple((topic, kind if one is ACTION else one) for topic, one in LABEL_CHANNELS)

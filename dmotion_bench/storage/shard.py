@@ -30,7 +30,7 @@ from dmotion_bench.storage.messages import (
     encode_states,
     encode_video,
 )
-from dmotion_bench.storage.schema import LABEL_CHANNELS, VIDEO_CHANNELS
+from dmotion_bench.storage.schema import VIDEO_CHANNELS, label_channels
 from dmotion_bench.storage.tasks import Candidate, candidates
 from dmotion_bench.wording import shown
 
@@ -176,7 +176,7 @@ def write_shard(
         for number, episode in zip(shard_range(recipe, index), episodes, strict=True):
             if episode.labels is not None and labels is None and not rows:
                 labels_file = _Hashing(files.enter_context(_shard_file(labels_path)))
-                labels = McapWriter(labels_file, LABEL_CHANNELS)
+                labels = McapWriter(labels_file, label_channels(spec.actions))
             if (episode.labels is None) != (labels is None):
                 raise ValueError("either all episodes of a shard have labels or none has")
             start_ns = number * (recipe.frames + PAUSE_FRAMES) * spec.step_ns

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from dmotion_bench.actions import actions_to_json
 from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.frame_cache import cache_name
 from dmotion_bench.storage.manifest import FORMAT, Manifest, record_words
@@ -31,7 +32,7 @@ def summarize(path: Path) -> dict[str, Any]:
         "environment": recipe.environment,
         "recipe": dataclasses.asdict(recipe),
         "frame": {"height": spec.height, "width": spec.width, "step_ns": spec.step_ns},
-        "actions": list(spec.actions),
+        "actions": actions_to_json(spec.actions),
         "objects": [one.name for one in spec.objects],
         "episodes": recipe.episodes,
         "video_bytes": _size(path / VIDEO),

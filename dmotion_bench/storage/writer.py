@@ -85,8 +85,7 @@ class DatasetWriter:
             if existing:
                 standing = Manifest.read(path)
                 _check_recipe(standing, recipe, spec, path)
-                for folder in (path, path / VIDEO, path / LABELS):
-                    remove_leftovers(folder)
+                _remove_leftovers(path)
                 receipts = list(_standing_shards(path, recipe, spec))
             writer = cls(path, recipe, spec, receipts, lock)
             if not writer.missing:
@@ -151,6 +150,7 @@ class DatasetWriter:
         if self.missing:
             raise DatasetError(f"{len(self.missing)} shards of {str(self.path)!r} are still missing.")
         self._require_there()
+        _remove_leftovers(self.path)
         if self._standing is not None and self._standing.complete and self._standing.recipe == self.recipe:
             return self._standing
         receipts = [self._receipts[index] for index in range(shard_count(self.recipe))]
@@ -200,6 +200,12 @@ def deleted(path: Path) -> DatasetError:
         f"{shown(str(path))} was deleted, moved or replaced while it was written; run the same command again to begin "
         "anew."
     )
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Delete what killed processes left: earlier ones, or workers of this one."""
+    for folder in (path, path / VIDEO, path / LABELS):
+        remove_leftovers(folder)
 
 
 def _check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path: Path) -> None:

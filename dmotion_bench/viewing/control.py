@@ -12,6 +12,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.planning.planner import Plan
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.viewing.scene import picture_view
@@ -76,7 +77,13 @@ def log_step(
     recording.log("distance", rr.Scalars([distance]))
     if plan is not None:
         recording.log("cost", rr.BarChart(plan.progress[0]))
-        recording.log("candidates", rr.TextDocument(candidate_table(spec.actions, plan), media_type="text/markdown"))
+        recording.log(
+            "candidates",
+            rr.TextDocument(
+                candidate_table(require_discrete(spec.actions, "a table of candidates").names, plan),
+                media_type="text/markdown",
+            ),
+        )
     if futures is not None:
         recording.log("imagined", rr.Image(strip_of(futures)))
 

@@ -9,6 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Bool, Float, UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, EpisodeLabels
 from dmotion_bench.viewing.tracks import Color, log_classes, log_points, log_rings, log_states, log_trails
 
@@ -82,7 +83,7 @@ def log_labels(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: 
 
 def log_events(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: EpisodeLabels) -> None:
     """A lane of the actions, and one for each object: when it is pushed, when it is gone."""
-    names = [plain(action) for action in spec.actions]
+    names = [plain(action) for action in require_discrete(spec.actions, "the lane of actions").names]
     taken: list[str | None] = [names[action] for action in labels.actions.tolist()]
     colors = {name: ACTION_COLORS[number % len(ACTION_COLORS)] for number, name in enumerate(names)}
     log_states(recording, f"{root}/action", [*taken, None], colors)

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 from dmotion_bench.errors import RunMissing, UnknownName, UsageError
+from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
 from dmotion_bench.wording import command
 from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, Workspace
-
-REPORT = "report"
-REPORT_MANIFEST = "report.json"
 
 
 @dataclass(frozen=True)
@@ -21,10 +19,12 @@ class Target:
     Attributes:
         kind: What it is; a report is shown with its run.
         path: The data set's, the run's or the file's.
+        data: The data set of a report on another one than the run's own.
     """
 
     kind: Literal["data set", "run", "report", "recording"]
     path: Path
+    data: Path | None = None
 
 
 def find_target(given: Path, workspace: Workspace) -> Target:
@@ -33,6 +33,7 @@ def find_target(given: Path, workspace: Workspace) -> Target:
     Raises:
         UnknownName: Nothing does; the closest name is said.
         RunMissing: It is the report of a run that has none.
+        DmbenchError: It is a report on a data set that is not in the workspace.
         UsageError: Something else does.
     """
     if given.is_file() and given.suffix == ".rrd":
@@ -42,9 +43,11 @@ def find_target(given: Path, workspace: Workspace) -> Target:
             return Target("data set", folder)
         if (folder / RUN_MANIFEST).is_file():
             return Target("run", folder)
-        if (folder / REPORT_MANIFEST).is_file() and (folder.resolve().parent / RUN_MANIFEST).is_file():
+        if (folder / REPORT_FILE).is_file() and (folder.resolve().parent / RUN_MANIFEST).is_file():
             return Target("report", folder.resolve().parent)
-    if given.name == REPORT:
+        if (folder / REPORT_FILE).is_file() and (run := _transferred(folder.resolve())) is not None:
+            return Target("report", run, workspace.dataset(folder.resolve().name))
+    if given.name == REPORT_FOLDER:
         for run in (given.parent, workspace.runs / given.parent):
             if (run / RUN_MANIFEST).is_file():
                 score = command("dmbench score", run.name)
@@ -52,8 +55,14 @@ def find_target(given: Path, workspace: Workspace) -> Target:
     if given.exists():
         raise UsageError(
             f"{str(given)!r} cannot be shown: it is no .rrd file, no data set (with {DATASET_MANIFEST}), "
-            f"no run (with {RUN_MANIFEST}) and no report (with {REPORT_MANIFEST})."
+            f"no run (with {RUN_MANIFEST}) and no report (with {REPORT_FILE})."
         )
     known = [path.name for path in (*workspace.datasets(), *workspace.all_runs())]
-    asked = given.parent.name if given.name == REPORT else given.name
+    asked = given.parent.name if given.name == REPORT_FOLDER else given.name
     raise UnknownName("data set or run", asked, known, "dmbench list datasets' or 'dmbench list runs")
+
+
+def _transferred(report: Path) -> Path | None:
+    """The run of a report on another data set than its own, ``RUN/report/on/NAME``."""
+    names, run = report.parts[-3:-1], report.parents[2] if len(report.parents) > 2 else report
+    return run if names == (REPORT_FOLDER, TRANSFERS) and (run / RUN_MANIFEST).is_file() else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -19,8 +19,8 @@ from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSp
 from recorders.planar_push.drawing import Stamp, View, stamp
 from recorders.planar_push.shapes import SHAPES, circle, rectangle
 from recorders.planar_push.table_physics import Piece, PlanarPhysics, Pose
-from recorders.pushing import ACTIONS, Drift, PushingEnvironment, Snapshot, colored_objects
-from recorders.table_lattice import Lattice, Place, TableTop
+from recorders.pushing import Drift, PushingEnvironment, Snapshot, colored_objects, pushing_actions
+from recorders.table_lattice import KEPT_PLACES, Lattice, Place, TableTop
 from recorders.variation import Factor, explained
 
 TABLE = TableTop(size=(0.52, 0.52), center=(0.0, 0.0), edge_gap=0.03, gap=0.012)
@@ -92,11 +92,13 @@ FACTORS = (  # colours stay near enough to be found by them, under every light
 
 
 class PlanarPush(PushingEnvironment):
-    """A dark disc pushes flat shapes over a table; 128x128 pixels of 5 mm, four directions, 8 pixels a step.
+    """A dark disc pushes flat shapes over a table; 128x128 pixels of 5 mm, up to 8 pixels a step.
 
     Args:
         objects: How many objects there are, 1 to 6; they are red, green, blue, yellow, magenta, cyan.
         shapes: Their shapes in this order, separated by commas; repeated where there are fewer than objects.
+        actions: ``"discrete"``: the four directions; ``"continuous"``: a displacement (dx, dy) of the tip along the
+            world's x and y, each up to one step [m].
         vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
         ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
         friction, mass, colour, light, camera, distractors: Values of these factors, the same in every episode;
@@ -118,6 +120,7 @@ class PlanarPush(PushingEnvironment):
         *,
         objects: int = 6,
         shapes: str = ",".join(SHAPES),
+        actions: Literal["discrete", "continuous"] = "discrete",
         vary: str | Iterable[str] = (),
         ranges: str = "in-distribution",
         friction: float | None = None,
@@ -131,7 +134,7 @@ class PlanarPush(PushingEnvironment):
         super().__init__(
             facts=EnvSpec(
                 id="planar_push",
-                actions=ACTIONS,
+                actions=pushing_actions(actions, LATTICE),
                 agent=ObjectSpec(name="disc", shape="circle", color=DISC_COLOR),
                 objects=colored_objects(objects, shapes, SHAPES),
                 agent_has_color=True,
@@ -159,6 +162,7 @@ class PlanarPush(PushingEnvironment):
     def agent(self) -> ObjectStates:
         """The disc."""
         if self._place not in self._agents:
+            _make_room(self._agents)
             place = np.array([self.lattice.at(self._place)])
             self._agents[self._place] = self._states(place, np.zeros(1))
         return self._agents[self._place]
@@ -236,6 +240,7 @@ class PlanarPush(PushingEnvironment):
             self._still = self._draw_objects()
         frame, masks = self._still[0].copy(), self._still[1].copy()
         if self._place not in self._discs:
+            _make_room(self._discs)
             place = np.asarray(self.lattice.at(self._place))
             self._discs[self._place] = stamp(self._view, DISC, place, 0.0, self._lit(DISC_COLOR))
         disc = self._discs[self._place]
@@ -271,6 +276,12 @@ class PlanarPush(PushingEnvironment):
         """A colour (RGB, 0-255) under this episode's light."""
         red, green, blue = np.rint(np.clip(self._factor("light") * np.asarray(color), 0, 255))
         return float(red), float(green), float(blue)
+
+
+def _make_room(kept: dict[Place, Any]) -> None:
+    """Forget what is kept of places once there are many, as with continuous actions."""
+    if len(kept) >= KEPT_PLACES:
+        kept.clear()
 
 
 gymnasium.register(id="dmbench/PlanarPush-v0", entry_point="recorders.planar_push:PlanarPush")

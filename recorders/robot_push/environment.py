@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from dmotion_bench.specs import MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
-from recorders.pushing import ACTIONS, Drift, PushingEnvironment, Snapshot, colored_objects
+from recorders.pushing import Drift, PushingEnvironment, Snapshot, colored_objects, pushing_actions
 from recorders.robot_push import panda
 from recorders.robot_push.camera import Camera
 from recorders.robot_push.renderer import ArmLayer, ArmPose, Light, Picture, Renderer, Sprite
@@ -45,11 +45,13 @@ def _arm_layers(camera: Camera, light: Light) -> dict[Place, ArmLayer]:
 
 
 class RobotPush(PushingEnvironment):
-    """A Panda arm pushes objects over a table with a rod; 128x128 pixels, four directions.
+    """A Panda arm pushes objects over a table with a rod; 128x128 pixels.
 
     Args:
         objects: How many objects there are, 1 to 6; they are red, green, blue, yellow, magenta, cyan.
         shapes: Their shapes in this order, separated by commas; repeated where there are fewer than objects.
+        actions: ``"discrete"``: the four directions; ``"continuous"``: a displacement (dx, dy) of the tip along the
+            world's x and y, each up to one step [m].
         vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
         ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
         friction, mass, colour, light, camera, distractors: Values of these factors, the same in every episode;
@@ -67,6 +69,7 @@ class RobotPush(PushingEnvironment):
         *,
         objects: int = 6,
         shapes: str = ",".join(SOLIDS),
+        actions: Literal["discrete", "continuous"] = "discrete",
         vary: str | Iterable[str] = (),
         ranges: str = "in-distribution",
         friction: float | None = None,
@@ -80,7 +83,7 @@ class RobotPush(PushingEnvironment):
         super().__init__(
             facts=EnvSpec(
                 id="robot_push",
-                actions=ACTIONS,
+                actions=pushing_actions(actions, LATTICE),
                 agent=ObjectSpec(name="arm", shape="Panda arm with a rod", color=(228, 231, 234)),
                 objects=colored_objects(objects, shapes, SOLIDS),
                 shaded=True,

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8, UInt32
+from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt32
 
 from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND
 from recorders.robot_push.camera import Camera
 from recorders.robot_push.solids import Solid, rotation_matrix
-from recorders.table_lattice import Place
+from recorders.table_lattice import KEPT_PLACES, Place
 
 SAMPLES = 3  # along each side of a pixel; odd, so that the middle one is the pixel's centre
 AMBIENT, DIFFUSE = 0.6, 0.5
@@ -30,6 +30,7 @@ LEVELS = 12
 """Steps between a surface that the lamp grazes and one that faces it: the arm's many facets compress a third better."""
 
 BACKGROUND = (236, 239, 243)  # RGB
+_EVEN_BYTES = np.uint32(0x00FF00FF)  # every second channel of a paint, with room for a sum
 NOTHING = np.float32(0.0)  # inverse depth of the background: infinitely far
 
 
@@ -93,15 +94,15 @@ class ArmLayer:
     """The arm in one pose before the empty table.
 
     Attributes:
-        samples: The fine picture's samples that show the arm, flat.
-        inverse_depth, paints: Of those samples.
-        moving: How many of them show links that move.
+        window: The rows and columns of the fine picture that the arm lies in.
+        inverse_depth, paints: Of table and arm there.
+        moving: How many samples show links that move.
         frame, masks: The finished picture of table and arm.
     """
 
-    samples: Int32[np.ndarray, " n"]
-    inverse_depth: Float32[np.ndarray, " n"]
-    paints: UInt32[np.ndarray, " n"]
+    window: tuple[slice, slice]
+    inverse_depth: Float32[np.ndarray, "h w"]
+    paints: UInt32[np.ndarray, "h w"]
     moving: int
     frame: UInt8[np.ndarray, "h w 3"]
     masks: UInt8[np.ndarray, "h w"]
@@ -198,21 +199,20 @@ class Renderer:
         coefficients = planes.astype(np.float32)
         along_y = coefficients[:, 1:2] * rows + coefficients[:, 2:3]
         along_x = coefficients[:, 0:1] * columns
-        enter = along_y[facing][:, :, None] + along_x[facing][:, None, :]
-        leave = along_y[~facing][:, :, None] + along_x[~facing][:, None, :]
-        inverse_depth = enter.min(axis=0)
-        covered = inverse_depth >= np.maximum(leave.max(axis=0), NOTHING)
-        count = int(covered.sum())
-        if not count:
-            return None
         shades = self.light.shade(np.broadcast_to(color, normals[facing].shape), normals[facing])
         paints = painted(shades, np.full(len(shades), label, np.uint8))
+        inverse_depth, fine_paints = nearest_plane(along_y[facing], along_x[facing], paints)
+        leave = along_y[~facing][:, :, None] + along_x[~facing][:, None, :]
+        covered = inverse_depth >= np.maximum(leave.max(axis=0), NOTHING)
+        count = int(np.count_nonzero(covered))
+        if not count:
+            return None
         return Sprite(
             window=window,
             covered=covered,
             count=count,
             inverse_depth=inverse_depth,
-            paints=paints[enter.argmin(axis=0)],
+            paints=fine_paints,
             label=label,
             center=(float(covered.sum(axis=0) @ columns) / count, float(covered.sum(axis=1) @ rows) / count),
         )
@@ -226,11 +226,14 @@ class Renderer:
         for _, window in windows:  # elsewhere the picture is the layer's, whatever the samples hold
             self._paints[window] = self._table_paints[window]
             self._depth[window] = self._table_depth[window]
-        self._paints.reshape(-1)[layer.samples] = layer.paints
-        self._depth.reshape(-1)[layer.samples] = layer.inverse_depth
+            both = overlap(window, layer.window)
+            self._paints[both] = layer.paints[within(both, layer.window)]
+            self._depth[both] = layer.inverse_depth[within(both, layer.window)]
+        hidden = 0  # samples of the arm behind solids
         for one, (_, window) in zip((*flat, *solids), windows, strict=True):
             nearer = one.inverse_depth > self._depth[window]
             nearer &= one.covered
+            hidden += int(np.count_nonzero((labels_of(self._paints[window]) == MASK_AGENT) & nearer))
             np.copyto(self._paints[window], one.paints, where=nearer)
             if one.label != MASK_BACKGROUND:
                 np.copyto(self._depth[window], one.inverse_depth, where=nearer)
@@ -242,17 +245,19 @@ class Renderer:
             masks[pixels] = middle_labels(paints)
         visible = np.array(
             [
-                (labels_of(self._paints[in_samples(one.window)]) == one.label).sum() / one.count if one else 0.0
+                np.count_nonzero(labels_of(self._paints[in_samples(one.window)]) == one.label) / one.count
+                if one
+                else 0.0
                 for one in sprites
             ]
         )
-        shown = int((labels_of(self._paints.reshape(-1)[layer.samples]) == MASK_AGENT).sum())
-        return Picture(
-            frame=frame, masks=masks, visible=visible, agent_visible=shown / layer.moving if layer.moving else 0.0
-        )
+        agent_visible = (layer.moving - hidden) / layer.moving if layer.moving else 0.0
+        return Picture(frame=frame, masks=masks, visible=visible, agent_visible=agent_visible)
 
     def _layer(self, place: Place) -> ArmLayer:
         if place not in self._layers:
+            if len(self._layers) >= KEPT_PLACES:  # with continuous actions there is no end of places
+                self._layers.clear()
             triangles, colors, moving = self._arm(place)
             edges = triangles[:, 1:] - triangles[:, :1]
             normals = np.cross(edges[:, 0], edges[:, 1])
@@ -263,17 +268,38 @@ class Renderer:
             samples, depth, owners = samples[shown], depth[shown], owners[shown]
             labels = np.where(moving[facing], MASK_AGENT, MASK_BACKGROUND).astype(np.uint8)
             paints = painted(self.light.shade(colors[facing], normals[facing]), labels)[owners]
-            fine = self._table_paints.copy()
-            fine.reshape(-1)[samples] = paints
+            fine, fine_depth = self._table_paints.copy(), self._table_depth.copy()
+            fine.reshape(-1)[samples], fine_depth.reshape(-1)[samples] = paints, depth
+            window = bounding_window(samples, fine.shape[1])
             self._layers[place] = ArmLayer(
-                samples=samples.astype(np.int32),
-                inverse_depth=depth,
-                paints=paints,
+                window=window,
+                inverse_depth=fine_depth[window].copy(),
+                paints=fine[window].copy(),
                 moving=int((labels[owners] == MASK_AGENT).sum()),
                 frame=mean_of_samples(fine),
                 masks=middle_labels(fine),
             )
         return self._layers[place]
+
+
+def nearest_plane(
+    along_y: Float32[np.ndarray, "n h"], along_x: Float32[np.ndarray, "n w"], paints: UInt32[np.ndarray, " n"]
+) -> tuple[Float32[np.ndarray, "h w"], UInt32[np.ndarray, "h w"]]:
+    """The least of some planes' inverse depths at each sample, and the paint of the first plane that has it.
+
+    Args:
+        along_y, along_x: A plane's inverse depth is the sum of the two [1/m].
+        paints: Of the planes.
+    """
+    least = along_y[0][:, None] + along_x[0]
+    chosen = np.full(least.shape, paints[0])
+    depth, less = np.empty_like(least), np.empty(least.shape, np.bool_)
+    for row, column, paint in zip(along_y[1:], along_x[1:], paints[1:], strict=True):
+        np.add(row[:, None], column, out=depth)
+        np.less(depth, least, out=less)
+        np.copyto(least, depth, where=less)
+        np.copyto(chosen, paint, where=less)
+    return least, chosen
 
 
 def in_samples(window: tuple[slice, slice]) -> tuple[slice, slice]:
@@ -282,19 +308,48 @@ def in_samples(window: tuple[slice, slice]) -> tuple[slice, slice]:
     return rows, columns
 
 
+def bounding_window(samples: Int[np.ndarray, " n"], width: int) -> tuple[slice, slice]:
+    """The rows and columns that some samples lie in, given as flat numbers in a picture of this width."""
+    if not len(samples):
+        return slice(0, 0), slice(0, 0)
+    rows, columns = np.divmod(samples, width)
+    return slice(int(rows.min()), int(rows.max()) + 1), slice(int(columns.min()), int(columns.max()) + 1)
+
+
+def overlap(one: tuple[slice, slice], other: tuple[slice, slice]) -> tuple[slice, slice]:
+    """What two windows have in common, empty where they do not meet."""
+    starts = [max(mine.start, theirs.start) for mine, theirs in zip(one, other, strict=True)]
+    stops = [min(mine.stop, theirs.stop) for mine, theirs in zip(one, other, strict=True)]
+    rows, columns = (slice(start, max(start, stop)) for start, stop in zip(starts, stops, strict=True))
+    return rows, columns
+
+
+def within(part: tuple[slice, slice], whole: tuple[slice, slice]) -> tuple[slice, slice]:
+    """A part of a window, counted from that window's first row and column; empty parts stay empty."""
+    rows, columns = (
+        slice(mine.start - theirs.start, mine.stop - theirs.start) if mine.stop > mine.start else slice(0, 0)
+        for mine, theirs in zip(part, whole, strict=True)
+    )
+    return rows, columns
+
+
 def mean_of_samples(fine: UInt32[np.ndarray, "hs ws"]) -> UInt8[np.ndarray, "h w 3"]:
     """Each pixel's mean colour over its samples, rounded."""
-    height, width = fine.shape[0] // SAMPLES, fine.shape[1] // SAMPLES
-    channels = np.ascontiguousarray(fine).view(np.uint8)
-    total = channels[0::SAMPLES].astype(np.uint16)
-    for row in range(1, SAMPLES):
-        total += channels[row::SAMPLES]
-    beside = total.reshape(height, width, SAMPLES, 4)
-    mean = beside[:, :, 0] + np.uint16(SAMPLES**2 // 2)
-    for column in range(1, SAMPLES):
-        mean += beside[:, :, column]
-    mean //= SAMPLES**2
-    return mean[..., :3].astype(np.uint8)
+    half = np.uint32(SAMPLES**2 // 2 * 0x00010001)  # a sum of all samples of a channel fits in 16 bits
+    means = []
+    for channels in (fine & _EVEN_BYTES, fine >> np.uint32(8) & _EVEN_BYTES):
+        rows = channels[0::SAMPLES]
+        for row in range(1, SAMPLES):
+            rows = rows + channels[row::SAMPLES]
+        total = rows[:, 0::SAMPLES] + half
+        for column in range(1, SAMPLES):
+            total += rows[:, column::SAMPLES]
+        means.append(total.view(np.uint16) // np.uint16(SAMPLES**2))
+    red_blue, green = means
+    frame = np.empty((*total.shape, 3), np.uint8)
+    frame[..., 0::2] = red_blue.reshape(*total.shape, 2)
+    frame[..., 1] = green[:, 0::2]
+    return frame
 
 
 def middle_labels(fine: UInt32[np.ndarray, "hs ws"]) -> UInt8[np.ndarray, "h w"]:

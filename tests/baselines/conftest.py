@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInputs, TripletBatch
 
 SIZE, ACTIONS = 32, 4
@@ -40,7 +41,9 @@ def build() -> Callable[..., Any]:
     def built(kind: type[ForwardModel[Any]], **settings: Any) -> ForwardModel[Any]:
         with torch.random.fork_rng():
             torch.manual_seed(0)
-            return kind(kind.Config(**settings), ModelInputs(height=SIZE, width=SIZE, actions=ACTIONS))
+            return kind(
+                kind.Config(**settings), ModelInputs(height=SIZE, width=SIZE, actions=Discrete.numbered(ACTIONS))
+            )
 
     return built
 

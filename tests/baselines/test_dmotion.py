@@ -7,11 +7,12 @@ import torch
 
 from baselines import dmotion_paper
 from baselines.dmotion import DMotion, DMotionConfig
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import Demonstrations, ModelInputs, TripletBatch
 
-INPUTS = ModelInputs(height=128, width=128, actions=4)
-SMALL = ModelInputs(height=32, width=32, actions=4)
+INPUTS = ModelInputs(height=128, width=128, actions=Discrete.numbered(4))
+SMALL = ModelInputs(height=32, width=32, actions=Discrete.numbered(4))
 
 
 def _images(count: int, size: int = 32, seed: int = 0) -> torch.Tensor:
@@ -63,7 +64,7 @@ def test_the_papers_networks_take_frames_of_other_sizes_as_the_published_code_do
     side: int, halvings: int, features: int
 ) -> None:
     """There the last stride is 1 at 64 pixels, so that motions are read from maps of 4 x 4 as at 128."""
-    model = _model(ModelInputs(height=side, width=side, actions=4), arch="paper").eval()
+    model = _model(ModelInputs(height=side, width=side, actions=Discrete.numbered(4)), arch="paper").eval()
     strides = [layer.stride for layer in model.motion_encoder.modules() if isinstance(layer, torch.nn.Conv2d)]
     assert strides == [(2, 2)] * halvings + [(1, 1)] * (7 - halvings)
     assert model.motion_encoder.heads[0][0].in_features == features
@@ -113,10 +114,10 @@ def test_the_table_holds_the_mean_motion_of_each_actions_demonstrations() -> Non
     actions = torch.tensor([0, 1, 2, 3, 0, 0])
     model.align(Demonstrations(previous=current, current=current, next=following, action=actions))
     motion = model.motion(current, following)
-    torch.testing.assert_close(model.table[0], motion[[0, 4, 5]].mean(0))
-    torch.testing.assert_close(model.table[3], motion[3])
+    torch.testing.assert_close(model.table.rows[0], motion[[0, 4, 5]].mean(0))
+    torch.testing.assert_close(model.table.rows[3], motion[3])
     torch.testing.assert_close(
-        model.predict(current, current, actions), model.predict_with_latent(current, current, model.table[actions])
+        model.predict(current, current, actions), model.predict_with_latent(current, current, model.table(actions))
     )
 
 
@@ -167,7 +168,7 @@ def test_noise_is_for_training_alone_and_ends_where_it_is_told() -> None:
 @pytest.mark.parametrize("height", [40, 33])
 def test_sizes_that_it_cannot_take_are_said(height: int) -> None:
     with pytest.raises(InvalidSetting, match="multiple of 16"):
-        DMotion(DMotionConfig(), ModelInputs(height=height, width=height, actions=4))
+        DMotion(DMotionConfig(), ModelInputs(height=height, width=height, actions=Discrete.numbered(4)))
 
 
 def test_the_papers_interaction_learner_paints() -> None:

@@ -22,7 +22,7 @@ from dmotion_bench.registry import MODELS, model_class
 from dmotion_bench.specs import DatasetRecipe, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
-from dmotion_bench.testing import check_model
+from dmotion_bench.testing import CONTINUOUS, check_model
 from dmotion_bench.workspace import Workspace
 
 pytestmark = pytest.mark.slow
@@ -77,6 +77,7 @@ def test_the_benchmarks_models_are_those_of_its_design() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_contract_is_kept(name: str) -> None:
     check_model(model_class(name), size=32)
+    check_model(model_class(name), size=32, actions=CONTINUOUS)
 
 
 def test_the_papers_networks_keep_the_contract_and_train_at_64_pixels(tmp_path: Path) -> None:

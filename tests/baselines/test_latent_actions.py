@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.action_table import ActionTable
 from baselines.clasp import Clasp
 from baselines.lapo import Lapo, LapoConfig, VectorQuantizer
 from baselines.latent_action_vae import LatentActionVAE
@@ -85,14 +84,6 @@ def test_the_future_reaches_the_prediction_through_the_codes_alone(build, video)
         model.table.rows = model.latent_action(video.previous, video.current, video.next)
         frames = model.predict(video.previous, video.current, torch.arange(6))
     torch.testing.assert_close(losses.per_triplet, (frames - video.next).square().mean((1, 2, 3)))
-
-
-def test_the_table_holds_means_and_keeps_what_was_not_shown() -> None:
-    table = ActionTable(3, 2)
-    table.fill(torch.tensor([[1.0, 2.0], [3.0, 6.0], [7.0, 7.0]]), torch.tensor([0, 0, 2]))
-    assert table(torch.tensor([2, 0, 1])).tolist() == [[7, 7], [2, 4], [0, 0]]
-    table.fill(torch.tensor([[5.0, 5.0]]), torch.tensor([1]))
-    assert table.rows.tolist() == [[2, 4], [5, 5], [7, 7]]
 
 
 def test_one_demonstration_of_each_action_decides_what_it_does(build, batch, demonstrations) -> None:

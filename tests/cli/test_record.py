@@ -283,3 +283,24 @@ def test_a_signal_ends_it_like_ctrl_c(tmp_path: Path, workers: str, sign: signal
     assert outcome.code == 128 + sign
     assert "run the same command again" in outcome.sentence()  # and no word of a resource_tracker
     assert not psutil.wait_procs(children, timeout=10)[1]
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_command_is_still_loading_costs_a_sentence(sign: signal.Signals) -> None:
+    source = f"""
+import os, sys
+
+class Signals:
+    def find_spec(self, name, *_):
+        if name == "dmotion_bench.cli.app":
+            os.kill(os.getpid(), {sign.value})
+
+sys.meta_path.insert(0, Signals())
+from dmotion_bench.cli import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", source, "info"], capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + sign
+    assert (
+        Outcome(done.returncode, done.stdout, done.stderr).sentence().startswith("dmbench: interrupted; run the same")
+    )

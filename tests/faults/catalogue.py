@@ -38,8 +38,8 @@ FAULTS = (
     Fault(
         name="demonstrations are drawn from pushes, too",
         file="dmotion_bench/learning/labels.py",
-        right="if missing[action] and not labels.pushed[step]:",
-        wrong="if missing[action]:",
+        right="if not labels.pushed[step]:",
+        wrong="if True:",
         tests=("tests/learning/test_labels.py",),
     ),
     Fault(
@@ -73,8 +73,8 @@ FAULTS = (
     Fault(
         name="the action recorded is the one that led to the frame",
         file="dmotion_bench/recording/rollout.py",
-        right="actions=np.array(actions, np.int64),",
-        wrong="actions=np.roll(np.array(actions, np.int64), 1),",
+        right="actions=_recorded(env.facts, actions),",
+        wrong="actions=np.roll(_recorded(env.facts, actions), 1, axis=0),",
         tests=("tests/recording", "tests/recorders/test_planar_push.py"),
     ),
     Fault(

@@ -47,6 +47,8 @@ class Summary:
     seconds: float = 0.0
     cpu_s: float = 0.0
     verdicts: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    formats: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    checksums: Counter[str] = field(default_factory=Counter)
     slowest: list[tuple[float, int, str]] = field(default_factory=list)
     largest: list[tuple[int, int, str, str]] = field(default_factory=list)
     faults: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -56,6 +58,8 @@ class Summary:
         self.cases += 1
         self.cpu_s += result.cpu_s
         self.verdicts[result.target][result.verdict] += 1
+        self.formats[result.target].update(result.formats)
+        self.checksums[result.checksums] += 1
         self.slowest = sorted([*self.slowest, (round(result.cpu_s, 2), result.number, result.target)], reverse=True)[:5]
         peak = (result.peak >> 20, result.number, result.target, result.greedy)
         self.largest = sorted([*self.largest, peak], reverse=True)[:5]
@@ -78,6 +82,9 @@ class Summary:
         self.seconds = max(self.seconds, other.seconds)
         for target, counts in other.verdicts.items():
             self.verdicts[target].update(counts)
+        for target, counts in other.formats.items():
+            self.formats[target].update(counts)
+        self.checksums.update(other.checksums)
         self.slowest = sorted([*self.slowest, *other.slowest], reverse=True)[:5]
         self.largest = sorted([*self.largest, *other.largest], reverse=True)[:5]
         for name, fault in other.faults.items():
@@ -96,6 +103,8 @@ class Summary:
             "cpu_s": round(self.cpu_s, 1),
             "cases_per_s": round(self.cases / self.seconds, 2) if self.seconds else None,
             "verdicts": {name: dict(counts) for name, counts in sorted(self.verdicts.items())},
+            "formats": {name: dict(sorted(counts.items())) for name, counts in sorted(self.formats.items())},
+            "checksums": dict(self.checksums),
             "slowest": [{"cpu_s": cpu, "case": number, "target": name} for cpu, number, name in self.slowest],
             "largest": [
                 {"MiB": size, "case": number, "target": name, "probe": probe}

@@ -14,6 +14,18 @@ import numpy as np
 
 from dmotion_bench.errors import DmbenchError
 
+FORMATS = {
+    **dict.fromkeys((".mcap", ".zst"), "MCAP"),
+    **dict.fromkeys((".json", ".jsonl"), "JSON"),
+    **dict.fromkeys((".mp4", ".webm", ".mkv", ".avi"), "video"),
+    **dict.fromkeys((".png", ".jpg"), "pictures"),
+    ".parquet": "Parquet",
+    ".safetensors": "safetensors",
+    ".arrow": "Arrow",
+    ".hdf5": "HDF5",
+}
+"""What files are, by the ends of their names."""
+
 
 class Checksums(StrEnum):
     """Which checksums fit the spoilt bytes."""
@@ -34,6 +46,7 @@ class Case:
         rng: Of its own.
         checksums: Which are made to fit.
         told: What was spoilt, in words.
+        formats: The formats of the files that were spoilt.
     """
 
     number: int
@@ -43,11 +56,18 @@ class Case:
     rng: np.random.Generator = field(init=False)
     checksums: Checksums = field(init=False)
     told: list[str] = field(default_factory=list)
+    formats: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng([self.seed, self.number])
         kinds = [Checksums.KEPT, Checksums.INNER, Checksums.ALL]
         self.checksums = kinds[int(self.rng.choice(3, p=[0.4, 0.1, 0.5]))]
+
+    def tell(self, name: str, what: str) -> None:
+        """Say what was done to a file, by its name."""
+        if Path(name).suffix in FORMATS:
+            self.formats.add(FORMATS[Path(name).suffix])
+        self.told.append(f"{name}: {what}"[:400])
 
     def chance(self, share: float) -> bool:
         """Whether something happens that happens so often."""

@@ -1,6 +1,7 @@
 """A case in a process of its own, forked from a parent that has everything loaded, within limits.
 
-What the child may use: ``MEMORY`` more than when it began, ``CPU_S`` of a processor, ``WALL_S`` by the clock.
+What the child may use: ``MEMORY`` more than when it began, ``CPU_S`` of a processor, ``WALL_S`` by the clock. A process
+that it starts, such as the one that decodes video, may use ``MEMORY`` in all.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Result:
     """What came of a case.
 
     Attributes:
-        told: What was spoilt.
+        told, formats: What was spoilt, and the formats of the files.
         verdict: ``ok``, ``sentence`` (at least one), or ``fault``.
         faults: Kind, probe, where in dmbench, and details, of each.
         cpu_s, peak: What it took: processor seconds, bytes added to the resident set.
@@ -56,6 +57,7 @@ class Result:
     cpu_s: float = 0.0
     peak: int = 0
     greedy: str = ""
+    formats: list[str] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
         """As plain values."""
@@ -107,7 +109,7 @@ def _child(pipe: int, log: Path, work: Callable[[Callable[..., None]], None]) ->
 
 def _work(case: Case, target: Target, reference: dict[str, Any], send: Callable[..., None], only_spoil: bool) -> None:
     spoilt = target.spoil(case)
-    send(told=case.told, checksums=case.checksums)
+    send(told=case.told, checksums=case.checksums, formats=sorted(case.formats))
     if only_spoil:
         return
     _limit()
@@ -122,7 +124,7 @@ def _work(case: Case, target: Target, reference: dict[str, Any], send: Callable[
             send(fault=fault.kind, where=_plain(fault.detail, case), detail=fault.detail, probe=probe.name)
         except Exception as error:  # what the fuzzer is for
             send(fault=type(error).__name__, where=_where(error), detail=_told(error), probe=probe.name)
-        grown = _memory("VmHWM") - began
+        grown = max(_memory("VmHWM") - began, _largest_helper())
         if grown > peak:
             peak = grown
             send(peak=peak, probe=probe.name)
@@ -155,6 +157,15 @@ def _memory(name: str) -> int:
         if line.startswith(f"{name}:"):
             return int(line.split()[1]) * 1024
     return 0
+
+
+def _largest_helper() -> int:
+    """The most memory of a process that was started and has ended [bytes]; 0 if that is no more than was ours.
+
+    The system begins to count with what the process had that started it.
+    """
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+    return most if most > _memory("VmHWM") else 0
 
 
 def _where(error: BaseException) -> str:
@@ -205,6 +216,7 @@ def _result(
     for line in lines:
         result.told = line.get("told", result.told)
         result.checksums = line.get("checksums", result.checksums)
+        result.formats = line.get("formats", result.formats)
         at = line.get("probe", at) or "judging"
         if "fault" in line:
             result.faults.append({name: line[name] for name in ("fault", "where", "detail", "probe")})
@@ -217,7 +229,7 @@ def _result(
         result.faults.append({"fault": kind, "where": at, "detail": detail[-3000:], "probe": at})
 
     if result.peak > MEMORY:
-        add("memory", f"{result.peak >> 20} MiB more than at the beginning, in {result.greedy}")
+        add("memory", f"{result.peak >> 20} MiB, in {result.greedy}")
     if hung:
         add("hang", stderr or f"nothing for {WALL_S} s")
     elif os.WIFSIGNALED(status):

@@ -51,7 +51,9 @@ class Small(ForwardModel[SmallConfig]):
         self.move = nn.Conv2d(6 + config.latents, config.width, 3, padding=1)
         self.normal = nn.BatchNorm2d(config.width) if config.normal else nn.Identity()
         self.draw = nn.Conv2d(config.width, 3, 1)
-        self.register_buffer("table", torch.zeros(max(inputs.actions, 1), config.latents))
+        self.register_buffer(
+            "table", torch.zeros(1 if inputs.actions is None else inputs.actions.width, config.latents)
+        )
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

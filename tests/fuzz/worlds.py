@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectSpec, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
@@ -13,7 +14,7 @@ from dmotion_bench.storage.writer import DatasetWriter
 
 SPEC = EnvSpec(
     id="noise",
-    actions=("left", "right", "up"),
+    actions=Discrete(("left", "right", "up")),
     agent=ObjectSpec(name="agent", shape="dot", color=(0, 255, 0)),
     objects=(
         ObjectSpec(name="one", shape="box", color=(255, 0, 0)),

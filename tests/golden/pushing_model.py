@@ -31,7 +31,7 @@ class PushingModel(ForwardModel[None]):
     Config: ClassVar[type] = type(None)
 
     def __init__(self, spec: EnvSpec, table: tuple[int, int, int]) -> None:
-        super().__init__(None, ModelInputs(height=spec.height, width=spec.width, actions=len(spec.actions)))
+        super().__init__(None, ModelInputs(height=spec.height, width=spec.width, actions=spec.actions))
         self._finder, self._count = PositionFinder(spec), len(spec.objects)
         self._agent, self._table = (torch.tensor(color, dtype=torch.int16) for color in (spec.agent.color, table))
 

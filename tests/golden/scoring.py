@@ -89,7 +89,7 @@ def record(folder: Path) -> dict[str, Dataset]:
         record_dataset(folder / name, recipe)
         datasets[name] = Dataset.open(folder / name)
     nameless = Dataset.open(folder / "grid_world")
-    nameless.spec = dataclasses.replace(nameless.spec, actions=())
+    nameless.spec = dataclasses.replace(nameless.spec, actions=None)
     return datasets | {WITHOUT_ACTIONS: nameless}
 
 

@@ -46,7 +46,7 @@ def kill(scratch: Path, kills: int, seed: int, only: tuple[str, ...], keep: Path
 
     chosen = [scenario for scenario in SCENARIOS if not only or scenario.name in only]
     began, base = time.monotonic(), scratch / "base"
-    make_base(base)
+    make_base(base, chosen)
     truth = {one.name: undisturbed(one, base, scratch / "undisturbed" / str(n)) for n, one in enumerate(chosen)}
     counts: dict[str, Counter[str]] = {one.name: Counter() for one in chosen}
     faults: list[dict[str, Any]] = []
@@ -65,6 +65,8 @@ def kill(scratch: Path, kills: int, seed: int, only: tuple[str, ...], keep: Path
             shutil.copytree(workspace, keep / str(number), dirs_exist_ok=True)
         shutil.rmtree(workspace, ignore_errors=True)
         number += 1
+        for fault in found.faults:
+            print(f"{scenario.name}, {'; '.join(found.strikes)}: {fault}", file=sys.stderr)  # noqa: T201
         print(f"{done} kills, {len(faults)} faults", file=sys.stderr, flush=True)  # noqa: T201
     return {
         "seed": seed,

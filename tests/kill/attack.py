@@ -15,7 +15,8 @@ import numpy as np
 from tests.kill.contents import Content, listing, timeless
 from tests.kill.scenarios import Scenario, environment, said
 
-LOOK_EVERY = 0.001  # [s]
+LOOK_EVERY = 0.001  # [s] at the files, while their changes are counted; looking takes a third of the time at most
+WAIT_EVERY = 0.01  # [s] otherwise
 PATIENCE = 600.0  # [s]
 ORPHANS = 20.0  # [s] after which no process of a killed command may be left
 ENDED = {signal.SIGKILL: (-9,), signal.SIGTERM: (143,), signal.SIGINT: (130,)}
@@ -86,7 +87,7 @@ class Strike:
 def undisturbed(scenario: Scenario, base: Path, workspace: Path) -> Undisturbed:
     """Run it to its end."""
     scenario.prepare(base, workspace)
-    ended = attempt(scenario, workspace, None)
+    ended = attempt(scenario, workspace, None, count_changes=True)
     if ended.code:
         raise RuntimeError(f"{scenario.name} fails undisturbed: {ended.err}")
     return Undisturbed(
@@ -143,8 +144,20 @@ def draw_strike(rng: np.random.Generator, truth: Undisturbed) -> Strike:
     )
 
 
-def attempt(scenario: Scenario, workspace: Path, strike: Strike | None, *, wait_for_orphans: bool = True) -> Ended:
-    """One start of the command."""
+def attempt(
+    scenario: Scenario,
+    workspace: Path,
+    strike: Strike | None,
+    *,
+    wait_for_orphans: bool = True,
+    count_changes: bool = False,
+) -> Ended:
+    """One start of the command.
+
+    Args:
+        wait_for_orphans: Whether the next attempt may begin only when no process of this one is left.
+        count_changes: Whether changes of files are counted to the end, and not only until the strike.
+    """
     place = workspace.parent / f"said-{time.monotonic_ns()}"  # what is left of a killed attempt may still write
     out, err = place.with_suffix(".out"), place.with_suffix(".err")
     began, changes, struck, whom, moment = time.monotonic(), 0, None, "", None
@@ -158,11 +171,16 @@ def attempt(scenario: Scenario, workspace: Path, strike: Strike | None, *, wait_
             stderr=stderr,
             start_new_session=True,
         )
-        before = _state(workspace)
+        before, looking = _state(workspace), 0.0
         while process.poll() is None:
-            time.sleep(LOOK_EVERY)
-            now = _state(workspace)
-            changes, before = changes + (now != before), now
+            if count_changes or (strike is not None and strike.after_changes is not None and struck is None):
+                time.sleep(max(LOOK_EVERY, 2 * looking))
+                looked = time.monotonic()
+                now = _state(workspace)
+                changes, before = changes + (now != before), now
+                looking = time.monotonic() - looked
+            else:
+                time.sleep(WAIT_EVERY)
             passed = time.monotonic() - began
             if strike is not None and struck is None:
                 if strike.after_changes is None:
@@ -180,7 +198,7 @@ def attempt(scenario: Scenario, workspace: Path, strike: Strike | None, *, wait_
     ended = Ended(
         process.returncode, out.read_text(), err.read_text(errors="replace"), time.monotonic() - began, changes
     )
-    if struck is not None and process.returncode != 0:
+    if struck is not None and (process.returncode != 0 or whom == "a worker"):  # else it had ended before
         ended.struck, ended.whom = struck, whom
     if wait_for_orphans and not _all_gone(process.pid):
         ended.err += "\nTraceback: processes of the command are left"

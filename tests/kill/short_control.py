@@ -8,7 +8,7 @@ from pathlib import Path
 from dmotion_bench.cli.app import main
 from dmotion_bench.cli.score import score_runs
 
-STEPS, TASKS = 8, 2
+STEPS, TASKS = 2, 2
 
 
 def score() -> None:

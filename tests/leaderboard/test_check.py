@@ -12,11 +12,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
+from known_model import Known
 
 from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.run import Conditions, Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import write_report
-from dmotion_bench.scoring.score import ReferenceScores
+from dmotion_bench.scoring.score import ReferenceScores, score_run
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry, check_paths
@@ -24,6 +26,8 @@ from leaderboard.entry import Entry, published_entry
 from leaderboard.entry_file import write_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, to_png
+
+from .conftest import SETTINGS
 
 pytestmark = pytest.mark.slow
 
@@ -312,3 +316,31 @@ def test_folders_files_and_runs_can_be_checked(workspace: Workspace, sound: Entr
 
     assert {verdict.entry: verdict.holds for verdict in verdicts} == {"broken.json": False, RUN: True}
     assert len(verdicts) == 3
+
+
+def test_a_check_computes_with_the_run_s_number_of_threads(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[int] = []
+
+    class Counting(Known):
+        def predict(self, previous: torch.Tensor, current: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+            seen.append(torch.get_num_threads())
+            return super().predict(previous, current, action)
+
+    run = Run.open(workspace.runs / RUN)
+    run.begin(Conditions(threads=2, precision="float32"))
+    run.finish({**(run.result or {}), "threads": 2})
+    score_run(run.path, settings=SETTINGS)
+    entry = entry_of_run(run.path)
+    assert entry.content["training"]["threads"] == 2
+
+    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Counting)
+    assert check_entry(entry, workspace).holds
+    assert set(seen) == {2}
+
+    monkeypatch.setenv("OMP_THREAD_LIMIT", "1")
+    verdict = check_entry(entry, workspace)
+    assert verdict.findings == ()
+    assert [missing for missing in verdict.missing if missing.startswith("threads: the run computes with 2 threads")]
+    assert check_entry(entry, workspace, CheckSettings(score=False)).holds

@@ -178,7 +178,7 @@ def test_what_was_scored_on_one_episode_alone_is_not_called_a_tie(
     show_overview({path: report for path in paths if (report := read_report(path / "report"))})
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
 
-    assert " cannot be told " in lines[CSWM]
+    assert " unknown: one episode " in lines[CSWM]
 
 
 def test_on_a_narrow_terminal_the_names_of_the_runs_stay_whole(

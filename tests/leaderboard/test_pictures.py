@@ -41,7 +41,7 @@ def test_they_show_what_they_say(scored_workspace: Workspace, sound: Entry) -> N
         np.testing.assert_array_equal(from_png(picture["truth"]), frames[step + 1])
         np.testing.assert_array_equal(from_png(picture["predicted"]), frames[step])  # its model changes nothing
         action = dataset.states(picture["episode"]).actions[step]
-        assert picture["action"] == dataset.spec.actions[action]
+        assert picture["action"] == dataset.spec.actions.names[action]
         assert picture["pushed"] == dataset.states(picture["episode"]).pushed[step]
 
 

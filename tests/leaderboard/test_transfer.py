@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import copy
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
-from known_model import write_run
+from known_model import Known, write_run
+from made_up_import import write_import
+from torch import Tensor
 
 from dmotion_bench.learning.run import Run
 from dmotion_bench.recording.session import record_dataset
@@ -21,6 +25,7 @@ from leaderboard.check import CheckSettings, check_entry, check_paths
 from leaderboard.entry import Entry
 from leaderboard.entry_file import read_entries
 from leaderboard.page import make_page
+from leaderboard.verdict import Verdict
 
 from .conftest import SETTINGS
 
@@ -29,6 +34,7 @@ pytestmark = pytest.mark.slow
 QUICK = CheckSettings(score=False)
 RUN = "dmotion-grid_world-tiny-s0"
 ON = Path("report/on/other")
+ALPHABETICAL = ("down", "left", "right", "up")
 
 
 @pytest.fixture
@@ -105,3 +111,75 @@ def test_a_figure_that_was_changed_is_found(workspace: Workspace, transferred: E
     content["figures"]["mse"]["mean"] *= 0.9
     assert any("mse.mean" in finding for finding in check_entry(Entry(content), workspace, QUICK).findings)
     assert Run.open(workspace.runs / RUN).spec.dataset == "grid_world-tiny"
+
+
+class ByAction(Known):
+    """Brightens the current frame more for a higher number of the action."""
+
+    def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
+        return current + 0.1 * (1 + action.to(current)).reshape(-1, 1, 1, 1)
+
+
+@pytest.fixture
+def on_import(workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Entry:
+    """The first run, scored on an import that lists its actions by the alphabet."""
+    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: ByAction)
+    record_dataset(
+        tmp_path / "source", DatasetRecipe(environment="grid_world", policy="random", seed=9, episodes=30, frames=12)
+    )
+    source = Dataset.open(tmp_path / "source")
+    dataset = write_import(workspace.data / "recordings", source, actions=ALPHABETICAL)
+    score_run(workspace.runs / RUN, settings=SETTINGS, data=dataset.path)
+    return entry_of_run(workspace.runs / RUN, workspace.runs / RUN / "report/on/recordings")
+
+
+def test_an_entry_on_an_import_is_marked_and_names_the_actions_that_were_taken(
+    workspace: Workspace, on_import: Entry
+) -> None:
+    assert on_import.content["dataset"]["trained_on"]["environment"] == "grid_world"
+    page = make_page([on_import, entry_of_run(workspace.runs / RUN)])
+    assert "trained on grid_world-tiny" in page
+    assert "grid_world-tiny (grid_world), another data set" in page
+
+    dataset = Dataset.open(workspace.data / "recordings")
+    assert on_import.pictures
+    for picture in on_import.pictures:
+        taken = dataset.states(picture["episode"]).actions[picture["step"]]
+        assert picture["action"] == ALPHABETICAL[taken]
+
+
+def test_an_entry_on_an_import_is_checked_against_it(workspace: Workspace, on_import: Entry) -> None:
+    assert check_entry(on_import, workspace) == Verdict(
+        entry=f"{RUN} on recordings",
+        findings=(),
+        figures=len(on_import.figures),
+        samples=on_import.content["samples"]["rows"],
+    )
+    content = copy.deepcopy(dict(on_import.content))
+    del content["dataset"]["trained_on"]["environment"]
+    assert any(
+        finding.startswith("dataset.trained_on: ") for finding in check_entry(Entry(content), workspace, QUICK).findings
+    )
+
+
+def test_without_the_data_of_the_training_an_entry_on_an_import_is_not_checked(
+    workspace: Workspace, on_import: Entry
+) -> None:
+    shutil.rmtree(workspace.data / "grid_world-tiny")
+    verdict = check_entry(on_import, workspace, QUICK)
+    assert any(missing.startswith("data set of the training: 'recordings' is an import") for missing in verdict.missing)
+    assert verdict.findings == ()
+
+
+def test_an_entry_on_a_copy_of_the_training_does_not_hold(
+    workspace: Workspace, on_import: Entry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scored where nobody looked, as a changed dmbench could."""
+    own = Dataset.open(workspace.data / "grid_world-tiny")
+    copied = write_import(workspace.data / "copied", own, seed=18)
+    with monkeypatch.context() as patch:
+        patch.setattr("dmotion_bench.scoring.transfer.copied_episodes", lambda *_: [])
+        score_run(workspace.runs / RUN, settings=SETTINGS, data=copied.path)
+    entry = entry_of_run(workspace.runs / RUN, workspace.runs / RUN / "report/on/copied")
+    (finding,) = check_entry(entry, workspace).findings
+    assert re.match(r"data set: 2 of the 3 test episodes of 'copied' show the same as", finding)

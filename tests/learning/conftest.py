@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, SplitName
 
 SIZE = 16
@@ -35,7 +36,7 @@ class DatasetInMemory:
         self._cache = FramesInMemory(frames, np.concatenate([[0], np.cumsum(LENGTHS)]))
         self.spec = EnvSpec(
             id="noise",
-            actions=("left", "right"),
+            actions=Discrete(("left", "right")),
             agent=ObjectSpec(name="agent", shape="dot", color=(0, 255, 0)),
             objects=(),
             height=SIZE,

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from baselines.dmotion import DMotion, DMotionConfig
+from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel, ModelInputs
@@ -23,8 +24,8 @@ IMAGES = to_model(torch.from_numpy(FRAMES))
 def model() -> DMotion:
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        made = DMotion(DMotionConfig(), ModelInputs(height=SIDE, width=SIDE, actions=4)).eval()
-    made.table += torch.arange(4.0)[:, None] / 10
+        made = DMotion(DMotionConfig(), ModelInputs(height=SIDE, width=SIDE, actions=Discrete.numbered(4))).eval()
+    made.table.rows += torch.arange(4.0)[:, None] / 10
     return made
 
 
@@ -59,8 +60,11 @@ SENTENCES: dict[str, tuple[Callable[[DMotion], Any], str]] = {
     "other size": (lambda m: m.predict(FRAMES[:, :16], FRAMES, 1), r"takes .* \(b, 3, 32, 32\) .* \(b, 32, 32, 3\)"),
     "whole numbers": (lambda m: m.predict(IMAGES.int(), IMAGES, 1), r"given int32 of the shape .*to_model"),
     "a path": (lambda m: m.rollout("frame.png", IMAGES, [1]), r"rollout\(\) was given 'frame.png' as images"),
-    "unknown action": (lambda m: m.predict(IMAGES, IMAGES, 4), r"given the action 4; .* made for 4 actions"),
-    "negative": (lambda m: m.predict(IMAGES, IMAGES, [0, -1, 0]), r"given the action \[0, -1, 0\]"),
+    "unknown action": (
+        lambda m: m.predict(IMAGES, IMAGES, 4),
+        r"given action 4 in row 0; there are 4, numbered from 0",
+    ),
+    "negative": (lambda m: m.predict(IMAGES, IMAGES, [0, -1, 0]), r"given action -1 in row 1"),
     "a name": (lambda m: m.predict(IMAGES, IMAGES, "left"), r"given 'left' as actions; .* whole numbers"),
     "half": (lambda m: m.predict(IMAGES, IMAGES, 1.5), r"given 1.5 as actions"),
     "too few": (lambda m: m.predict(IMAGES, IMAGES, [1, 2]), r"of the shape \(3,\), a row for each of the 3 images"),
@@ -109,6 +113,32 @@ def test_what_the_base_class_offers_is_guarded_too() -> None:
         def frame(self, state: Any) -> Any:
             return state[0]
 
-    still = Still(None, ModelInputs(height=SIDE, width=SIDE, actions=2))
+    still = Still(None, ModelInputs(height=SIDE, width=SIDE, actions=Discrete.numbered(2)))
     assert torch.equal(still.predict(FRAMES, FRAMES, 1), IMAGES)
     assert torch.equal(still.rollout(FRAMES, FRAMES, [1, 1])[:, 1], IMAGES)
+
+
+def test_continuous_actions_are_rows_of_numbers_within_their_bounds() -> None:
+    spec = Continuous(names=("dx", "dy"), low=(-0.1, -0.1), high=(0.1, 0.1), units=("m", "m"))
+    model = DMotion(DMotionConfig(), ModelInputs(height=SIDE, width=SIDE, actions=spec)).eval()
+    rows = np.array([[0.0, 0.1], [-0.1, 0.0], [0.05, 0.05]])
+    with torch.no_grad():
+        model.table.rows.copy_(torch.tensor([[0.1, 0.0], [0.3, 0.0], [0.0, 0.4]]))
+        expected = model.predict(IMAGES, IMAGES, torch.from_numpy(rows))
+        for given in (rows, rows.tolist(), rows.astype(np.float32)):
+            assert torch.equal(model.predict(IMAGES, IMAGES, given), expected)
+        one = model.predict(IMAGES, IMAGES, rows[0])
+        assert torch.equal(one[0], expected[0])
+        assert torch.equal(one[1], model.predict(IMAGES, IMAGES, rows[[0, 0, 0]])[1])
+        rolled = model.rollout(IMAGES, IMAGES, np.stack([rows, rows[::-1]], axis=1))
+        torch.testing.assert_close(rolled[:, 0], expected)
+        assert torch.equal(model.rollout(IMAGES, IMAGES, rows)[:, 0], one)  # three steps, the same for all images
+    for wrong, said in (
+        ([[0.0, 0.2]] * 3, r"given 'dy' = 0.2 in row 0; it can be -0.1 to 0.1 m"),
+        (torch.tensor([[0.0, 0.0], [torch.nan, 0.0], [0.0, 0.0]]), r"given 'dx' = nan in row 1"),
+        ([0, 1, 2], r"as actions; it takes numbers of the shape \(3, 2\)"),
+        (1, r"as actions; it takes numbers of the shape \(3, 2\)"),
+        ("left", r"given 'left' as actions; it takes numbers"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            model.predict(IMAGES, IMAGES, wrong)

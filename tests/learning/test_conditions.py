@@ -20,7 +20,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
 CPU = torch.device("cpu")
-SETTINGS = ("batch_size=4", "epochs=0.2", "validations=1")
+SETTINGS = ("batch_size=16", "epochs=0.05", "validations=1")
 BUSY = {1: 0.2, 2: 2.0}
 QUIET = {1: 0.2, 2: 0.11}
 """Seconds of a step by the number of threads."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.triplets import TripletSet
-from dmotion_bench.specs import Supervision
+from dmotion_bench.specs import EpisodeLabels, Supervision
+
+MOVES = Continuous(names=("dx", "dy"), low=(-1.0, -1.0), high=(1.0, 1.0), units=("m", "m"))
 
 
 @pytest.mark.parametrize("text", ["none", "one-shot", "5-shot", "10%", "100%", "2.5%"])
@@ -91,3 +96,83 @@ def test_a_budget_gives_nothing_but_what_it_is_for(dataset) -> None:
     with pytest.raises(LabelsNotAvailable):
         LabelBudget(dataset, LabelRequest.parse("none"), seed=0).demonstrations(triplets)
     assert dataset.opened == []
+
+
+@pytest.mark.parametrize("text", ["1", "64", "4096"])
+def test_a_number_of_transitions_prints_as_it_was_written(text: str) -> None:
+    assert str(LabelRequest.parse(text)) == text
+
+
+def test_all_labels_are_a_share() -> None:
+    assert LabelRequest.parse("all") == LabelRequest.parse("100%")
+
+
+def test_continuous_actions_are_counted_by_transitions() -> None:
+    for supervision in Supervision:
+        with pytest.raises(UsageError, match=r"dx \(-1 to 1 m\).*--labels 64"):
+            LabelRequest.for_model("any", supervision, "5-shot", MOVES)
+    assert str(LabelRequest.for_model("dmotion", Supervision.NONE, None, MOVES)) == "64"
+    with pytest.raises(UsageError, match=r"--labels 64 \(the default\), a number of transitions up to 4096"):
+        LabelRequest.for_model("dmotion", Supervision.NONE, "all", MOVES)
+    with pytest.raises(UsageError, match="up to 4096"):
+        LabelRequest.for_model("dmotion", Supervision.NONE, "5000", MOVES)
+    with pytest.raises(UsageError, match="2 or more"):
+        LabelRequest.for_model("ed-cnn", Supervision.ACTIONS, "1", MOVES)
+    assert str(LabelRequest.for_model("ed-cnn", Supervision.ACTIONS, "all", MOVES)) == "100%"
+
+
+class Moving:
+    """The noise, with continuous actions that say which episode and step they are of."""
+
+    def __init__(self, dataset) -> None:
+        self._noise = dataset
+        self.spec = dataclasses.replace(dataset.spec, actions=MOVES)
+
+    def labels(self, episode: int) -> EpisodeLabels:
+        labels = self._noise.labels(episode)
+        steps = np.arange(len(labels.actions))
+        return dataclasses.replace(labels, actions=np.stack([steps / 100, 0 * steps + episode / 100], axis=1))
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+def test_numbers_of_transitions_are_nested_true_and_counted(dataset, continuous) -> None:
+    triplets = TripletSet.of_split(dataset, "train")
+    told = Moving(dataset) if continuous else dataset
+    before: set[tuple[int, int]] = set()
+    shown = np.zeros((0, 3, 1, 1, 3), np.uint8)
+    for amount in (2, 4, 8, 16):
+        budget = LabelBudget(told, LabelRequest.parse(str(amount)), seed=1)
+        paid = budget.actions(triplets, "training")
+        held = budget.actions(TripletSet.of_split(dataset, "validation"), "validation")
+        assert (len(paid.triplets), len(held.triplets)) == (amount - max(1, amount // 8), max(1, amount // 8))
+        assert budget.total == amount
+        places = set(zip(paid.triplets.episode.tolist(), paid.triplets.step.tolist(), strict=True))
+        assert before < places
+        before = places
+        for episode, step, action in zip(paid.triplets.episode, paid.triplets.step, paid.actions, strict=True):
+            assert np.array_equal(action, told.labels(int(episode)).actions[step])
+        given = budget.demonstrations(triplets)
+        assert len(given.frames) == len(given.actions) == budget.given["demonstrations"] == amount
+        if continuous:  # what is shown says where it comes from
+            for step, episode in (given.actions * 100).round().astype(int).tolist():
+                assert not dataset.pushed[episode][step]
+        assert np.array_equal(given.frames[: len(shown), :, :1, :1], shown)
+        shown = given.frames[:, :, :1, :1]
+
+
+@pytest.mark.parametrize("amount", ["2", "6", "20"])
+def test_numbers_and_shares_take_the_episodes_in_the_same_order(dataset, amount) -> None:
+    triplets = TripletSet.of_split(dataset, "train")
+    counted, shared = (
+        LabelBudget(dataset, LabelRequest.parse(text), seed=1).actions(triplets, "training").triplets
+        for text in (amount, "50%")
+    )
+    places = [set(zip(one.episode.tolist(), one.step.tolist(), strict=True)) for one in (counted, shared)]
+    assert places[0] <= places[1] or places[1] <= places[0]
+
+
+def test_a_number_that_is_not_there_is_given_as_far_as_it_is(dataset) -> None:
+    triplets = TripletSet.of_split(dataset, "train")
+    budget = LabelBudget(dataset, LabelRequest.parse("4096"), seed=1)
+    unpushed = sum(not dataset.pushed[e][s] for e, s in zip(triplets.episode, triplets.step, strict=True))
+    assert len(budget.demonstrations(triplets).actions) == budget.total == unpushed

@@ -7,8 +7,10 @@ from dataclasses import replace
 import pytest
 from noise_world import noise_episode, noise_spec
 
+from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import RunError, StorageFull
 from dmotion_bench.learning import table
+from dmotion_bench.learning.labels import LabelRequest
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest
 from dmotion_bench.learning.table import Row, budgets, rows, train_table
@@ -40,14 +42,23 @@ def test_every_model_has_a_row_for_each_of_its_budgets(dataset) -> None:
 
 def test_where_actions_are_not_known_what_needs_none_has_one_row(dataset, monkeypatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["cswm", "dmotoin", "lapo"])
-    manifest = replace(dataset.manifest, spec=replace(dataset.spec, actions=()))
+    manifest = replace(dataset.manifest, spec=replace(dataset.spec, actions=None))
     unlabelled = Dataset(dataset.path, manifest, dataset.rows)
     assert list(rows(unlabelled)) == [Row(model="dmotoin", labels=""), Row(model="lapo", labels="none")]
 
 
 def test_a_model_may_name_its_own_budgets() -> None:
     own = type("Own", (model_class("lapo"),), {"budgets": ("one-shot", "20-shot")})
-    assert budgets(own) == ("one-shot", "20-shot")
+    assert budgets(own, Discrete.numbered(2)) == ("one-shot", "20-shot")
+
+
+def test_budgets_of_continuous_actions_are_numbers_of_transitions() -> None:
+    moves = Continuous(names=("dx",), low=(-1.0,), high=(1.0,), units=("m",))
+    assert budgets(model_class("dmotion"), moves) == ("64", "16", "256")
+    assert budgets(model_class("ed-cnn"), moves) == ("100%", "10%")
+    for name, kind in ((name, model_class(name)) for name in ("dmotion", "ed-cnn")):
+        for budget in budgets(kind, moves):
+            LabelRequest.for_model(name, kind.supervision, budget, moves)
 
 
 def test_a_row_that_fails_does_not_stop_the_others(dataset, tmp_path, monkeypatch) -> None:

@@ -65,6 +65,40 @@ def test_a_killed_run_ends_with_the_same_bits(recorded, trained, tmp_path, monke
     assert steps == [json.loads(line)["step"] for line in trained.metrics.read_text().splitlines()]
 
 
+def test_a_kill_between_two_checkpoints_loses_neither(recorded, tmp_path, monkeypatch) -> None:
+    """Where the phase that needs no labels ends there are two: one to go on from, one for other label budgets."""
+    save, written = checkpoint.save, []
+
+    def world(folder: str) -> Run:
+        request = TrainingRequest(model="wm-ae", labels="100%", settings=("epochs=0.4", "validations=2"))
+        return open_run(request, Dataset.open(recorded), tmp_path / folder, Workspace(tmp_path))
+
+    def stop_before(place: int | None) -> None:
+        def count_and_save(path: Path, *rest) -> None:
+            written.append(path.name)
+            if len(written) - 1 == place:
+                raise Stopped
+            save(path, *rest)
+
+        written.clear()
+        monkeypatch.setattr(checkpoint, "save", count_and_save)
+
+    stop_before(None)
+    whole = world("whole")
+    _train(whole, recorded)
+    kept = written.index("watched.safetensors")
+    for place in (kept - 1, kept, kept + 1):
+        stop_before(place)
+        with pytest.raises(Stopped):
+            _train(world(f"{place}"), recorded)
+        stop_before(None)
+        _train(world(f"{place}"), recorded)
+        again = Run.open(tmp_path / f"{place}")
+        assert again.result["weights"] == whole.result["weights"]
+        tensors, expected = (checkpoint.load(run.watched, required=None)[0] for run in (again, whole))
+        assert checkpoint.weights_hash(tensors) == checkpoint.weights_hash(expected)
+
+
 def test_ctrl_c_keeps_the_step_and_the_run_goes_on(recorded, trained, tmp_path) -> None:
     import os
     import signal

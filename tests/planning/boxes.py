@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.specs import EnvSpec, ObjectSpec
 
 RED, BLUE = (230, 20, 20), (20, 20, 230)
 SPEC = EnvSpec(
     id="covered",
-    actions=("left", "right"),
+    actions=Discrete(("left", "right")),
     agent=ObjectSpec(name="curtain", shape="box", color=(250, 250, 250)),
     objects=(
         ObjectSpec(name="red_box", shape="box", color=RED),

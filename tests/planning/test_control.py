@@ -14,6 +14,7 @@ import pytest
 import torch
 from planning.worlds import PerfectGridModel
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Environment
 from dmotion_bench.errors import DatasetError, InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.planning.control import ControlProgress, ControlResult, ControlSettings, Scene, control
@@ -29,7 +30,7 @@ from dmotion_bench.planning.controllers import (
 )
 from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
 from dmotion_bench.planning.exhaustive import ExhaustivePlanner
-from dmotion_bench.planning.journal import Journal
+from dmotion_bench.planning.journal import Journal, TaskRecord
 from dmotion_bench.planning.problems import Problem, load_problems, start, task_environment
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, control_samples, score_control
@@ -225,6 +226,17 @@ def test_a_killed_run_goes_on_with_the_same_result(
     assert run().planned == 0
 
 
+def test_a_damaged_journal_is_begun_anew(problems: list[Problem], tmp_path: Path) -> None:
+    file, key = tmp_path / "journal.json", {"who": "me"}
+    record = TaskRecord(actions=[1], distance=[0.5, 0.25], lost=[0, 0], frames=4)
+    Journal(file, key).write({problems[0].number: record}, None, last=True)
+    sound = file.read_text()
+    assert Journal(file, key).all_records(problems[:1]) == {problems[0].number: record}
+    for damaged in (sound.replace("0.25", "0.75"), sound[:-3], "[" * 100_000, "9" * 5000, "[]", "{}"):
+        file.write_text(damaged)
+        assert Journal(file, key).all_records(problems[:1]) == {problems[0].number: TaskRecord()}
+
+
 def test_progress_of_something_else_is_not_taken_up(dataset: Dataset, tmp_path: Path) -> None:
     file = tmp_path / "control.json"
     scoring = ControlScoring(tasks=2, steps=4, group=2)
@@ -234,7 +246,7 @@ def test_progress_of_something_else_is_not_taken_up(dataset: Dataset, tmp_path: 
     assert more.planned == 16  # the first two tasks are done
     np.testing.assert_array_equal(more.actions[:2], first.actions)
     assert score_control("random", dataset, replace(scoring, seed=1), checkpoint=file).planned == 8
-    for spoilt in ("", "[]", '{"format": "dmbench-control/1"}', file.read_text().replace("distance", "distant")):
+    for spoilt in ("", "[]", '{"format": "dmbench-control/2"}', file.read_text().replace("distance", "distant")):
         file.write_text(spoilt)
         again = score_control("random", dataset, scoring, checkpoint=file)
         assert again.planned == 8
@@ -274,7 +286,7 @@ def test_mistakes_get_sentences(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="'dmbench record grid_world --tasks 20'"):
         load_problems(Dataset.open(tmp_path / "none"))
     model = PerfectGridModel()
-    model.inputs = type(model.inputs)(height=128, width=128, actions=2)
+    model.inputs = type(model.inputs)(height=128, width=128, actions=Discrete.numbered(2))
     with pytest.raises(ModelContractBroken, match="made for 2 actions, and 'grid_world' has 4"):
         ModelController(model, FACTS, SMALL)
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 from planning.worlds import PerfectGridModel
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.planning.costs import FeatureCost, PixelCost, PositionCost, make_cost
 from dmotion_bench.positions import PositionFinder
@@ -90,7 +91,9 @@ def test_the_cost_that_suits_the_model_is_chosen() -> None:
     assert isinstance(make_cost(None, PerfectGridModel(), FACTS, goals, goals), PositionCost)
     assert isinstance(make_cost(None, Blind(), FACTS, goals, goals), FeatureCost)
     assert isinstance(make_cost("pixel", PerfectGridModel(), FACTS, goals, goals), PixelCost)
-    nothing = EnvSpec(id="empty", actions=("go",), agent=ObjectSpec(name="a", shape="dot", color=(0, 0, 0)), objects=())
+    nothing = EnvSpec(
+        id="empty", actions=Discrete(("go",)), agent=ObjectSpec(name="a", shape="dot", color=(0, 0, 0)), objects=()
+    )
     assert isinstance(make_cost(None, PerfectGridModel(), nothing, goals, goals), FeatureCost)
     with pytest.raises(InvalidSetting, match="'empty' has no coloured objects to find"):
         make_cost("position", PerfectGridModel(), nothing, goals, goals)

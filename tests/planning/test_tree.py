@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning.worlds import PerfectGridModel, Walks
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ForwardModel, ModelInputs
 from dmotion_bench.planning.costs import PixelCost
 from dmotion_bench.planning.exhaustive import all_sequences
@@ -73,7 +74,7 @@ def test_a_models_tree_is_its_rollout() -> None:
     generator = np.random.default_rng(3)
     images = torch.from_numpy(generator.integers(0, 256, (3, 2, 8, 8, 3), dtype=np.uint8))
     goals, model = images.flip(0)[:, 0], TwoImages()
-    model.inputs = ModelInputs(height=8, width=8, actions=4)
+    model.inputs = ModelInputs(height=8, width=8, actions=Discrete.numbered(4))
     futures = ModelFutures(model, PixelCost(goals), images[:, 0], images[:, 1], bf16=False, at_once=16)
     sequences = generator.integers(0, 4, (2, 3, 20, 4))
     tree = FutureTree(futures, 4)

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
 from dmotion_bench.planning.planner import Moment
@@ -86,7 +87,7 @@ class PerfectGridModel(ForwardModel[None]):
     Config: ClassVar[type] = type(None)
 
     def __init__(self, version: Version = 1) -> None:
-        super().__init__(None, ModelInputs(height=128, width=128, actions=4))
+        super().__init__(None, ModelInputs(height=128, width=128, actions=Discrete.numbered(4)))
         self._version = version
         self._finder = PositionFinder(FACTS)
         self.frames = 0

@@ -103,7 +103,7 @@ def test_an_action_moves_the_agent_its_way(env: PushingEnvironment, episodes: li
         moved = np.diff(labels.agent.position[:, 0, :2], axis=0)
         np.testing.assert_allclose(moved, env.moves[labels.actions], atol=1e-9)
         seen = np.diff(labels.agent.pixel[:, 0], axis=0)
-        named = np.array([ways[env.facts.actions[action]] for action in labels.actions])
+        named = np.array([ways[env.facts.actions.names[action]] for action in labels.actions])
         along = (seen * named).sum(axis=-1)
         assert (along > 5).all()
         assert (np.abs(seen).sum(axis=-1) - along < 2).all()
@@ -111,7 +111,7 @@ def test_an_action_moves_the_agent_its_way(env: PushingEnvironment, episodes: li
 
 def test_an_illegal_move_changes_nothing(env: PushingEnvironment) -> None:
     env.reset(seed=3, options={"distractors": 2})
-    left = env.facts.actions.index("left")
+    left = env.facts.actions.names.index("left")
     while env.legal_actions()[left]:
         env.step(left)
     before = env.render(), env.masks(), env.objects().position, env.agent().position

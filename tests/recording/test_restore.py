@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from noise_world import files_of
 
+from dmotion_bench.errors import DatasetCorrupt
 from dmotion_bench.recording import restore
 from dmotion_bench.recording.restore import repair_dataset
 from dmotion_bench.recording.session import record_dataset
@@ -58,6 +59,15 @@ def test_labels_that_were_taken_away_come_back(dataset: Path) -> None:
     shutil.rmtree(dataset / "labels")
     assert repair_dataset(dataset).how == "restored"
     assert files_of(dataset) == before
+
+
+def test_an_environment_with_other_objects_than_the_manifest_is_not_recorded_anew(dataset: Path) -> None:
+    manifest = json.loads((dataset / "dataset.json").read_text())
+    del manifest["environment"]["objects"][0]
+    (dataset / "dataset.json").write_text(json.dumps(manifest))
+    (dataset / "video" / "shard-00000.mcap").unlink()
+    with pytest.raises(DatasetCorrupt, match="record it anew with 'dmbench record'"):
+        repair_dataset(dataset)  # the labels of every episode have an object more than the manifest
 
 
 def test_an_environment_that_draws_differently_now_is_not_mixed_in(

@@ -12,6 +12,7 @@ import torch
 from known_model import Known, NoConfig, write_run
 from torch import Tensor
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.run import Run
@@ -28,7 +29,7 @@ class Oracle(Known):
     """Looks the next frame up, and may spoil it."""
 
     def __init__(self, dataset: Dataset, spoil: Callable[[np.ndarray], np.ndarray] = lambda frame: frame) -> None:
-        super().__init__(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+        super().__init__(NoConfig(), ModelInputs(height=128, width=128, actions=Discrete.numbered(4)))
         self.spoil = spoil
         self.answers: dict[tuple[bytes, int], np.ndarray] = {}
         for episode in range(len(dataset)):
@@ -61,7 +62,7 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture
 def copy_last() -> Known:
-    return Known(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+    return Known(NoConfig(), ModelInputs(height=128, width=128, actions=Discrete.numbered(4)))
 
 
 @pytest.fixture

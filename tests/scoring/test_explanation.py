@@ -22,7 +22,7 @@ QUICK = ScoreSettings(resamples=200)
 def nameless(grid: Dataset) -> Dataset:
     """The same video; nobody knows the actions, and whoever asks for labels fails."""
     dataset = Dataset.open(grid.path)
-    dataset.spec = dataclasses.replace(grid.spec, actions=())
+    dataset.spec = dataclasses.replace(grid.spec, actions=None)
 
     def refuse(episode: int) -> None:
         raise AssertionError("labels were opened")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from known_model import Known, NoConfig
 from torch import Tensor
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.scoring.identification import (
     above_otsu,
@@ -30,7 +31,7 @@ class SeesGreen(Known):
     """Knows the agent by its colour: its map is where green is, its motion how far green's mean goes [px]."""
 
     def __init__(self) -> None:
-        super().__init__(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+        super().__init__(NoConfig(), ModelInputs(height=128, width=128, actions=Discrete.numbered(4)))
 
     def agent_map(self, current: Tensor) -> Tensor:
         return ((current[:, 1] > 0.9) & (current[:, 0] < -0.9)).float() * -3 + 0.1
@@ -57,7 +58,7 @@ class KnowsNoPlace(Known):
     """Has a latent action, but neither a map of the agent nor a shift in pixels."""
 
     def __init__(self) -> None:
-        super().__init__(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+        super().__init__(NoConfig(), ModelInputs(height=128, width=128, actions=Discrete.numbered(4)))
         self.eye = SeesGreen()
 
     def latent_action(self, previous: Tensor, current: Tensor, following: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from known_model import Known, NoConfig
 from torch import Tensor
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.scoring.latent_ranking import rank_rollouts, ranks
 from dmotion_bench.scoring.samples import column
@@ -56,7 +57,7 @@ def test_who_knows_what_comes_ranks_first_and_who_does_not_does_not(grid: Datase
     np.testing.assert_array_equal(oracle.hit_at_1, 1)
     np.testing.assert_array_equal(oracle.reciprocal_rank, 1)
 
-    nothing = KnowingNothing(NoConfig(), ModelInputs(height=128, width=128, actions=4))
+    nothing = KnowingNothing(NoConfig(), ModelInputs(height=128, width=128, actions=Discrete.numbered(4)))
     still = rank_rollouts(nothing, held_out, horizon=4, batch_size=5, device=CPU)
     assert still is not None
     assert still.hit_at_1[:, 3].mean() < 1

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmotion_bench import positions
+from dmotion_bench.actions import Discrete
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec, ObjectSpec
 
@@ -25,7 +26,7 @@ def spec_of(colors: tuple[tuple[int, int, int], ...], height: int = 128, width: 
     things = tuple(ObjectSpec(name=str(color), shape="box", color=color) for color in colors)
     return EnvSpec(
         id="boxes",
-        actions=("stay",),
+        actions=Discrete(("stay",)),
         agent=ObjectSpec(name="agent", shape="box", color=(0, 255, 0)),
         objects=things,
         height=height,

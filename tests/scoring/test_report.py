@@ -196,6 +196,23 @@ def test_what_is_wrong_is_said(make_run: MakeRun, tmp_path: Path) -> None:
         score_run(run.path, settings=QUICK)
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[]",
+        b"\xff",
+        b'{"seed": ' + b"9" * 5000 + b"}",
+        b'{"run": ' * 100_000 + b"1" + b"}" * 100_000,
+        b'{"seed": NaN}',
+    ],
+    ids=["list", "text", "digits", "depth", "nan"],
+)
+def test_a_report_that_no_json_reader_should_be_given_costs_a_sentence(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "report.json").write_bytes(content)
+    with pytest.raises(RunCorrupt, match="delete it and score the run again"):
+        read_report(tmp_path)
+
+
 def test_without_labels_nothing_can_be_scored(oracle: Oracle, tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", episodes=10, frames=6)
     for file in (dataset.path / "labels").iterdir():

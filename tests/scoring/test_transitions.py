@@ -94,7 +94,7 @@ def test_the_leaking_split_is_the_training_s(grid: Dataset) -> None:
 
 def test_unknown_actions_and_empty_splits_are_said(grid: Dataset, tmp_path: Path) -> None:
     nameless = Dataset.open(grid.path)
-    nameless.spec = dataclasses.replace(grid.spec, actions=())
+    nameless.spec = dataclasses.replace(grid.spec, actions=None)
     with pytest.raises(LabelsNotAvailable, match="actions of 'grid_world-tiny' are not known"):
         HeldOut(nameless, "test")
     with pytest.raises(DatasetError, match="no triplet; record more"):

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from noise_world import write_noise
 
-from dmotion_bench.storage.schema import ACTION, FACTORS, STATES
+from dmotion_bench.storage.schema import ACTION, CONTINUOUS_ACTION, FACTORS, STATES
 
 DOC = (Path(__file__).parents[2] / "docs/format.md").read_text()
 
@@ -27,7 +27,7 @@ def _proto() -> dict[str, list[tuple[str, int]]]:
 def test_the_messages_are_those_of_the_files() -> None:
     told = _proto()
 
-    for kind in (ACTION, STATES, FACTORS):
+    for kind in (ACTION, CONTINUOUS_ACTION, STATES, FACTORS):
         fields = kind.new().DESCRIPTOR.fields
         assert told[kind.name.removeprefix("dmbench.")] == [(field.name, field.number) for field in fields]
     assert told["State"] == [(one.name, one.number) for one in STATES.new().states.add().DESCRIPTOR.fields]

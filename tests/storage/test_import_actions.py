@@ -13,6 +13,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.wrappers_pb2 import Int32Value
 from storage.foreign import ROS, foxglove_file, raw_image, ros_file, ros_image, steady, video
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
@@ -51,7 +52,7 @@ def imported(file: Path, folder: Path, options: ImportOptions = OPTIONS) -> Data
 def test_ros_actions(tmp_path: Path, kind: str, values: list[Any], names: tuple[str, ...], delay_ns: int) -> None:
     dataset = imported(bag(tmp_path / "bag", kind, [{"data": value} for value in values], delay_ns), tmp_path)
 
-    assert dataset.spec.actions == names
+    assert dataset.spec.actions == Discrete(names)
     spoken = [str(value).lower() if isinstance(value, bool) else str(value) for value in values]
     assert [names[action] for action in dataset.labels(0).actions] == spoken
     assert not dataset.labels(0).masks.any()
@@ -62,7 +63,7 @@ def test_json_actions_hold_until_the_next(tmp_path: Path) -> None:
     actions = [(times[0], "left"), (times[3], "right")]
     file = foxglove_file(tmp_path / "a.mcap", video(7), times, actions=actions)
     dataset = imported(file, tmp_path)
-    assert [dataset.spec.actions[action] for action in dataset.states(0).actions] == ["left"] * 3 + ["right"] * 3
+    assert [dataset.spec.actions.names[action] for action in dataset.states(0).actions] == ["left"] * 3 + ["right"] * 3
 
 
 def test_what_comes_before_the_first_action_is_left_out(tmp_path: Path) -> None:
@@ -80,7 +81,7 @@ def test_video_alone_opens_no_actions(tmp_path: Path) -> None:
     times = steady(5)
     file = foxglove_file(tmp_path / "a.mcap", video(5), times, actions=[(times[0], 1)])
     dataset = imported(file, tmp_path, ImportOptions(size=32))
-    assert dataset.spec.actions == ()
+    assert dataset.spec.actions is None
     assert not (dataset.path / "labels").exists()
 
 
@@ -137,7 +138,7 @@ def test_protobuf_actions(tmp_path: Path) -> None:
     Int32Value.DESCRIPTOR.file.CopyToProto(described.file.add())
     messages = [Int32Value(value=value).SerializeToString() for value in (7, 7, 9)]
     dataset = imported(protobuf_file(tmp_path / "a.mcap", described.SerializeToString(), messages), tmp_path)
-    assert dataset.spec.actions == ("7", "9")
+    assert dataset.spec.actions == Discrete(("7", "9"))
     assert dataset.states(0).actions.tolist() == [0, 0, 1]
 
 

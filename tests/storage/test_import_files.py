@@ -52,7 +52,7 @@ def test_foxglove_protobuf(tmp_path: Path, encoding: str) -> None:
     expected = grey(frames) if encoding.startswith("mono") else frames
     np.testing.assert_array_equal(dataset.video(0), expected)
     assert dataset.spec.step_ns == 100_000_000
-    assert dataset.spec.actions == ()
+    assert dataset.spec.actions is None
     assert dataset.spec.objects == ()
     assert not (dataset.path / "labels").exists()
     with pytest.raises(LabelsNotAvailable):
@@ -88,9 +88,10 @@ def test_bags_that_rosbag2_has_compressed(tmp_path: Path, mode: CompressionMode)
         report = import_recordings([path], tmp_path / out, ImportOptions(size=32, actions="/action"))
         dataset = Dataset.open(report.path)
         np.testing.assert_array_equal(dataset.video(0), frames)
-        assert [dataset.spec.actions[number] for number in dataset.states(0).actions] == ["push 1", "push 3"] * 2 + [
-            "push 1"
-        ]
+        assert [dataset.spec.actions.names[number] for number in dataset.states(0).actions] == [
+            "push 1",
+            "push 3",
+        ] * 2 + ["push 1"]
 
 
 def test_a_file_that_was_compressed_as_a_whole_in_several_parts(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from storage.foreign import video
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
@@ -66,7 +67,7 @@ def test_every_demonstration_is_an_episode(tmp_path: Path, packing: dict[str, An
     np.testing.assert_array_equal(dataset.video(0), frames[13:])
     np.testing.assert_array_equal(dataset.video(1), frames[8:13])
     np.testing.assert_array_equal(dataset.video(2), frames[:8])
-    assert dataset.spec.actions == ()
+    assert dataset.spec.actions is None
     assert dataset.recipe.parameters["camera"] == "obs/agentview_image"
 
 
@@ -91,7 +92,7 @@ def test_the_environment_s_rate_counts(tmp_path: Path) -> None:
 def test_discrete_actions(tmp_path: Path, given: Any, names: tuple[str, ...], numbers: list[int]) -> None:
     file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)}, actions={"demo_0": given})
     dataset = imported(file, ImportOptions(size=32, actions="actions"))
-    assert dataset.spec.actions == names
+    assert dataset.spec.actions == Discrete(names)
     assert dataset.states(0).actions.tolist() == numbers
 
 

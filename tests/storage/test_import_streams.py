@@ -132,7 +132,7 @@ def test_ros_video(tmp_path: Path, kind: str, fields: dict[str, Any]) -> None:
     options = ImportOptions(size=48, actions="/action", clock=Clock.HEADER)
     _, dataset = imported(ros_file(tmp_path / "bag", messages), options)
     np.testing.assert_array_equal(dataset.video(0), frames)
-    assert [dataset.spec.actions[number] for number in dataset.states(0).actions] == ["1", "3"] * 5 + ["1"]
+    assert [dataset.spec.actions.names[number] for number in dataset.states(0).actions] == ["1", "3"] * 5 + ["1"]
 
 
 def test_a_recording_may_begin_in_the_middle_of_a_video(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_an_import_of_a_video_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dataset.video(0), expected)
     assert (report.source_frames, report.source_hz, report.unreadable) == (31, pytest.approx(30), 0)
     assert (report.source_height, report.source_width) == (48, 64)
-    assert dataset.spec.actions == ()
+    assert dataset.spec.actions is None
     assert import_recordings([tmp_path / "a.mp4"], tmp_path / "out", OPTIONS).frames == report.frames
 
 

@@ -1,7 +1,7 @@
 """LeRobot's format v3: what is exported keeps its pixels and actions, and what is damaged is named.
 
 That LeRobot itself loads such a folder was checked with lerobot 0.4.4 in an environment of its own (see
-DECISIONS.md); here stand the facts that it relies on.
+decision 011); here stand the facts that it relies on.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from av.video.reformatter import Interpolation
 from storage.foreign import foxglove_file, steady, video
 from walking_square import record_walks
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import LabelsNotAvailable, RecordingImportError, UsageError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import ExportReport, export_lerobot, has_labels
@@ -80,7 +81,7 @@ def test_back_again(source: Dataset, exported: ExportReport, tmp_path: Path) -> 
     report = import_recordings([exported.path], tmp_path / "back", options)
     back = Dataset.open(tmp_path / "back")
 
-    assert report.actions == source.spec.actions == ("left", "right", "up")
+    assert Discrete(report.actions) == source.spec.actions == Discrete(("left", "right", "up"))
     assert back.lengths.tolist() == source.lengths.tolist()
     for episode in range(4):
         np.testing.assert_array_equal(back.video(episode), source.video(episode))
@@ -93,7 +94,7 @@ def test_actions_keep_their_numbers_and_order(tmp_path: Path) -> None:
     import_recordings([exported.path], tmp_path / "back", ImportOptions(size=32, actions="action"))
     back = Dataset.open(tmp_path / "back")
 
-    assert back.spec.actions == walks.spec.actions == ("up", "down", "left", "right")
+    assert back.spec.actions == walks.spec.actions == Discrete(("up", "down", "left", "right"))
     for episode in range(3):
         np.testing.assert_array_equal(back.states(episode).actions, walks.states(episode).actions)
 

@@ -106,7 +106,7 @@ def test_the_official_reader_sees_the_labels(tmp_path: Path) -> None:
         np.testing.assert_array_equal((pixel.x, pixel.y), labels.objects.pixel[0, place])
     actions = by_topic["/action"][: len(labels.actions)]
     assert [(one.action, one.name) for one in actions] == [  # type: ignore[attr-defined]
-        (action, dataset.spec.actions[action]) for action in labels.actions
+        (action, dataset.spec.actions.names[action]) for action in labels.actions
     ]
 
 

@@ -102,7 +102,7 @@ def test_the_figures_are_told_with_their_paired_difference(
     (text,) = static(rrd, "/comparison/figures", "TextDocument:text")
     first, second = (line for line in text.splitlines() if line.startswith("| dmotion"))
     assert first == "| dmotion seed 1 | 18.8 | best |"
-    assert second.startswith("| dmotion seed 0 | 20.2 | a tie (")
+    assert second.startswith("| dmotion seed 0 | 20.2 | tied (")
 
 
 def test_a_report_stands_beside_the_others_of_its_data_set(scored: list[Path], workspace: Workspace) -> None:

@@ -108,7 +108,7 @@ def test_trails_follow_what_has_moved(dataset: Dataset, written: Path) -> None:
 
 def test_the_lanes_say_what_happens(dataset: Dataset, written: Path) -> None:
     labels = dataset.labels(EPISODE)
-    actions = [SPEC.actions[action] for action in labels.actions]
+    actions = [SPEC.actions.names[action] for action in labels.actions]
     assert lane(written, f"/episode_{EPISODE}/action", 8) == [*actions, None]
     moved = np.abs(np.diff(labels.objects.position[:, 0], axis=0)).max(-1) > SPEC.push_threshold
     expected = ["pushed" if now else None for now in moved]

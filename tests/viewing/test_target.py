@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -68,3 +69,18 @@ def test_an_episode_that_is_not_there(dataset: Dataset) -> None:
     other = int(dataset.split("train")[0])
     with pytest.raises(UsageError, match=f"episode {other} of squares-tiny is not in the test split"):
         choose_episodes(dataset, [other], "test")
+
+
+def test_a_report_on_another_data_set_belongs_to_both(workspace: Workspace, run: Run, dataset: Dataset) -> None:
+    report = run.path / "report/on" / dataset.name
+    report.mkdir(parents=True)
+    (report / "report.json").write_text("{}")
+    try:
+        expected = Target("report", run.path.resolve(), workspace.data / dataset.name)
+        for given in (report, Path(run.name) / "report/on" / dataset.name):
+            assert find_target(given, workspace) == expected
+        report.rename(report.with_name("elsewhere"))
+        with pytest.raises(UnknownName, match="elsewhere"):
+            find_target(report.with_name("elsewhere"), workspace)
+    finally:
+        shutil.rmtree(run.path / "report")

@@ -78,7 +78,7 @@ def test_of_actions_alone_there_is_a_lane_and_no_empty_view(actions_alone: Datas
 
     shown = {path for path in read(rrd) if path.startswith("/episode")}
     assert not any(part in path for path in shown for part in ("masks", "world", "trails", "places"))
-    expected = [SPEC.actions[action] for action in actions_alone.labels(0).actions]
+    expected = [SPEC.actions.names[action] for action in actions_alone.labels(0).actions]
     assert lane(rrd, "/episode_0/action", 8) == [*expected, None]
     assert names_of_views(rrd) == {"Camera", "What happens", "What you see"}
 

@@ -27,6 +27,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 from jaxtyping import UInt8
 
+from dmotion_bench.actions import require_discrete
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.dataset import Dataset
@@ -258,7 +259,8 @@ class _Export:
             }
         }
         if self._labels:
-            features[ACTION] = {"dtype": "int64", "shape": [1], "names": ["action"], ACTION_NAMES: list(spec.actions)}
+            names = require_discrete(spec.actions, "an export to LeRobot").names
+            features[ACTION] = {"dtype": "int64", "shape": [1], "names": ["action"], ACTION_NAMES: list(names)}
         if self._state:
             features[STATE] = {"dtype": "float32", "shape": [3], "names": ["x", "y", "z"]}
         for name, kind in (("timestamp", "float32"), *((index, "int64") for index in _INDICES)):

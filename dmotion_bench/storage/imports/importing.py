@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Int64
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError, UsageError
 from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, Scalar
 from dmotion_bench.storage.dataset import Dataset
@@ -80,7 +81,7 @@ def import_recordings(
         recipe = _recipe(recordings, surveys, planned, options)
         spec = EnvSpec(
             id=IMPORTED,
-            actions=names,
+            actions=Discrete(names) if names else None,
             agent=AGENT,
             objects=(),
             height=options.size,

@@ -114,7 +114,7 @@ class DatasetTarget(Target):
         after, told = spoil_bytes(rng, before) if case.chance(PLAIN) else spoil(rng, before)
         file.write_bytes(after)
         name = str(file.relative_to(spoilt.path))
-        case.told.append(f"{name}: {told}"[:400])
+        case.tell(name, told)
         if after != before:
             spoilt.files.append(name)
         return None
@@ -347,4 +347,4 @@ def _move_files(case: Case, spoilt: SpoiltDataset) -> None:
             file.symlink_to(file.name)
         elif kind == "unreadable":
             file.write_bytes(b"")
-    case.told.append(f"{name}: {kind}")
+    case.tell(name, kind)

@@ -79,7 +79,7 @@ class EntryTarget(Target):
             else:
                 after, told = spoil_bytes(rng, before) if case.chance(0.15) else spoil_json(rng, before)
             file.write_bytes(after)
-            case.told.append(f"{kind}: {told}"[:400])
+            case.tell(file.name, f"{kind}: {told}")
             if kind == "shared" and case.checksums is not Checksums.KEPT:
                 _rename_shared(spoilt, file, after)
         return spoilt

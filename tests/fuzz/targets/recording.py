@@ -85,13 +85,13 @@ class RecordingTarget(Target):
             name = file.name if spoilt.path.is_file() else str(file.relative_to(spoilt.path))
             if spoilt.path.is_dir() and case.chance(0.05):
                 file.unlink()
-                case.told.append(f"{name}: gone")
+                case.tell(name, "gone")
                 spoilt.files.append(name)
                 continue
             before = file.read_bytes()
             after, told = spoil_bytes(rng, before) if case.chance(0.3) else self._spoiler(case, file)(rng, before)
             file.write_bytes(after)
-            case.told.append(f"{name}: {told}"[:400])
+            case.tell(name, told)
             if after != before:
                 spoilt.files.append(name)
         return spoilt

@@ -110,7 +110,7 @@ class RunTarget(Target):
                 file.mkdir()
             elif kind == "link":
                 file.symlink_to("/nonexistent/file")
-            case.told.append(f"{name}: {kind}")
+            case.tell(name, kind)
             spoilt.files.append(name)
             return
         spoil = {
@@ -124,7 +124,7 @@ class RunTarget(Target):
         if file.is_dir() or file.is_symlink():
             return
         file.write_bytes(after)
-        case.told.append(f"{name}: {told}"[:400])
+        case.tell(name, told)
         if after != before:
             spoilt.files.append(name)
 

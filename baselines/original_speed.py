@@ -12,12 +12,15 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Final
+from statistics import median
+from typing import Any, Final, Protocol, runtime_checkable
 
 import torch
 
 from dmotion_bench.benchmarks.result import Result
+from dmotion_bench.benchmarks.rounds import ROUNDS
 from dmotion_bench.benchmarks.training_step import TrainingStep
+from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.optimization import has_bf16
 
 MODEL: Final = "dmotion"
@@ -32,18 +35,18 @@ ORIGINAL: Final[Mapping[str, Any]] = {
 """How the original of the paper trains, eagerly."""
 
 
-def original_steps() -> dict[str, TrainingStep]:
+def original_steps() -> Mapping[str, TrainingStep]:
     """The paper's networks as the original trains them, by the setting."""
     return {f"batches of {size}": TrainingStep(MODEL, "paper", batch_size=size, **ORIGINAL) for size in BATCHES}
 
 
-def compact_steps() -> dict[str, TrainingStep]:
+def compact_steps() -> Mapping[str, TrainingStep]:
     """The compact networks, by the setting."""
     precisions = ("bf16", "float32") if has_bf16(torch.device("cpu")) else ("float32",)
     return {precision: TrainingStep(MODEL, "compact", precision=precision) for precision in precisions}
 
 
-def compare(seconds: float) -> Iterator[Result]:
+def compact_over_original(seconds: float) -> Iterator[Result]:
     """The compact networks over the original's, each at its best setting, each setting measured for so long."""
     original, compact = original_steps(), compact_steps()
     for threads, clock, unit, label in (
@@ -51,21 +54,32 @@ def compare(seconds: float) -> Iterator[Result]:
         (torch.get_num_threads(), time.perf_counter, "triplets/s", "all threads"),
     ):
         with _threads(threads):
-            rates = rates_in_turn({**original, **compact}, seconds, clock)
+            rates = [rates_in_turn({**original, **compact}, seconds / ROUNDS, clock) for _ in range(ROUNDS)]
         best = {}
         for which, steps in (("original", original), ("compact", compact)):
-            setting = max(steps, key=rates.__getitem__)
-            best[which] = rates[setting]
-            yield Result(name=f"train_{which}[{label}]", value=rates[setting], unit=unit, setting=setting)
+            rounds = {setting: tuple(one[setting] for one in rates) for setting in steps}
+            setting = max(steps, key=lambda name: median(rounds[name]))
+            best[which] = rounds[setting]
+            yield Result(name=f"train_{which}[{label}]", unit=unit, rounds=rounds[setting], setting=setting)
         yield Result(
             name=f"compact_over_original[{label}]",
-            value=best["compact"] / best["original"],
             unit=f"times as many {unit}",
+            rounds=tuple(fast / slow for fast, slow in zip(best["compact"], best["original"], strict=True)),
         )
 
 
+@runtime_checkable
+class Step(Protocol):
+    """A training step that is timed."""
+
+    config: TrainingConfig
+
+    def __call__(self) -> object:
+        """Train one batch."""
+
+
 def rates_in_turn(
-    steps: Mapping[str, TrainingStep], seconds: float, clock: Callable[[], float] = time.perf_counter
+    steps: Mapping[str, Step], seconds: float, clock: Callable[[], float] = time.perf_counter
 ) -> dict[str, float]:
     """Triplets a second of some steps; always the one that has had the least time goes on, so all see the same load."""
     spent, done = dict.fromkeys(steps, 0.0), Counter[str]()

@@ -1,0 +1,278 @@
+"""What an agent can do: one of a few named actions, or a vector of numbers within bounds.
+
+``Discrete`` actions are whole numbers, an episode's are ``Int[t-1]``. ``Continuous`` ones are vectors in the units that
+the specification names, an episode's are ``Float[t-1 a]``. ``None`` in the place of a specification says that the
+actions are not known, as in imported video.
+
+Actions keep their units everywhere: on disk, in batches, in a model's arguments. Two methods, ``normalise`` and
+``denormalise``, lead to [-1, 1] and back; learning/action_encoding.py applies them for models.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.wording import shown
+
+if TYPE_CHECKING:
+    import gymnasium
+
+MOST_ACTIONS: Final = 4096  # names of discrete actions
+MOST_NUMBERS: Final = 256  # in a continuous action
+LONGEST_NAME: Final = 256  # characters
+SLACK: Final = 1e-6
+"""Share of its range by which a number may lie outside: rounding to 32 bits takes less."""
+
+ValuesT = TypeVar("ValuesT")
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """A few actions, one of which is taken at each step.
+
+    Attributes:
+        names: In the order of their numbers.
+
+    Raises:
+        InvalidSetting: There is no name, or two are the same.
+    """
+
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        _check_names(self.names, MOST_ACTIONS)
+
+    @classmethod
+    def numbered(cls, count: int) -> Discrete:
+        """So many actions whose names are their numbers."""
+        return cls(tuple(map(str, range(count))))
+
+    def __len__(self) -> int:
+        """The number of actions."""
+        return len(self.names)
+
+    @property
+    def width(self) -> int:
+        """Length of the vector that tells a model which action it is: one-hot."""
+        return len(self.names)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one action, as an array."""
+        return ()
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of actions, as an array."""
+        return np.dtype(np.int64)
+
+    def space(self) -> gymnasium.Space[Any]:
+        """The actions, as Gymnasium describes them."""
+        from gymnasium.spaces import Discrete as Space
+
+        return Space(len(self))
+
+    def fault(self, actions: Any, where: str = "at step") -> str | None:
+        """What is wrong with an array of actions, to follow "holds"; None if nothing is.
+
+        Args:
+            actions: One a row.
+            where: How a row is spoken of.
+        """
+        values = np.asarray(actions)
+        if values.ndim != 1 or not (np.issubdtype(values.dtype, np.integer) or not values.size):
+            return f"actions of the type {values.dtype} and the shape {values.shape}, not one whole number each"
+        wrong = np.flatnonzero((values < 0) | (values >= len(self)))
+        if len(wrong):
+            return f"action {values[wrong[0]]} {where} {wrong[0]}; there are {len(self)}, numbered from 0"
+        return None
+
+    def fits(self, other: ActionSpec | None) -> bool:
+        """Whether a model made for these actions can be given those: as many, whatever their names."""
+        return isinstance(other, Discrete) and len(other) == len(self)
+
+    def __str__(self) -> str:
+        return ", ".join(self.names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Continuous:
+    """A vector of numbers, each within its bounds.
+
+    Attributes:
+        names: Of the numbers: ``"dx"``, ``"dy"``.
+        low, high: The bounds, in the units; both can be taken.
+        units: Such as ``"m"``; empty where they are not known.
+
+    Raises:
+        InvalidSetting: There is no number, two have the same name, or a bound cannot be.
+    """
+
+    names: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    units: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        _check_names(self.names, MOST_NUMBERS)
+        if not len(self.names) == len(self.low) == len(self.high) == len(self.units):
+            raise InvalidSetting(
+                f"the actions have {len(self.names)} names, {len(self.low)} and {len(self.high)} bounds, and "
+                f"{len(self.units)} units; give as many of each."
+            )
+        for unit in self.units:
+            if not isinstance(unit, str) or len(unit) > LONGEST_NAME:
+                raise InvalidSetting(f"a unit of the actions is {shown(unit)}; it must be a short text, such as 'm'.")
+        for name, low, high in zip(self.names, self.low, self.high, strict=True):
+            if not (_is_number(low) and _is_number(high)):
+                raise InvalidSetting(f"{shown(name)} goes from {shown(low)} to {shown(high)}; bounds are numbers.")
+            if not (math.isfinite(low) and math.isfinite(high) and low < high and math.isfinite(high - low)):
+                raise InvalidSetting(
+                    f"{shown(name)} goes from {low} to {high}; the lower bound must be below the upper, both finite."
+                )
+
+    @property
+    def width(self) -> int:
+        """Numbers in an action."""
+        return len(self.names)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one action, as an array."""
+        return (len(self.names),)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of actions, as an array."""
+        return np.dtype(np.float64)
+
+    @property
+    def middle(self) -> Float[np.ndarray, " a"]:
+        """What becomes 0."""
+        return (np.asarray(self.low, np.float64) + np.asarray(self.high, np.float64)) / 2
+
+    @property
+    def reach(self) -> Float[np.ndarray, " a"]:
+        """How far the bounds are from the middle."""
+        return (np.asarray(self.high, np.float64) - np.asarray(self.low, np.float64)) / 2
+
+    def normalise(self, actions: Float[np.ndarray, "*b a"]) -> Float[np.ndarray, "*b a"]:
+        """From the units to [-1, 1]."""
+        normal: Float[np.ndarray, "*b a"] = (np.asarray(actions, np.float64) - self.middle) / self.reach
+        return normal
+
+    def denormalise(self, normal: Float[np.ndarray, "*b a"]) -> Float[np.ndarray, "*b a"]:
+        """From [-1, 1] to the units."""
+        actions: Float[np.ndarray, "*b a"] = np.asarray(normal, np.float64) * self.reach + self.middle
+        return actions
+
+    def space(self) -> gymnasium.Space[Any]:
+        """The actions, as Gymnasium describes them."""
+        from gymnasium.spaces import Box
+
+        return Box(np.asarray(self.low, np.float64), np.asarray(self.high, np.float64), dtype=np.float64)
+
+    def fault(self, actions: Any, where: str = "at step") -> str | None:
+        """What is wrong with an array of actions, to follow "holds"; None if nothing is.
+
+        Args:
+            actions: One a row.
+            where: How a row is spoken of.
+        """
+        values = np.asarray(actions)
+        if values.ndim != 2 or values.shape[1] != self.width or not np.issubdtype(values.dtype, np.floating):
+            return (
+                f"actions of the type {values.dtype} and the shape {values.shape}, "
+                f"not {self.width} floating-point numbers each"
+            )
+        slack = 2 * self.reach * SLACK
+        with np.errstate(invalid="ignore"):
+            inside = (values >= np.asarray(self.low) - slack) & (values <= np.asarray(self.high) + slack)
+        wrong = np.argwhere(~inside)  # NaN is not inside
+        if len(wrong):
+            row, place = wrong[0].tolist()
+            return (
+                f"{shown(self.names[place])} = {values[row, place]:.6g} {where} {row}; it can be {self._range(place)}"
+            )
+        return None
+
+    def fits(self, other: ActionSpec | None) -> bool:
+        """Whether a model made for these actions can be given those: the same bounds, whatever their names."""
+        return isinstance(other, Continuous) and (other.low, other.high) == (self.low, self.high)
+
+    def _range(self, place: int) -> str:
+        return f"{self.low[place]:g} to {self.high[place]:g} {self.units[place]}".rstrip()
+
+    def __str__(self) -> str:
+        return ", ".join(f"{name} ({self._range(place)})" for place, name in enumerate(self.names))
+
+
+ActionSpec = Discrete | Continuous
+
+
+def require_discrete(spec: ActionSpec | None, what: str) -> Discrete:
+    """The specification, where something works for discrete actions alone.
+
+    Args:
+        spec: Of the data set or environment.
+        what: It, as the subject of a sentence: ``"planning"``.
+
+    Raises:
+        InvalidSetting: The actions are continuous, or not known.
+    """
+    if isinstance(spec, Discrete):
+        return spec
+    found = "are not known" if spec is None else f"are continuous: {spec}"
+    raise InvalidSetting(f"{what} needs discrete actions, and these {found}; take a data set with discrete actions.")
+
+
+def actions_to_json(spec: ActionSpec | None) -> list[str] | dict[str, list[Any]]:
+    """As ``dataset.json`` holds it: a list of names, empty if unknown, or an object of a continuous action's fields."""
+    if isinstance(spec, Continuous):
+        return {name: list(getattr(spec, name)) for name in ("names", "low", "high", "units")}
+    return [] if spec is None else list(spec.names)
+
+
+def actions_from_json(value: object) -> ActionSpec | None:
+    """What ``actions_to_json`` wrote.
+
+    Raises:
+        ValueError: It is no such thing; says what is wrong, without the last full stop.
+    """
+    try:
+        if isinstance(value, list):
+            return Discrete(tuple(value)) if value else None
+        if isinstance(value, dict):
+            fields = ("names", "low", "high", "units")
+            if set(value) != set(fields) or not all(isinstance(value[name], list) for name in fields):
+                raise ValueError(f"the actions are {shown(value)}, not the lists {', '.join(fields)}")
+            return Continuous(**{name: tuple(value[name]) for name in fields})
+    except InvalidSetting as error:
+        raise ValueError(str(error).rstrip(".")) from None
+    raise ValueError(f"the actions are {shown(value)}, neither names nor a continuous action")
+
+
+def _is_number(value: object) -> bool:
+    return type(value) is float or (type(value) is int and abs(value) <= 2**53)
+
+
+def _check_names(names: tuple[str, ...], most: int) -> None:
+    if not 1 <= len(names) <= most:
+        raise InvalidSetting(f"there are {len(names):,} actions; there can be 1 to {most:,}.")
+    for name in names:
+        if not isinstance(name, str):
+            raise InvalidSetting(f"the name of an action is {shown(name)}; it must be a text.")
+        if len(name) > LONGEST_NAME:
+            raise InvalidSetting(f"the action {shown(name)} has a name longer than {LONGEST_NAME:,} characters.")
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            raise InvalidSetting(f"the action {shown(name)} has a name that is not UTF-8 text.") from None
+    if len(set(names)) != len(names):
+        raise InvalidSetting("two of the actions have the same name; name them apart.")

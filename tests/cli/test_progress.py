@@ -1,0 +1,72 @@
+"""What is said of a long piece of work where stderr is no terminal."""
+
+from __future__ import annotations
+
+import pytest
+
+from dmotion_bench.cli.progress import FIRST_SECONDS, QUIET, SECONDS, ProgressDisplay, duration
+
+
+class Clock:
+    """Tells the time that it was set to."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_line_comes_soon_and_then_now_and_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(QUIET)
+    clock = Clock()
+    with ProgressDisplay(clock) as display:
+        task = display.add_task("training dmotion", total=None, status="reading the data")
+        for second in range(61):
+            clock.now = 100.0 + second
+            display.update(task, completed=10 * second, total=3000, status=f"loss {second}")
+    lines = capsys.readouterr().err.splitlines()
+    times = [FIRST_SECONDS + SECONDS * number for number in range(4)]
+    assert lines == [
+        f"training dmotion: {10 * second:.0f} of 3,000, loss {second:.0f}, {duration(300 - second)} left"
+        for second in times
+    ]
+    assert lines[0].endswith("4 min 55 s left")
+
+
+def test_the_rate_is_of_this_sitting(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(QUIET)
+    clock = Clock()
+    with ProgressDisplay(clock) as display:
+        task = display.add_task("training dmotion")
+        display.update(task, completed=900, total=1000)  # resumed
+        clock.now += 10
+        display.update(task, completed=910)
+    assert capsys.readouterr().err == "training dmotion: 910 of 1,000, 1 min 30 s left\n"
+
+
+def test_work_of_unknown_size_is_told_without_a_guess(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(QUIET)
+    clock = Clock()
+    with ProgressDisplay(clock) as display:
+        task = display.add_task("measuring")
+        clock.now += FIRST_SECONDS
+        display.update(task, status="record[grid_world]")
+        clock.now += SECONDS
+        display.update(task, status="")
+    assert capsys.readouterr().err == "measuring: record[grid_world]\nmeasuring\n"
+
+
+def test_nothing_is_written_where_quiet_is_asked_for(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(QUIET, "1")
+    clock = Clock()
+    with ProgressDisplay(clock) as display:
+        task = display.add_task("measuring")
+        clock.now += FIRST_SECONDS
+        display.update(task, status="record[grid_world]")
+    assert capsys.readouterr().err == ""

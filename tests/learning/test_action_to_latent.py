@@ -1,0 +1,107 @@
+"""Actions become vectors and latent actions by one shared rule, for both kinds of action."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from dmotion_bench.actions import Continuous, Discrete
+from dmotion_bench.learning.action_encoding import ActionEncoding, action_embedding
+from dmotion_bench.learning.action_to_latent import PENALTIES, ActionToLatent, ridge
+
+STEPS = Continuous(names=("dx", "dy"), low=(-0.04, 0.0), high=(0.04, 0.1), units=("m", "m"))
+
+
+def drawn(count: int, seed: int = 0) -> torch.Tensor:
+    return torch.from_numpy(STEPS.denormalise(np.random.default_rng(seed).uniform(-1, 1, (count, 2)))).float()
+
+
+def test_encodings_are_one_hot_or_normalised() -> None:
+    one_hot = ActionEncoding(Discrete.numbered(3))
+    assert one_hot(torch.tensor([2, 0])).tolist() == [[0, 0, 1], [1, 0, 0]]
+    normalised = ActionEncoding(STEPS)
+    assert (one_hot.width, normalised.width, ActionEncoding(None).width) == (3, 2, 0)
+    torch.testing.assert_close(
+        normalised(torch.tensor([[-0.04, 0.1], [0.0, 0.05]])), torch.tensor([[-1.0, 1.0], [0.0, 0.0]])
+    )
+    torch.testing.assert_close(normalised(drawn(9)).double(), torch.from_numpy(STEPS.normalise(drawn(9).numpy())))
+
+
+def test_an_encoding_leaves_no_trace_in_a_checkpoint() -> None:
+    for spec in (Discrete.numbered(3), STEPS, None):
+        assert not ActionEncoding(spec).state_dict()
+
+
+def test_an_embedding_is_a_linear_map_of_the_encoding() -> None:
+    for spec, action in ((Discrete.numbered(3), torch.tensor([2, 0, 2])), (STEPS, drawn(3))):
+        embedding, encoding = action_embedding(spec, 5), ActionEncoding(spec)
+        weight = embedding.weight if isinstance(spec, Discrete) else embedding.weight.T
+        bias = 0 if isinstance(spec, Discrete) else embedding.bias
+        torch.testing.assert_close(embedding(action), encoding(action) @ weight + bias)
+
+
+def test_discrete_actions_have_a_table_of_means_that_keeps_what_was_not_shown() -> None:
+    table = ActionToLatent(Discrete.numbered(3), 2, unaligned=torch.tensor([0.0, 9.0]))
+    table.fit(torch.tensor([[1.0, 2.0], [3.0, 6.0], [7.0, 7.0]]), torch.tensor([0, 0, 2]))
+    assert table(torch.tensor([2, 0, 1])).tolist() == [[7, 7], [2, 4], [0, 9]]
+    table.fit(torch.tensor([[5.0, 5.0]]), torch.tensor([1]))
+    assert table.rows.tolist() == [[2, 4], [5, 5], [7, 7]]
+
+
+def test_a_linear_relation_is_found_exactly_and_kept_by_a_checkpoint() -> None:
+    action = drawn(16)
+    matrix, offset = torch.tensor([[30.0, 1.0, 0.0], [-2.0, 0.0, 20.0]]), torch.tensor([0.1, -0.2, 0.3])
+    learned, kept = ActionToLatent(STEPS, 3), ActionToLatent(STEPS, 3)
+    learned.fit(action @ matrix + offset, action)
+    kept.load_state_dict(learned.state_dict())
+    fresh = drawn(50, seed=1)
+    torch.testing.assert_close(kept(fresh), fresh @ matrix + offset, atol=1e-4, rtol=1e-4)
+
+
+def test_before_alignment_every_action_is_the_same() -> None:
+    still = torch.tensor([1.0, 0.0, 0.5])
+    for spec, action in ((STEPS, drawn(2)), (Discrete.numbered(2), torch.tensor([0, 1]))):
+        assert ActionToLatent(spec, 3, unaligned=still)(action).tolist() == [still.tolist()] * 2
+
+
+def test_one_demonstration_gives_its_latent_action_to_every_action() -> None:
+    learned = ActionToLatent(STEPS, 2)
+    learned.fit(torch.tensor([[3.0, -1.0]]), drawn(1))
+    torch.testing.assert_close(learned(drawn(5, seed=2)), torch.tensor([[3.0, -1.0]]).expand(5, 2))
+
+
+@pytest.mark.parametrize("noise", [0.01, 1.0, 30.0])
+def test_the_regularisation_is_the_one_that_leaves_least_error_when_each_row_is_left_out(noise: float) -> None:
+    generator = torch.Generator().manual_seed(3)
+    known = torch.rand(12, 2, generator=generator, dtype=torch.float64) * 2 - 1
+    wanted = known @ torch.tensor([[2.0], [-1.0]], dtype=torch.float64)
+    wanted = wanted + noise * torch.randn(12, 1, generator=generator, dtype=torch.float64)
+
+    def fitted(rows: torch.Tensor, penalty: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """Slopes and intercept by the normal equations; the intercept is not penalised."""
+        x, y = known[rows], wanted[rows]
+        x0, y0 = x.mean(0), y.mean(0)
+        slopes = torch.linalg.solve((x - x0).T @ (x - x0) + penalty * torch.eye(2), (x - x0).T @ (y - y0))
+        return slopes, y0 - x0 @ slopes
+
+    def left_out(penalty: float) -> float:
+        total = 0.0
+        for row in range(12):
+            slopes, offset = fitted(torch.arange(12) != row, penalty)
+            total += float((wanted[row] - known[row] @ slopes - offset).square().sum())
+        return total
+
+    best = min((float(one) * 12 for one in PENALTIES), key=left_out)
+    slopes, offset = fitted(torch.ones(12, dtype=torch.bool), best)
+    torch.testing.assert_close(ridge(known, wanted), torch.cat([offset[None], slopes]))
+
+
+def test_noise_alone_is_answered_by_the_mean() -> None:
+    generator = torch.Generator().manual_seed(0)
+    wanted = torch.randn(40, 2, generator=generator)
+    found = ridge(ActionEncoding(STEPS)(drawn(40)), wanted)
+    assert found[1:].abs().max() < 0.5 * math.sqrt(2)
+    torch.testing.assert_close(found[0], wanted.mean(0), atol=0.2, rtol=0)

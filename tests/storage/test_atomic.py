@@ -1,0 +1,69 @@
+"""Temporary files: whose process was killed is deleted, whose process still writes is not."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from dmotion_bench.storage import atomic
+from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, atomic_file, remove_leftovers
+
+
+def _killed_while_writing(path: Path) -> None:
+    process = os.fork()
+    if process == 0:
+        with atomic_file(path) as file:
+            file.write(b"half")
+            file.flush()
+            os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(process, 0)
+
+
+def test_only_what_nobody_writes_any_more_is_deleted(tmp_path: Path) -> None:
+    _killed_while_writing(tmp_path / "dead")
+    assert [path.suffix for path in tmp_path.iterdir()] == [TEMPORARY_SUFFIX]
+    (tmp_path / "folder.part").mkdir()
+    with atomic_file(tmp_path / "alive") as file:
+        file.write(b"whole")
+        remove_leftovers(tmp_path)
+        (temporary,) = (path for path in tmp_path.glob("*.part") if path.is_file())
+        assert temporary.name.startswith("alive.")
+    remove_leftovers(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["alive", "folder.part"]
+    assert (tmp_path / "alive").read_bytes() == b"whole"
+
+
+def test_a_file_that_is_taken_for_a_leftover_before_it_is_locked_is_begun_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lock, taken = fcntl.flock, []
+
+    def flock(handle: int, how: int) -> None:
+        if not taken:
+            taken.extend(tmp_path.glob("*.part"))
+            taken[0].unlink()
+        lock(handle, how)
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with atomic_file(tmp_path / "x") as file:
+        file.write(b"whole")
+    assert len(taken) == 1
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("x", b"whole")]
+
+
+def test_without_locks_files_are_written_and_leftovers_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on some network file systems, where nobody can tell a leftover from a file that is being written."""
+
+    def flock(_handle: int, _how: int) -> None:
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(atomic.fcntl, "flock", flock)
+    (tmp_path / f"x.1{TEMPORARY_SUFFIX}").touch()
+    with atomic_file(tmp_path / "x") as file:
+        file.write(b"whole")
+    remove_leftovers(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x", f"x.1{TEMPORARY_SUFFIX}"]

@@ -1,0 +1,108 @@
+"""Continuous actions on disk: every number comes back as it was, and one that cannot be is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from noise_world import MOVES, assert_same_episode, files_of, noise_episode, noise_lengths, noise_spec, write_noise
+
+from dmotion_bench.errors import DatasetCorrupt, InvalidSetting
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.check import check_dataset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.writer import DatasetWriter
+
+SPEC = noise_spec(actions=MOVES)
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Dataset:
+    return write_noise(tmp_path / "noise", spec=SPEC)
+
+
+def test_episodes_come_back_as_they_were_written(written: Dataset) -> None:
+    assert written.spec == SPEC
+    for number, frames in enumerate(noise_lengths(len(written))):
+        assert_same_episode(written.episode(number), noise_episode(number, frames, SPEC))
+        assert written.states(number).actions.dtype == np.float64
+    assert not check_dataset(written.path).damages
+
+
+def test_the_same_recipe_makes_the_same_bytes(written: Dataset, tmp_path: Path) -> None:
+    assert files_of(written.path) == files_of(write_noise(tmp_path / "again", spec=SPEC).path)
+
+
+def test_every_mcap_library_reads_them(written: Dataset) -> None:
+    expected = noise_episode(0, noise_lengths(1)[0], SPEC).labels
+    with (written.path / "labels" / "shard-00000.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        messages = list(reader.iter_decoded_messages(topics=["/action"]))[: len(expected.actions)]
+    assert {one.schema.name for one in messages} == {"dmbench.ContinuousAction"}
+    assert [list(one.decoded_message.values) for one in messages] == expected.actions.tolist()
+    assert [one.decoded_message.pushed for one in messages] == expected.pushed.tolist()
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(np.nan, "'turn' = nan at step 1"), (1.6, "'turn' = 1.6 at step 1; it can")]
+)
+def test_what_cannot_be_is_refused_before_anything_is_written(tmp_path: Path, value: float, said: str) -> None:
+    episode = noise_episode(0, 4, SPEC)
+    actions = episode.labels.actions.copy()
+    actions[1, 1] = value
+    wrong = dataclasses.replace(episode, labels=dataclasses.replace(episode.labels, actions=actions))
+    recipe = DatasetRecipe(environment="noise", episodes=1, frames=4)
+    with DatasetWriter.create_or_resume(tmp_path / "a", recipe, SPEC) as writer:
+        with pytest.raises(InvalidSetting, match=f"an episode of 'noise' holds {said}"):
+            writer.write_shard(0, [wrong])
+        assert not list((tmp_path / "a").rglob("*.mcap*"))
+
+
+def _narrow(environment: dict[str, Any]) -> None:
+    environment["actions"]["high"][1] = 0.01
+
+
+def _longer(environment: dict[str, Any]) -> None:
+    for name, value in (("names", "z"), ("low", -1.0), ("high", 1.0), ("units", "m")):
+        environment["actions"][name].append(value)
+
+
+@pytest.mark.parametrize(
+    ("forge", "said"),
+    [
+        (_narrow, r"it holds 'turn' = \S+ at step \d; it can be 0 to 0.01 rad"),
+        (_longer, r"it holds action \[.*\] at step 0"),
+    ],
+)
+def test_labels_that_contradict_the_data_set_are_damaged(written: Dataset, forge: Any, said: str) -> None:
+    file = written.path / "dataset.json"
+    content = json.loads(file.read_text())
+    forge(content["environment"])
+    file.write_text(json.dumps(content))
+    forged = Dataset.open(written.path)
+    with pytest.raises(DatasetCorrupt, match=said):
+        _ = [forged.states(number) for number in range(len(forged))]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"low": [0.0]}, "give as many of each"),
+        ({"low": [1.0, 0.0]}, "must be below the upper"),
+        ({"names": ["a", "a"]}, "same name"),
+        ({"high": [1e999, 1.0]}, "dataset.json"),
+    ],
+)
+def test_a_specification_that_cannot_be_is_refused(written: Dataset, change: dict[str, Any], said: str) -> None:
+    file = written.path / "dataset.json"
+    content = json.loads(file.read_text())
+    content["environment"]["actions"].update(change)
+    file.write_text(json.dumps(content))
+    with pytest.raises(DatasetCorrupt, match=said):
+        Dataset.open(written.path)

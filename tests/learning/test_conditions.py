@@ -15,12 +15,11 @@ from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.timing import FEWEST_ROUNDS, clearly_faster, timed_in_turn
-from dmotion_bench.learning.training import train
+from dmotion_bench.learning.training import Report, train
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
 CPU = torch.device("cpu")
-SETTINGS = ("batch_size=16", "epochs=0.05", "validations=1")
 BUSY = {1: 0.2, 2: 2.0}
 QUIET = {1: 0.2, 2: 0.11}
 """Seconds of a step by the number of threads."""
@@ -42,67 +41,80 @@ def two_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-def _trained(
+class Stopped(Exception):
+    """Raised after a training's first step."""
+
+
+def _begun(
     data: Path, folder: Path, seconds: Mapping[int, float], monkeypatch: pytest.MonkeyPatch, **request: Any
-) -> Run:
-    """A run on a machine where steps take so long."""
+) -> tuple[Run, int]:
+    """A run on a machine where steps take so long, stopped after its first step; and the threads of that step."""
+    used: list[int] = []
 
     def in_turn(ways: Mapping[str, Callable[[], object]], _: torch.device) -> dict[str, tuple[float, ...]]:
         found = {}
         for name, way in ways.items():
-            used: list[int] = []
-            with monkeypatch.context() as patched:
-                patched.setattr("torch.set_num_threads", used.append)
-                way()
-            found[name] = (seconds[used[0]],) * 3
+            way()
+            found[name] = (seconds[used[-1]],) * 3
         return found
 
+    def stop(_: Report) -> None:
+        used.append(torch.get_num_threads())
+        raise Stopped
+
     monkeypatch.setattr("dmotion_bench.learning.conditions.timed_in_turn", in_turn)
-    asked = TrainingRequest(model="dmotion", settings=SETTINGS, **request)
+    monkeypatch.setattr(
+        "dmotion_bench.learning.conditions._trial", lambda *_: lambda _: used.append(torch.get_num_threads())
+    )
+    asked = TrainingRequest(model="dmotion", settings=("batch_size=4", "epochs=0.1"), **request)
     run = open_run(asked, Dataset.open(data), folder, Workspace(folder))
-    train(run, training_data(run, Dataset.open(data)), launch("cpu"), lambda _: None)
-    return run
+    with pytest.raises(Stopped):
+        train(run, training_data(run, Dataset.open(data)), launch("cpu"), stop)
+    assert torch.get_num_threads() == 2, "as before the training"
+    return Run.open(run.path), used[-1]
 
 
 def test_a_busy_machine_is_said_once_and_computed_on_with_one_thread(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.WARNING, "dmotion_bench"):
-        run = _trained(recorded, tmp_path / "busy", BUSY, monkeypatch)
-    assert [record.getMessage() for record in caplog.records if "busy" in record.getMessage()] == [
+        run, used = _begun(recorded, tmp_path / "run", BUSY, monkeypatch)
+        again, used_again = _begun(recorded, tmp_path / "run", QUIET, monkeypatch)
+    assert [record.getMessage() for record in caplog.records] == [
         "this machine is busy: a step takes 2 s with 2 threads and 0.2 s with one, so the training computes with one; "
         "'--threads' chooses another number."
     ]
-    kept = Run.open(run.path)
-    assert kept.conditions is not None
-    assert (kept.conditions.threads, dict(kept.conditions.threads_probe)) == (1, {"2": 2.0, "1": 0.2})
-    assert torch.get_num_threads() == 2  # as before the training
-
-    alone = _trained(recorded, tmp_path / "asked", BUSY, monkeypatch, threads=1)
-    assert alone.conditions is not None
-    assert dict(alone.conditions.threads_probe) == {}
-    assert alone.result is not None
-    assert kept.result is not None
-    assert kept.result["weights"] == alone.result["weights"]
+    assert run.conditions is not None
+    assert (run.conditions.threads, dict(run.conditions.threads_probe)) == (1, {"2": 2.0, "1": 0.2})
+    assert run.conditions == again.conditions
+    assert used == used_again == 1
 
 
-def test_a_quiet_machine_computes_with_all_threads(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(
+    ("seconds", "variable", "asked", "probe"),
+    [
+        (QUIET, None, {}, {"2": 0.11, "1": 0.2}),
+        (BUSY, "2", {}, {}),
+        (BUSY, None, {"threads": 2}, {}),
+    ],
+)
+def test_all_threads_compute_on_a_quiet_machine_and_where_somebody_chose_their_number(
+    recorded: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    seconds: Mapping[int, float],
+    variable: str | None,
+    asked: Mapping[str, int],
+    probe: Mapping[str, float],
 ) -> None:
+    if variable is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", variable)
     with caplog.at_level(logging.WARNING, "dmotion_bench"):
-        run = _trained(recorded, tmp_path / "quiet", QUIET, monkeypatch)
+        run, used = _begun(recorded, tmp_path / "run", seconds, monkeypatch, **asked)
     assert run.conditions is not None
-    assert run.conditions.threads == 2
+    assert (run.conditions.threads, used, dict(run.conditions.threads_probe)) == (2, 2, probe)
     assert not caplog.records
-
-
-def test_a_number_of_threads_that_somebody_set_is_not_measured(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    run = _trained(recorded, tmp_path / "set", BUSY, monkeypatch)
-    assert run.conditions is not None
-    assert (run.conditions.threads, dict(run.conditions.threads_probe)) == (2, {})
 
 
 def test_ways_take_turns_and_the_first_of_each_does_not_count() -> None:

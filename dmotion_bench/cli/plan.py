@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmotion_bench.actions import require_discrete
+from dmotion_bench.actions import Discrete
 from dmotion_bench.cli.options import REFERENCES, ObjectiveName, ObjectiveSettings, PlannerName, PlannerSettings
 from dmotion_bench.wording import command
 
@@ -116,6 +116,7 @@ def _solve(
     from dmotion_bench.cli.progress import progress_bar
     from dmotion_bench.planning.choices import make_solver
     from dmotion_bench.planning.driving import predicted
+    from dmotion_bench.planning.dynamics.model import in_units
     from dmotion_bench.planning.mpc import ControlProgress, ControlSettings, Scene, control
     from dmotion_bench.planning.tasks import task_environment
     from dmotion_bench.scoring.control import agent_of
@@ -140,7 +141,7 @@ def _solve(
                 return
             futures, seen = None, scene.context.observation
             if pictures and model is not None and scene.decision.plan is not None:
-                best = torch.from_numpy(scene.decision.plan.candidates[0, :SHOWN])
+                best = in_units(model.inputs.actions, torch.from_numpy(scene.decision.plan.candidates[0, :SHOWN]))
                 previous, current = (torch.from_numpy(images[0]) for images in (seen.previous, seen.current))
                 futures = predicted(model, previous, current, best).numpy()
             world = scene.worlds[0]
@@ -160,7 +161,9 @@ def _solve(
 
 
 def _summary(who: str, dataset: Dataset, result: ControlResult, planner: str) -> dict[str, Any]:
-    names = require_discrete(dataset.spec.actions, "planning").names
+    from dmotion_bench.planning.agents import known_actions, was_taken
+
+    spec = known_actions(dataset.spec)
     distance = result.distance[0].round(6).tolist()
     return {
         "run": who,
@@ -171,7 +174,10 @@ def _summary(who: str, dataset: Dataset, result: ControlResult, planner: str) ->
         "distance": distance,
         "final_distance": distance[-1],
         "lost": int(result.lost[0, -1]),
-        "actions": [names[action] if action >= 0 else None for action in result.actions[0].tolist()],
+        "actions": [
+            (spec.names[action] if isinstance(spec, Discrete) else action.tolist()) if taken else None
+            for action, taken in zip(result.actions[0], was_taken(result.actions[0]), strict=True)
+        ],
         "frames": result.frames,
         "planning_seconds": round(result.seconds, 3),
     }

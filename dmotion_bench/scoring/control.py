@@ -234,7 +234,7 @@ def known_references(dataset: TaskDataset, scoring: ControlScoring) -> tuple[str
 
 
 def control_samples(predictor: str, result: ControlResult) -> pa.Table:
-    """The samples of control: one row for each task and step, including the start."""
+    """The samples of control: one row for each task and step, including the start; continuous actions are left out."""
     moments = result.distance.shape[1]
     rows = SampleRows(METRIC, predictor)
     for place, (task, episode) in enumerate(zip(result.tasks, result.episodes, strict=True)):
@@ -243,7 +243,7 @@ def control_samples(predictor: str, result: ControlResult) -> pa.Table:
                 "episode": np.full(moments, episode),
                 "step": np.full(moments, result.starts[place]),
                 "ahead": np.arange(moments),
-                "action": np.append(result.actions[place], -1),
+                "action": np.append(result.actions[place], -1) if result.actions.ndim == 2 else np.full(moments, -1),
                 "task": np.full(moments, task),
                 "control_distance": result.distance[place],
                 "control_lost": result.lost[place],

@@ -6,13 +6,14 @@ Everything is on the timeline ``step``, the number of actions taken before.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import UInt8
 
-from dmotion_bench.actions import require_discrete
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.planning.solvers.base import Plan
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.viewing.scene import picture_view
@@ -80,7 +81,7 @@ def log_step(
         recording.log(
             "candidates",
             rr.TextDocument(
-                candidate_table(require_discrete(spec.actions, "a table of candidates").names, plan),
+                candidate_table(spec.actions, plan),
                 media_type="text/markdown",
             ),
         )
@@ -101,7 +102,15 @@ def strip_of(futures: UInt8[np.ndarray, "m t h w 3"]) -> UInt8[np.ndarray, "y x 
     return strip
 
 
-def candidate_table(actions: Sequence[str], plan: Plan) -> str:
+def named(actions: ActionSpec | None, sequence: Sequence[Any]) -> str:
+    """A sequence of actions in words: names, or the numbers of continuous ones in their units."""
+    if isinstance(actions, Discrete):
+        return " ".join(actions.names[action] for action in sequence)
+    rows = actions.denormalise(np.array(sequence)).tolist() if isinstance(actions, Continuous) else sequence
+    return " ".join(f"({', '.join(f'{number:.3g}' for number in row)})" for row in rows)
+
+
+def candidate_table(actions: ActionSpec | None, plan: Plan) -> str:
     """The best candidates of a plan's first task, as Markdown; with the parts of their costs, if there are several."""
     parts = {name: values[0] for name, values in plan.parts.items()}
     shown = list(parts) if any(np.any(values) for name, values in parts.items() if name != "distance") else []
@@ -109,5 +118,5 @@ def candidate_table(actions: Sequence[str], plan: Plan) -> str:
     for place, (cost, sequence) in enumerate(zip(plan.costs[0], plan.candidates[0].tolist(), strict=True)):
         if np.isfinite(cost):
             values = "".join(f" {parts[name][place]:.4g} |" for name in shown)
-            lines.append(f"| {cost:.4g} |{values} {' '.join(actions[action] for action in sequence)} |")
+            lines.append(f"| {cost:.4g} |{values} {named(actions, sequence)} |")
     return "\n".join(lines)

@@ -26,7 +26,7 @@ from dmotion_bench.planning.solvers.base import PlanContext
 from dmotion_bench.planning.solvers.proposals import Gaussian, coloured
 
 SOLVERS = ("cem", "icem", "mppi", "random-shooting", "gradient")
-GOOD = {"cem": 0.05, "icem": 0.05, "mppi": 0.1, "random-shooting": 0.1, "gradient": 0.05}
+GOOD = {"cem": 0.05, "icem": 0.05, "mppi": 0.1, "random-shooting": 0.2, "gradient": 0.05}
 """How far from the goal the best plan may end, where it starts 0.45 away [m]."""
 
 
@@ -189,34 +189,35 @@ def test_settings_that_cannot_be(name: str, wrong: str) -> None:
 def solve(
     who: str, problems: list[Any], *, solver: str = "icem", objective: Any = None, **settings: Any
 ) -> ControlResult:
-    agent = make_reference(who, FACTS, Sliding, make_solver(solver), objective)
+    few = ["samples=16", "iterations=3"] + (["elites=4"] if "cem" in solver else [])
+    agent = make_reference(who, FACTS, Sliding, make_solver(solver, few), objective)
     return control(agent, problems, Sliding, ControlSettings(**settings))
 
 
 @pytest.fixture(scope="module")
 def problems() -> list[Any]:
-    return [problem(number, Sliding()) for number in range(3)]
+    return [problem(number, Sliding()) for number in range(2)]
 
 
-@pytest.mark.parametrize(("solver", "left"), [("icem", 0.15), ("cem", 0.3), ("mppi", 0.3)])
-def test_the_oracle_pushes_the_puck_to_its_goal(problems: list[Any], solver: str, left: float) -> None:
-    result = solve("oracle", problems, solver=solver, steps=20)
-    assert result.actions.shape == (3, 20, 2)
+@pytest.mark.parametrize("solver", ["icem", "mppi"])
+def test_the_oracle_pushes_the_puck_to_its_goal(problems: list[Any], solver: str) -> None:
+    result = solve("oracle", problems, solver=solver, steps=15)
+    assert result.actions.shape == (2, 15, 2)
     assert ACTIONS.fault(result.actions.reshape(-1, 2)) is None
-    assert result.distance[:, -1].mean() < left
+    assert result.distance[:, -1].mean() < 0.15
 
 
 def test_objectives_of_images_work_with_continuous_actions(problems: list[Any]) -> None:
-    result = solve("oracle", problems[:1], objective=make_objective("tracked"), steps=15)
+    result = solve("oracle", problems[:1], objective=make_objective("tracked"), steps=10)
     assert result.distance[0].min() < 0.4
-    assert solve("oracle", problems[:1], objective=make_objective("tabletop"), steps=2).planned == 2
+    assert solve("oracle", problems[:1], objective=make_objective("tabletop"), steps=1).planned == 1
 
 
 def test_who_does_nothing_and_who_does_anything(problems: list[Any]) -> None:
     idle, random = (solve(who, problems, steps=4) for who in ("idle", "random"))
     assert np.isnan(idle.actions).all()
     np.testing.assert_array_equal(idle.distance, 1)
-    assert len({tuple(row) for row in random.actions.reshape(-1, 2).tolist()}) == 12
+    assert len({tuple(row) for row in random.actions.reshape(-1, 2).tolist()}) == 8
     assert ACTIONS.fault(random.actions.reshape(-1, 2)) is None
     with pytest.raises(InvalidSetting, match="'sliding' comes with no scripted reference"):
         solve("scripted", problems, steps=1)
@@ -231,7 +232,7 @@ def test_a_killed_run_goes_on_with_the_same_result(
     problems: list[Any], who: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
-    solver, settings = make_solver("icem", ["samples=8", "elites=3", "iterations=2"]), ControlSettings(steps=5, group=2)
+    solver, settings = make_solver("icem", ["samples=8", "elites=3", "iterations=2"]), ControlSettings(steps=5, group=1)
 
     def run(watch: Any = lambda _: None, journal: Journal | None = None) -> ControlResult:
         agent = make_reference(who, FACTS, Sliding, solver)

@@ -84,7 +84,7 @@ class ModelDynamics:
         return torch.cat([part.flatten(1).float() for part in state], dim=1)
 
 
-def in_units(spec: ActionSpec, action: Actions) -> Tensor:
+def in_units(spec: ActionSpec | None, action: Tensor) -> Tensor:
     """Actions as a model takes them: numbers as they are, continuous ones in their units."""
     if not isinstance(spec, Continuous):
         return action

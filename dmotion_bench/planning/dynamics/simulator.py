@@ -73,12 +73,13 @@ class Simulation:
         actions = tuple(world.actions)
         if actions == self.here.actions:
             return
-        known, self._after = self._after, {} if isinstance(self.env.facts.actions, Continuous) else self._after
         if isinstance(self.env, Restorable):  # a restored state may differ from the true one in its last bits
             self.here = _seen_from(world.env, actions)
         else:
             for action in actions[len(self.here.actions) :]:
-                self.here = known.get((self.here.name, action)) or self.step(self.here, action)
+                self.here = self.step(self.here, action)
+        if isinstance(self.env.facts.actions, Continuous):
+            self._after.clear()  # hardly any of it will be met again
 
     def step(self, place: Place, action: ActionTaken) -> Place:
         """The state that an action leads to."""

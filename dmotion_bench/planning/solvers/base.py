@@ -28,7 +28,7 @@ class PlanContext:
 
     observation: Observation
     generators: tuple[np.random.Generator, ...]
-    blocked: Bool[np.ndarray, "b a"]
+    blocked: Bool[np.ndarray, "b discrete"]
     memory: Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"] | None = None
 
 

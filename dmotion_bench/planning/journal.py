@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from dmotion_bench.planning.tasks import Problem, World
-from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.json_file import read_json
 
 FORMAT: Final = "dmbench-control/2"
@@ -68,6 +68,7 @@ class Journal:
         self._memory: dict[int, list[Any]] = {}
         self._written = time.monotonic()
         if path is not None:
+            remove_leftovers(path.parent)
             self._read(path)
 
     @classmethod

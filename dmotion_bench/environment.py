@@ -106,6 +106,14 @@ class Restorable(Protocol):
 
 
 @runtime_checkable
+class Undrawn(Protocol):
+    """An environment that can take an action without drawing, which the oracle does thousands of times a step."""
+
+    def advance(self, action: Action) -> bool:
+        """Do what ``step`` does to the state; whether the action was impossible. The next ``step`` draws again."""
+
+
+@runtime_checkable
 class TaskMeasure(Protocol):
     """How far an environment is from a control task's goal."""
 

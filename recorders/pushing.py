@@ -152,16 +152,25 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         Raises:
             InvalidSetting: A displacement has a number outside of its bounds.
         """
-        place, illegal = self._after(action)
-        acts = not illegal or isinstance(self.actions, Continuous)
-        if acts:
-            self._place = place
-            self._moment += 1
-            self._push(self.lattice.at(self._place))
-        if acts or not self._drawn_as_is:
+        illegal = self.advance(action)
+        if not self._drawn_as_is:
             self._frame, self._masks = self._draw()
             self._drawn_as_is = True
         return self._frame.copy(), 0.0, self._terminated(), False, {"illegal": illegal}
+
+    def advance(self, action: Any) -> bool:
+        """Move the pusher as ``step`` does, without drawing it; whether the move would have left its area.
+
+        Raises:
+            InvalidSetting: A displacement has a number outside of its bounds.
+        """
+        place, illegal = self._after(action)
+        if not illegal or isinstance(self.actions, Continuous):
+            self._place = place
+            self._moment += 1
+            self._push(self.lattice.at(self._place))
+            self._drawn_as_is = False
+        return illegal
 
     def _after(self, action: Any) -> tuple[Place, bool]:
         """Where an action leads, and whether it would leave the pusher's area."""

@@ -23,6 +23,8 @@ from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.json_file import read_json
 
 FORMAT: Final = "dmbench-control/2"
+EARLIER_FORMAT: Final = "dmbench-control/1"
+"""Of earlier releases, without a checksum; what the oracle did takes hours, so it is read still."""
 WRITE_EVERY: Final = 5.0  # [s]
 
 Memory = Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"]
@@ -116,9 +118,9 @@ class Journal:
     def _read(self, path: Path) -> None:
         try:
             content = read_json(path, nan=True)
-            if content.pop("crc32") != _checksum(content):
+            if content["format"] != EARLIER_FORMAT and content.pop("crc32") != _checksum(content):
                 return
-            if content["format"] != FORMAT or content["key"] not in self._accepted:
+            if content["format"] not in (FORMAT, EARLIER_FORMAT) or content["key"] not in self._accepted:
                 return
             records = {int(number): _record(**fields) for number, fields in content["tasks"].items()}
             memory = {int(number): own for number, own in content["memory"].items()}

@@ -234,7 +234,12 @@ def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = (
 
 def take(env: Environment, action: ActionTaken) -> UInt8[np.ndarray, "h w 3"]:
     """Take an action; returns the image after it."""
-    return env.step(np.array(action) if isinstance(action, tuple) else action)[0]
+    return env.step(given(action))[0]
+
+
+def given(action: ActionTaken) -> int | Float[np.ndarray, " a"]:
+    """An action as an environment takes it."""
+    return np.array(action) if isinstance(action, tuple) else action
 
 
 def as_actions(rows: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]) -> list[ActionTaken]:

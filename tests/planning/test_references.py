@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmotion_bench.environment import Environment, Restorable
+from dmotion_bench.environment import Environment, Restorable, Undrawn
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.agents import NO_ACTION, make_reference
 from dmotion_bench.planning.dynamics.simulator import Simulation
@@ -116,6 +116,22 @@ def test_a_restored_state_is_what_a_step_off_the_lattice_shows() -> None:
     frame, *_, info = elsewhere.step(0)
     assert info["illegal"]
     np.testing.assert_array_equal(frame, shown)
+
+
+def test_advancing_without_drawing_does_to_the_state_what_a_step_does() -> None:
+    stepped, advanced = PlanarPush(), PlanarPush()
+    assert isinstance(advanced, Undrawn)
+    stepped.reset(seed=2)
+    advanced.reset(seed=2)
+    for action in np.random.default_rng(0).integers(0, 4, 12).tolist():
+        impossible = advanced.advance(action)
+        frame, *_, info = stepped.step(action)
+        assert impossible == info["illegal"]
+        np.testing.assert_array_equal(advanced.objects().position, stepped.objects().position)
+    action = int(np.flatnonzero(stepped.legal_actions())[0])
+    frame, shown = stepped.step(action)[0], advanced.step(action)[0]
+    np.testing.assert_array_equal(shown, frame)
+    np.testing.assert_array_equal(advanced.masks(), stepped.masks())
 
 
 class Replayed(GridWorld):

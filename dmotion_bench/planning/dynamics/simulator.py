@@ -22,12 +22,12 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.environment import Environment, Restorable
+from dmotion_bench.environment import Environment, Restorable, Undrawn
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.planning.dynamics.base import Actions, Dynamics, Observation, State
 from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
-from dmotion_bench.planning.tasks import ActionTaken, Problem, World, as_actions, measure_of, start, take
+from dmotion_bench.planning.tasks import ActionTaken, Problem, World, as_actions, given, measure_of, start, take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,11 @@ class Simulation:
         known = self._after.get((place.name, action))
         if known is None:
             self._go(place)
-            frame = take(self.env, action)
+            frame = None
+            if self._pictures or not isinstance(self.env, Undrawn):
+                frame = take(self.env, action)
+            else:
+                self.env.advance(given(action))
             self.tried += 1
             known = self._now = self._place((*place.actions, action), frame)
             self._after[place.name, action] = known
@@ -109,8 +113,10 @@ class Simulation:
         else:
             start(self.env, self.problem, place.actions)
 
-    def _place(self, actions: tuple[ActionTaken, ...], frame: UInt8[np.ndarray, "h w 3"]) -> Place:
-        picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1) if self._pictures else None
+    def _place(self, actions: tuple[ActionTaken, ...], frame: UInt8[np.ndarray, "h w 3"] | None) -> Place:
+        picture = None
+        if self._pictures and frame is not None:
+            picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1)
         return replace(_seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
 
 

@@ -21,6 +21,7 @@ from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.specs import EnvSpec, ObjectSpec, ObjectStates, Preset, Scalar
 from recorders.push_policy import PushPolicy
+from recorders.pushing_script import PushingScript
 from recorders.table_lattice import Lattice, Place
 from recorders.variation import Factor, Variation, named_factors
 
@@ -84,6 +85,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     )
     policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType({"push": PushPolicy})
     default_policy: ClassVar[str] = "push"
+    objective: ClassVar[str] = "tracked"
     factors: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __init__(
@@ -117,6 +119,10 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """Where each discrete action takes the pusher, along the world's x and y [m]."""
         moves: Float[np.ndarray, "a 2"] = self.lattice.step * np.asarray(self.lattice.moves)
         return moves
+
+    def script(self) -> PushingScript:
+        """The rules of the reference ``scripted``."""
+        return PushingScript()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -52,7 +52,7 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("data set", f"{summary['dataset']} ({summary['format']})"),
         ("made by", f"{recipe['environment']}, policy {recipe['policy']}, seed {recipe['seed']}{drawn}"),
         ("frames", f"{frame['width']}x{frame['height']} pixels, {1e9 / frame['step_ns']:g} a second"),
-        ("actions", ", ".join(summary["actions"]) or "unknown"),
+        ("actions", _actions(summary["actions"])),
         ("objects", ", ".join(summary["objects"]) or "unknown"),
     ]
     if not summary["complete"]:
@@ -74,6 +74,12 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("fingerprint", summary["fingerprint"]),
         ("made with", ", ".join(f"{name} {version}" for name, version in summary["versions"].items())),
     ]
+
+
+def _actions(actions: list[str] | dict[str, Any]) -> str:
+    from dmotion_bench.actions import actions_from_json
+
+    return str(actions_from_json(actions) or "unknown")
 
 
 def _size(count: int) -> str:

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -44,10 +44,24 @@ def data_import(
     ] = None,
     actions: Annotated[
         str | None,
+        typer.Option(help="Topic, feature or path with the actions; they become labels. Default: import video alone."),
+    ] = None,
+    action_fields: Annotated[
+        str | None,
         typer.Option(
-            help="Topic, feature or path with discrete actions; they become labels. Default: import video alone."
+            metavar="FIELD,...",
+            help="Fields with the numbers of continuous actions, such as linear.x,angular.z. A field with several "
+            "numbers stands for all of them. Default: all numbers of LeRobot's and HDF5's actions.",
         ),
     ] = None,
+    action_reduce: Annotated[
+        str,
+        typer.Option(
+            metavar="[last|mean|sum]",
+            help="How several continuous commands between two frames become one action: the command in force halfway, "
+            "their mean, or their sum.",
+        ),
+    ] = "last",
     size: Annotated[int, typer.Option(min=8, max=4096, help="Height and width of the frames, in pixels.")] = 128,
     hz: Annotated[float, typer.Option(min=0.01, max=1000, help="Frames per second of the data set.")] = 10.0,
     source_hz: Annotated[
@@ -98,18 +112,25 @@ def data_import(
 
     The command checks the times and sizes of all recordings first. If one cannot be imported, it writes nothing.
     """
+    from dmotion_bench.storage.imports.continuous_commands import Reduce
     from dmotion_bench.storage.imports.fitting import Fit
     from dmotion_bench.storage.imports.limits import MIB, ImportLimits
     from dmotion_bench.storage.imports.options import ImportOptions
     from dmotion_bench.storage.imports.recording import Clock
     from dmotion_bench.workspace import Workspace
 
-    for option, given, allowed in (("fit", fit, list(Fit)), ("clock", clock, list(Clock))):
+    for option, given, allowed in (
+        ("fit", fit, list(Fit)),
+        ("clock", clock, list(Clock)),
+        ("action-reduce", action_reduce, list(Reduce)),
+    ):
         if given not in allowed:
             raise UnknownName(option, given, [str(choice) for choice in allowed])
     options = ImportOptions(
         camera=camera,
         actions=actions,
+        action_fields=() if action_fields is None else tuple(name.strip() for name in action_fields.split(",")),
+        action_reduce=Reduce(action_reduce),
         size=size,
         hz=hz,
         fit=Fit(fit),
@@ -125,7 +146,7 @@ def data_import(
     folder = out or Workspace.current().data / f"imported-{_plain(recordings[0])}"
     report = _import_with_progress(recordings, folder, options)
     if as_json:
-        typer.echo(json.dumps(dataclasses.asdict(report) | {"path": str(report.path)}))
+        typer.echo(json.dumps(_as_json(report)))
     else:
         typer.echo(_summary(report, options))
 
@@ -146,6 +167,12 @@ def _import_with_progress(recordings: list[Path], folder: Path, options: ImportO
             raise Interrupted(
                 "interrupted; the unfinished import was removed. Run the same command again to start over."
             ) from None
+
+
+def _as_json(report: ImportReport) -> dict[str, Any]:
+    from dmotion_bench.actions import actions_to_json
+
+    return dataclasses.asdict(report) | {"path": str(report.path), "actions": actions_to_json(report.actions)}
 
 
 def _plain(path: Path) -> str:
@@ -178,8 +205,8 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
         lines.append(f"  {report.unreadable} damaged pictures: the ones before them are in their place")
     if report.left_out:
         lines.append(f"  {report.left_out} frames are left out: their episodes were too short, or had no action yet")
-    if report.actions:
-        lines.append(f"  actions, held out as labels: {', '.join(report.actions)}")
+    if report.actions is not None:
+        lines.append(f"  actions, held out as labels: {report.actions}")
     else:
         lines.append("  no actions: what an action leads to cannot be scored; with '--actions TOPIC' it can")
     lines += [f"  {sentence}" for sentence in report.advice]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dmotion_bench.errors import RecordingTruncated
-from dmotion_bench.storage.imports.commands import Commands
+from dmotion_bench.storage.imports.commands import DiscreteCommands
 from dmotion_bench.storage.imports.confined_reader import main
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Segment, Survey
@@ -51,7 +51,7 @@ class Misbehaving:
             case "interrupted":
                 os.kill(os.getpid(), signal.SIGINT)
                 time.sleep(0.05)
-        commands = Commands(times_ns=np.array([5, 9]), names=["b", "a"], vocabulary=["b", "a", "c"])
+        commands = DiscreteCommands(times_ns=np.array([5, 9]), names=["b", "a"], vocabulary=["b", "a", "c"])
         segments = [Segment(times_ns=np.array([3, 7])), Segment(times_ns=np.array([5, 9, 11]), commands=commands)]
         return Survey(camera="eye", height=2, width=3, segments=segments, hints=["look closer."])
 

@@ -96,8 +96,8 @@ def test_discrete_actions(tmp_path: Path, given: Any, names: tuple[str, ...], nu
     assert dataset.states(0).actions.tolist() == numbers
 
 
-def test_measurements_are_no_discrete_actions(tmp_path: Path) -> None:
-    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)})
+def test_rows_of_whole_numbers_are_no_discrete_actions(tmp_path: Path) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)}, actions={"demo_0": [[1, 2]] * 5})
     refused(
         file, "a measurement and no choice out of a few; .*leaving '--actions' out", ImportOptions(actions="actions")
     )

@@ -81,7 +81,7 @@ def test_back_again(source: Dataset, exported: ExportReport, tmp_path: Path) -> 
     report = import_recordings([exported.path], tmp_path / "back", options)
     back = Dataset.open(tmp_path / "back")
 
-    assert Discrete(report.actions) == source.spec.actions == Discrete(("left", "right", "up"))
+    assert report.actions == source.spec.actions == Discrete(("left", "right", "up"))
     assert back.lengths.tolist() == source.lengths.tolist()
     for episode in range(4):
         np.testing.assert_array_equal(back.video(episode), source.video(episode))

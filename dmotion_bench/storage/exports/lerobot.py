@@ -5,8 +5,10 @@ Layout and names are those of ``lerobot/datasets`` 0.4 (codebase version v3.0). 
 - ``observation.images.camera``: the frames. The default codec, H.264 on RGB planes without quantisation, is
   lossless; ``av1`` is LeRobot's own choice, smaller and lossy. Every file is decoded again after it was written
   and the loss is measured, whatever the codec claims.
-- ``action``: the action's number (int64); its names stand beside it. LeRobot wants one at every frame, so the
-  last frame of an episode, after which nothing was done, repeats the one before.
+- ``action``: a discrete action's number (int64), or a continuous action's numbers (float32 where that holds all of
+  them exactly, else float64). Their names stand beside them, those of discrete actions and the bounds and units of
+  continuous ones in a key of our own. LeRobot wants an action at every frame, so the last frame of an episode, after
+  which nothing was done, repeats the one before.
 - ``observation.state``: the agent's position [m], where the environment knows it.
 
 Masks, objects and control tasks have no place there and stay behind.
@@ -25,9 +27,9 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
-from jaxtyping import UInt8
+from jaxtyping import Shaped, UInt8
 
-from dmotion_bench.actions import require_discrete
+from dmotion_bench.actions import ActionSpec, Discrete, actions_to_json
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.dataset import Dataset
@@ -146,13 +148,13 @@ class _Export:
 
     def run(self) -> dict[str, Any]:
         placed, tables = self._write_videos_and_numbers()
-        table = pa.concat_tables(tables)
+        table = _narrowed(pa.concat_tables(tables))
         _write_table(self._out / "data/chunk-000/file-000.parquet", table)
         self._write_episodes(placed)
         _write_table(self._out / "meta/tasks.parquet", _tasks_table(self._task()))
         numbers = {name: of_numbers(_matrix(table, name)) for name in table.column_names}
         _write_json(self._out / "meta/stats.json", {CAMERA: self._pixels.summary(), **numbers})
-        _write_json(self._out / "meta/info.json", self._info(len(placed), table.num_rows))
+        _write_json(self._out / "meta/info.json", self._info(len(placed), table))
         error, largest = self._measure(placed)
         return {
             "episodes": len(placed),
@@ -201,8 +203,7 @@ class _Export:
         columns: dict[str, Any] = {}
         if self._labels:
             labels = self._dataset.states(episode)
-            last = labels.actions[-1:] if len(labels.actions) else np.zeros(1, np.int64)
-            columns[ACTION] = pa.array(np.append(labels.actions, last).astype(np.int64))
+            columns[ACTION] = _action_column(labels.actions, self._actions())
             if self._state:
                 position = labels.agent.position[:, 0].astype(np.float32)
                 columns[STATE] = pa.FixedSizeListArray.from_arrays(pa.array(position.reshape(-1)), 3)
@@ -238,7 +239,12 @@ class _Export:
                 columns.setdefault(name, []).append(value)
         _write_table(self._out / "meta/episodes/chunk-000/file-000.parquet", pa.table(columns))
 
-    def _info(self, episodes: int, frames: int) -> dict[str, Any]:
+    def _actions(self) -> ActionSpec:
+        spec = self._dataset.spec.actions
+        assert spec is not None  # there are labels
+        return spec
+
+    def _info(self, episodes: int, table: pa.Table) -> dict[str, Any]:
         spec = self._dataset.spec
         fps: int | float = int(self._fps) if self._fps.denominator == 1 else float(self._fps)
         features: dict[str, Any] = {
@@ -259,8 +265,7 @@ class _Export:
             }
         }
         if self._labels:
-            names = require_discrete(spec.actions, "an export to LeRobot").names
-            features[ACTION] = {"dtype": "int64", "shape": [1], "names": ["action"], ACTION_NAMES: list(names)}
+            features[ACTION] = _action_feature(self._actions(), table.schema.field(ACTION).type)
         if self._state:
             features[STATE] = {"dtype": "float32", "shape": [3], "names": ["x", "y", "z"]}
         for name, kind in (("timestamp", "float32"), *((index, "int64") for index in _INDICES)):
@@ -269,7 +274,7 @@ class _Export:
             "codebase_version": "v3.0",
             "robot_type": spec.id,
             "total_episodes": episodes,
-            "total_frames": frames,
+            "total_frames": table.num_rows,
             "total_tasks": 1,
             "chunks_size": CHUNK_FILES,
             "data_files_size_in_mb": DATA_MIB,
@@ -308,6 +313,41 @@ class _Export:
 
 
 _INDICES: Final = ("frame_index", "episode_index", "index", "task_index")
+
+
+def _action_feature(spec: ActionSpec, kind: pa.DataType) -> dict[str, Any]:
+    """The feature's description; a column of one number is no list to LeRobot."""
+    if isinstance(spec, Discrete):
+        return {"dtype": "int64", "shape": [1], "names": ["action"], ACTION_NAMES: list(spec.names)}
+    single = kind.value_type if pa.types.is_fixed_size_list(kind) else kind
+    return {
+        "dtype": "float32" if pa.types.is_float32(single) else "float64",
+        "shape": [spec.width],
+        "names": list(spec.names),
+        ACTION_NAMES: actions_to_json(spec),
+    }
+
+
+def _action_column(actions: Shaped[np.ndarray, "s *a"], spec: ActionSpec) -> pa.Array:
+    """An episode's actions, one for each frame."""
+    last = actions[-1:] if len(actions) else np.zeros((1, *spec.shape))
+    values = np.concatenate([actions, last]).astype(spec.dtype)
+    flat = pa.array(values.reshape(-1))
+    return flat if spec.shape in ((), (1,)) else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def _narrowed(table: pa.Table) -> pa.Table:
+    """The table with its actions in 32 bits, if these hold all of them exactly."""
+    if ACTION not in table.column_names or pa.types.is_integer(table.schema.field(ACTION).type):
+        return table
+    values = _matrix(table, ACTION)
+    with np.errstate(over="ignore"):
+        narrow = values.astype(np.float32)
+    if (narrow.astype(np.float64) != values).any():
+        return table
+    flat = pa.array(narrow.reshape(-1))
+    column = flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    return table.set_column(table.column_names.index(ACTION), ACTION, column)
 
 
 def _matrix(table: pa.Table, name: str) -> np.ndarray[Any, Any]:

@@ -5,6 +5,7 @@ Exact, where LeRobot's own are estimated from a sample of pictures: bytes are co
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -12,20 +13,30 @@ import numpy as np
 from jaxtyping import Float64, Int64, Shaped, UInt8
 
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+LARGEST: Final = 2.0**400
+"""The square of a larger number might be none."""
 Summary = Mapping[str, list[object]]
 
 
 def of_numbers(values: Shaped[np.ndarray, "n d"]) -> Summary:
     """Of numbers, for each dimension."""
     quantiles = np.quantile(values.astype(np.float64), list(QUANTILES.values()), axis=0)
+    scale = _scale(values)
+    scaled = values / scale if scale > 1 else values
     return {
         "min": values.min(0).tolist(),
         "max": values.max(0).tolist(),
-        "mean": values.mean(0, dtype=np.float64).tolist(),
-        "std": values.std(0, dtype=np.float64).tolist(),
+        "mean": (scaled.mean(0, dtype=np.float64) * scale).tolist(),
+        "std": (scaled.std(0, dtype=np.float64) * scale).tolist(),
         "count": [len(values)],
         **dict(zip(QUANTILES, quantiles.tolist(), strict=True)),
     }
+
+
+def _scale(values: Shaped[np.ndarray, "n d"]) -> float:
+    """A power of two, by which numbers can be divided without loss so that their squares are no overflow."""
+    largest = float(np.abs(values.astype(np.float64)).max(initial=0.0))
+    return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest > LARGEST else 1.0
 
 
 class PixelCounts:

@@ -179,7 +179,15 @@ def guarded(decode: Callable[[bytes], Any], name: str) -> Callable[[bytes], Any]
     def decoded(data: bytes) -> Any:
         try:
             return decode(data)
-        except (ValueError, IndexError, struct.error, DecodeError, RecursionError, OverflowError) as error:
+        except (
+            ValueError,
+            IndexError,
+            struct.error,
+            DecodeError,
+            RecursionError,
+            OverflowError,
+            NotImplementedError,
+        ) as error:
             raise BadPicture(f"cannot be decoded as {name}: {str(error)[:120]}") from error
 
     return decoded

@@ -2,7 +2,7 @@
 
 An action is a choice out of a few: an integer, a truth value or a word, as ``std_msgs/Int32``, ``UInt8``,
 ``Bool``, ``String`` ..., as JSON, or as a protobuf message with one such field. Measurements (velocities,
-joint positions) are refused: how to bin them is a question to the data's owner.
+joint positions) become continuous actions where somebody names their fields; see ``continuous_commands``.
 
 A command holds until the next one. The action of frame i is the command in force halfway between frames i and
 i + 1: so it counts whether the robot's program logs it just before the picture or just after.
@@ -10,15 +10,17 @@ i + 1: so it counts whether the robot's program logs it just before the picture 
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from jaxtyping import Int64
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, guarded, ros_decoder, well_known
+from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
 
 FIELDS: Final = ("action", "data", "value")
@@ -29,8 +31,8 @@ ROS_COMMANDS: Final = {f"std_msgs/{name}": f"{kind} data\n" for name, kind in _S
 
 
 @dataclass(frozen=True, kw_only=True)
-class Commands:
-    """The commands of a recording, in time order.
+class DiscreteCommands:
+    """The commands of a recording that are choices out of a few, in time order.
 
     Attributes:
         times_ns: When each was given.
@@ -41,6 +43,9 @@ class Commands:
     times_ns: Int64[np.ndarray, " n"]
     names: Sequence[str]
     vocabulary: Sequence[str] = ()
+
+
+Commands = DiscreteCommands | ContinuousCommands
 
 
 def command_decoder(topic: TopicInfo) -> Callable[[bytes], str]:
@@ -57,15 +62,63 @@ def command_decoder(topic: TopicInfo) -> Callable[[bytes], str]:
 
         decode = guarded(json.loads, name or "JSON")
     elif topic.message_encoding == "protobuf":
-        decode = guarded(_protobuf_decoder(topic), name)
+        decode = guarded(protobuf_decoder(topic), name)
     else:
         raise RecordingImportError(
             f"{topic.topic!r} carries {topic.schema_name or 'messages without a schema'} written as "
             f"{topic.message_encoding[:40]!r}, no discrete actions; known are std_msgs/msg/Int*, UInt*, Bool and "
             "String, JSON like {\"action\": 2}, and protobuf with a field 'action', 'data' or 'value'. "
-            "To import the video alone, leave '--actions' out."
+            "For continuous actions name the fields with their numbers, such as '--action-fields linear.x,angular.z'; "
+            "to import the video alone, leave '--actions' out."
         )
     return lambda data: action_name(_value(decode(data)))
+
+
+class CommandsReader(Protocol):
+    """Collects the commands of a topic, message by message."""
+
+    @property
+    def count(self) -> int:
+        """Of the commands so far."""
+
+    def decoder(self, topic: TopicInfo) -> Callable[[bytes], Any]:
+        """What turns the topic's messages into commands; it raises ``BadPicture`` for a bad message.
+
+        Raises:
+            RecordingImportError: The messages cannot be such commands.
+        """
+
+    def add(self, t_ns: int, command: Any) -> None:
+        """Take a decoded command."""
+
+    def collected(self) -> Commands:
+        """All commands so far."""
+
+
+class DiscreteReader:
+    """A ``CommandsReader`` of choices out of a few."""
+
+    def __init__(self) -> None:
+        self._times, self._names = array("q"), list[str]()
+        self._known: dict[str, str] = {}
+
+    @property
+    def count(self) -> int:
+        """Of the commands so far."""
+        return len(self._times)
+
+    def decoder(self, topic: TopicInfo) -> Callable[[bytes], str]:
+        """See ``command_decoder``."""
+        return command_decoder(topic)
+
+    def add(self, t_ns: int, command: str) -> None:
+        """Take a decoded command."""
+        self._times.append(t_ns)
+        self._names.append(self._known.setdefault(command, command))
+
+    def collected(self) -> DiscreteCommands:
+        """All commands so far."""
+        return DiscreteCommands(times_ns=np.array(self._times, np.int64), names=self._names)
 
 
 def action_name(value: Any) -> str:
@@ -81,12 +134,12 @@ def action_name(value: Any) -> str:
     if isinstance(value, str) and 0 < len(value) <= LONGEST and value.isprintable():
         return value
     raise BadPicture(
-        f"holds {str(value)[:60]!r}, a measurement and no choice out of a few; bin it into integers first, or import "
-        "the video alone by leaving '--actions' out"
+        f"holds {str(value)[:60]!r}, a measurement and no choice out of a few; for continuous actions name the fields "
+        "with their numbers in '--action-fields', or import the video alone by leaving '--actions' out"
     )
 
 
-def ordered_names(recordings: Sequence[Commands], most: int) -> tuple[str, ...]:
+def ordered_names(recordings: Sequence[DiscreteCommands], most: int) -> tuple[str, ...]:
     """Every name once: as the recordings order them; where they do not, integers by value, then words by the alphabet.
 
     Raises:
@@ -127,7 +180,12 @@ def _value(message: Any) -> Any:
     raise BadPicture(f"has none of the fields {', '.join(FIELDS)}")
 
 
-def _protobuf_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
+def protobuf_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
+    """A decoder by the schema in the file.
+
+    Raises:
+        RecordingImportError: The schema cannot be used.
+    """
     from google.protobuf.message import DecodeError
     from mcap.exceptions import McapError
     from mcap.records import Schema

@@ -22,8 +22,10 @@ import numpy as np
 from jaxtyping import Int64, UInt8
 
 import dmotion_bench
+from dmotion_bench.actions import Continuous, actions_from_json, actions_to_json
 from dmotion_bench.errors import RecordingImportError, RecordingTruncated
-from dmotion_bench.storage.imports.commands import Commands
+from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands
+from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
 from dmotion_bench.storage.imports.limits import MIB
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Segment, Survey
@@ -87,8 +89,9 @@ class Confinement:
         """
         assert self._process is not None
         limits = self.options.limits
+        most = max(3 * limits.pixels, 16 * (limits.frames + limits.numbers))
         try:
-            head, body = receive(_pipe(self._process.stdout), most=max(3 * limits.pixels, 16 * limits.frames))
+            head, body = receive(_pipe(self._process.stdout), most=most)
         except (Hungup, OSError, ValueError):
             raise self._gone(path) from None
         if "error" in head:
@@ -202,14 +205,9 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
     """A survey as a message."""
     segments, arrays = [], []
     for segment in survey.segments:
-        commands = None
         arrays.append(segment.times_ns)
-        if segment.commands is not None:
-            known = {name: number for number, name in enumerate(dict.fromkeys(segment.commands.names))}
-            arrays.append(segment.commands.times_ns)
-            arrays.append(np.array([known[name] for name in segment.commands.names], np.int64))
-            vocabulary = list(segment.commands.vocabulary)
-            commands = {"count": len(segment.commands.names), "names": list(known), "vocabulary": vocabulary}
+        commands, more = (None, []) if segment.commands is None else _packed_commands(segment.commands)
+        arrays += more
         segments.append({"count": len(segment.times_ns), "commands": commands})
     head = {
         "camera": survey.camera,
@@ -219,6 +217,17 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         "hints": list(survey.hints),
     }
     return head, b"".join(array.astype("<i8").tobytes() for array in arrays)
+
+
+def _packed_commands(given: Commands) -> tuple[dict[str, Any], list[Int64[np.ndarray, " n"]]]:
+    """Their head, and the whole numbers that stand for them; numbers with fractions are sent bit by bit."""
+    if isinstance(given, ContinuousCommands):
+        head = {"count": len(given.values), "fields": list(given.names), "stated": actions_to_json(given.stated)}
+        return head, [given.times_ns, np.ascontiguousarray(given.values, "<f8").view("<i8").reshape(-1)]
+    known = {name: number for number, name in enumerate(dict.fromkeys(given.names))}
+    which = np.array([known[name] for name in given.names], np.int64)
+    head = {"count": len(given.names), "names": list(known), "vocabulary": list(given.vocabulary)}
+    return head, [given.times_ns, which]
 
 
 def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
@@ -232,11 +241,22 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
 
     segments = []
     for segment in head["segments"]:
-        times, commands, given = array(segment["count"]), None, segment["commands"]
-        if given is not None:
+        times, given = array(segment["count"]), segment["commands"]
+        commands: Commands | None = None
+        if given is not None and "fields" in given:
+            given_at, width = array(given["count"]), len(given["fields"])
+            values = array(given["count"] * width).view(np.float64).reshape(-1, width)
+            stated = actions_from_json(given["stated"])
+            commands = ContinuousCommands(
+                times_ns=given_at,
+                values=values,
+                names=tuple(given["fields"]),
+                stated=stated if isinstance(stated, Continuous) else None,
+            )
+        elif given is not None:
             given_at, which = array(given["count"]), array(given["count"])
             names = [given["names"][number] for number in which.tolist()]
-            commands = Commands(times_ns=given_at, names=names, vocabulary=given["vocabulary"])
+            commands = DiscreteCommands(times_ns=given_at, names=names, vocabulary=given["vocabulary"])
         segments.append(Segment(times_ns=times, commands=commands))
     return Survey(
         camera=head["camera"], height=head["height"], width=head["width"], segments=segments, hints=head["hints"]

@@ -23,7 +23,8 @@ from jaxtyping import Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture
-from dmotion_bench.storage.imports.commands import Commands, action_name
+from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, action_name
+from dmotion_bench.storage.imports.continuous_commands import BadCommands, ContinuousCommands, from_rows
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.natural_order import natural
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
@@ -46,6 +47,7 @@ class Hdf5Recording:
         path: The file.
         camera: The path of the pictures within a demonstration, or its last part; None for the only one.
         actions: The path of the actions, or its last part; None for none.
+        action_fields: Names of the columns that count, ``"actions.0"``; none for all.
         source_hz: Pictures a second; None for what the file says of its environment, or ``default_hz``.
         default_hz: Where nothing else is known.
         limits: What the file may make us do.
@@ -60,11 +62,12 @@ class Hdf5Recording:
         *,
         camera: str | None,
         actions: str | None,
+        action_fields: Sequence[str] = (),
         source_hz: float | None,
         default_hz: float,
         limits: ImportLimits,
     ) -> None:
-        self.path, self._limits, self.unreadable = path, limits, 0
+        self.path, self._limits, self._fields, self.unreadable = path, limits, tuple(action_fields), 0
         with self._opened() as file:
             self._demonstrations = self._find_demonstrations(file)
             found = _datasets(file[self._demonstrations[0]])
@@ -195,6 +198,8 @@ class Hdf5Recording:
             )
         if given.size * given.dtype.itemsize > self._limits.message_bytes:
             raise self._bad(f"declares {given.size:,} numbers as actions in {given.name!r}")
+        if given.dtype.kind == "f" or self._fields:
+            return self._continuous(given, times_ns)
         try:
             values = (given.asstr() if h5py.check_string_dtype(given.dtype) else given)[()].tolist()
             rows = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in values]
@@ -203,7 +208,18 @@ class Hdf5Recording:
             raise self._bad(f"{error} ({given.name!r})") from error
         except _ERRORS as error:
             raise self._bad(f"is damaged: {given.name!r}: {str(error)[:120]}") from error
-        return Commands(times_ns=times_ns[: len(names)], names=names)
+        return DiscreteCommands(times_ns=times_ns[: len(names)], names=names)
+
+    def _continuous(self, given: h5py.Dataset, times_ns: Int64[np.ndarray, " n"]) -> ContinuousCommands:
+        try:
+            values = np.asarray(given[()])
+        except _ERRORS as error:
+            raise self._bad(f"is damaged: {given.name!r}: {str(error)[:120]}") from error
+        feature = str(given.name).rpartition("/")[2]
+        try:
+            return from_rows(values, times_ns[: len(values)], feature, fields=self._fields, most=self._limits.numbers)
+        except BadCommands as error:
+            raise self._bad(f"{error} ({given.name!r})") from error
 
     def _bad(self, reason: str, stop: str = ".") -> RecordingImportError:
         return RecordingImportError(f"the HDF5 file {str(self.path)!r} {reason}{stop}")

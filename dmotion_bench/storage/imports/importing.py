@@ -14,16 +14,24 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from jaxtyping import Int64
 
-from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError, UsageError
-from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, Scalar
+from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, ObjectSpec, Scalar
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.advice import advice, no_episode
-from dmotion_bench.storage.imports.commands import Commands, in_force, ordered_names
 from dmotion_bench.storage.imports.confinement import Confinement
+from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
 from dmotion_bench.storage.imports.fitting import fitted
+from dmotion_bench.storage.imports.imported_actions import (
+    Actions,
+    action_labels,
+    action_spec,
+    check_pace,
+    commanded,
+    discrete_names,
+    given_commands,
+    step_actions,
+)
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Recording, Survey
 from dmotion_bench.storage.imports.sources import open_recording, sources_in
@@ -47,7 +55,7 @@ class _Planned:
     recording: int
     segment: int
     piece: Piece
-    actions: Int64[np.ndarray, " t-1"] | None
+    actions: Actions | None
 
 
 def import_recordings(
@@ -73,15 +81,15 @@ def import_recordings(
         recordings = [open_recording(source, options, confinement) for source in found]
         surveys = [_survey(recording, number, len(found), progress) for number, recording in enumerate(recordings)]
         _check_sizes(recordings, surveys)
-        names = _action_names(surveys, options)
+        names = discrete_names(surveys, options)
         pieces = _pieces(surveys, options)
-        planned, left_out = _plan(surveys, pieces, names, options)
+        planned, left_out = _plan(recordings, surveys, pieces, names, options)
         if not planned:
             raise no_episode(surveys, options)
         recipe = _recipe(recordings, surveys, planned, options)
         spec = EnvSpec(
             id=IMPORTED,
-            actions=Discrete(names) if names else None,
+            actions=action_spec(surveys, [plan.actions for plan in planned], names, options),
             agent=AGENT,
             objects=(),
             height=options.size,
@@ -106,7 +114,7 @@ def import_recordings(
         repeated=sum(int((np.diff(plan.piece.frames) == 0).sum()) for plan in planned),
         unreadable=sum(recording.unreadable for recording in recordings),
         left_out=left_out,
-        actions=names,
+        actions=spec.actions,
         advice=advice(surveys, [one for found in pieces for one in found], len(planned), options),
     )
 
@@ -137,11 +145,6 @@ def _check_sizes(recordings: Sequence[Recording], surveys: Sequence[Survey]) -> 
             )
 
 
-def _action_names(surveys: Sequence[Survey], options: ImportOptions) -> tuple[str, ...]:
-    commands = [segment.commands for survey in surveys for segment in survey.segments if segment.commands is not None]
-    return ordered_names(commands, options.limits.actions)
-
-
 def _pieces(surveys: Sequence[Survey], options: ImportOptions) -> list[list[Piece]]:
     """Each segment's stretches without a gap, in the order of the recordings and their segments."""
     found: list[list[Piece]] = []
@@ -153,7 +156,11 @@ def _pieces(surveys: Sequence[Survey], options: ImportOptions) -> list[list[Piec
 
 
 def _plan(
-    surveys: Sequence[Survey], found: Sequence[list[Piece]], names: tuple[str, ...], options: ImportOptions
+    recordings: Sequence[Recording],
+    surveys: Sequence[Survey],
+    found: Sequence[list[Piece]],
+    names: tuple[str, ...],
+    options: ImportOptions,
 ) -> tuple[list[_Planned], int]:
     """The episodes, and how many frames are left out of all."""
     planned: list[_Planned] = []
@@ -162,22 +169,12 @@ def _plan(
         for index, segment in enumerate(survey.segments):
             pieces = next(waiting)
             if segment.commands is not None:
-                pieces = [_commanded(piece, segment.commands) for piece in pieces]
+                pieces = [commanded(piece, segment.commands) for piece in pieces]
+                check_pace(recordings[number], segment.commands, pieces, options)
             for piece in cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames):
-                actions = None if segment.commands is None else _actions(piece, segment.commands, names)
+                actions = None if segment.commands is None else step_actions(piece, segment.commands, names, options)
                 planned.append(_Planned(recording=number, segment=index, piece=piece, actions=actions))
     return planned, sum(len(piece) for one in found for piece in one) - sum(len(plan.piece) for plan in planned)
-
-
-def _commanded(piece: Piece, commands: Commands) -> Piece:
-    """The piece without what comes before the first command."""
-    before = int((in_force(commands, piece.t_ns) < 0).sum())
-    return piece.cut(before, len(piece))
-
-
-def _actions(piece: Piece, commands: Commands, names: tuple[str, ...]) -> Int64[np.ndarray, " t-1"]:
-    numbers = {name: number for number, name in enumerate(names)}
-    return np.array([numbers[commands.names[index]] for index in in_force(commands, piece.t_ns)], np.int64)
 
 
 def _recipe(
@@ -194,6 +191,8 @@ def _recipe(
         "min_frames": options.min_frames,
         "salvage": options.salvage,
     }
+    if any(isinstance(commands, ContinuousCommands) for commands in given_commands(surveys)):
+        parameters |= {"action_fields": ",".join(options.action_fields), "action_reduce": options.action_reduce.value}
     if options.source_hz is not None:
         parameters["source_hz"] = options.source_hz
     for number, recording in enumerate(recordings):
@@ -248,28 +247,8 @@ def _footage(
                     shown, picture = next(pictures)
                     frame = fitted(picture, options.size, options.fit)
                 frames[tick] = frame
-            labels = None if plan.actions is None else _labels(plan.actions, frames.shape[:3])
+            labels = None if plan.actions is None else action_labels(plan.actions, frames.shape[:3])
             yield Footage(frames=frames, labels=labels, start_ns=int(plan.piece.t_ns[0]) if keep_times else None)
-
-
-def _labels(actions: Int64[np.ndarray, " t-1"], shape: tuple[int, ...]) -> EpisodeLabels:
-    """Labels with actions alone: no objects, and an agent at an unknown place."""
-    return EpisodeLabels(
-        actions=actions,
-        pushed=np.zeros(len(actions), bool),
-        agent=_nowhere(shape[0], 1),
-        objects=_nowhere(shape[0], 0),
-        masks=np.zeros(shape, np.uint8),
-    )
-
-
-def _nowhere(t: int, k: int) -> ObjectStates:
-    return ObjectStates(
-        position=np.full((t, k, 3), np.nan),
-        orientation=np.full((t, k, 4), np.nan),
-        pixel=np.full((t, k, 2), np.nan),
-        visible=np.zeros((t, k)),
-    )
 
 
 def _source_hz(surveys: Sequence[Survey]) -> float:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from dmotion_bench.actions import Continuous, actions_from_json
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 
@@ -102,6 +103,32 @@ class LeRobotLayout:
         feature = self.features.get(key)
         known = feature.get(ACTION_NAMES) if isinstance(feature, Mapping) else None
         return known if isinstance(known, list) else []
+
+    def number_names(self, key: str) -> tuple[str, ...]:
+        """What the file calls the numbers of a feature, in their order; nothing where it does not."""
+        feature = self.features.get(key)
+        names = feature.get("names") if isinstance(feature, Mapping) else None
+        if isinstance(names, Mapping) and all(type(place) is int for place in names.values()):
+            names = [name for name, _ in sorted(names.items(), key=lambda item: item[1])]
+        elif isinstance(names, Mapping):  # {"motors": [...]}
+            names = next(iter(names.values())) if len(names) == 1 else None
+        return tuple(names) if isinstance(names, list) and all(isinstance(name, str) for name in names) else ()
+
+    def stated_actions(self, key: str) -> Continuous | None:
+        """The bounds and units of continuous actions, where ``data export`` has left them.
+
+        Raises:
+            RecordingImportError: What is left there is nothing of the kind.
+        """
+        feature = self.features.get(key)
+        left = feature.get(ACTION_NAMES) if isinstance(feature, Mapping) else None
+        if left is None:
+            return None
+        try:
+            stated = actions_from_json(left)
+        except ValueError as error:
+            raise self.bad(f"has {ACTION_NAMES} of the feature {key!r} that cannot be: {error}") from error
+        return stated if isinstance(stated, Continuous) else None
 
     def episodes(self, camera: str) -> list[Placed]:
         """Where each episode with frames stands.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,13 +12,15 @@ from jaxtyping import Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
-from dmotion_bench.storage.imports.commands import Commands, action_name
+from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, action_name
+from dmotion_bench.storage.imports.continuous_commands import BadCommands, ContinuousCommands, from_rows
 from dmotion_bench.storage.imports.lerobot_layout import ACTION_NAMES, LeRobotLayout, Placed
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
 from dmotion_bench.storage.video.file import VideoFile
 
+FLOATS: Final = ("float16", "float32", "float64")
 ROWS: Final = 16  # of a table with pictures that are held at a time
 
 
@@ -30,21 +32,33 @@ class LeRobotRecording:
         camera: The feature of the pictures, ``"observation.images.front"``, or the last part of its name; None for the
             only one.
         actions: The feature of the actions; None for none.
+        action_fields: Names of the numbers that count in continuous actions; none for all.
         limits: What the files may make us do.
 
     Raises:
         RecordingImportError: Not a data set that can be read, or it lacks the features.
     """
 
-    def __init__(self, path: Path, *, camera: str | None, actions: str | None, limits: ImportLimits) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        camera: str | None,
+        actions: str | None,
+        action_fields: Sequence[str] = (),
+        limits: ImportLimits,
+    ) -> None:
         self.path, self._actions, self._limits, self.unreadable = path, actions, limits, 0
+        self._fields = tuple(action_fields)
         self._layout = LeRobotLayout(path, limits)
         self._camera = self._layout.camera(camera)
         if actions is not None and actions not in self._layout.features:
             raise self._layout.bad(
                 f"has no feature {actions!r}; its features are: {', '.join(sorted(self._layout.features))}"
             )
-        self._vocabulary = self._known_actions()
+        self._continuous = actions is not None and (bool(self._fields) or self._layout.kind(actions) in FLOATS)
+        self._stated = self._layout.stated_actions(actions or "") if self._continuous else None
+        self._vocabulary = [] if self._continuous else self._known_actions()
         self._placed: list[Placed] = []
         self._size = (0, 0)
         self._numbers: tuple[Path, Any] | None = None  # the table of numbers that was read last
@@ -175,8 +189,11 @@ class LeRobotRecording:
     def _commands(self, placed: Placed, times_ns: Int64[np.ndarray, " n"]) -> Commands | None:
         if self._actions is None:
             return None
+        column = self._table(placed).column(self._actions)
+        if self._continuous:
+            return self._continuous_commands(placed, column, times_ns)
         names = []
-        for value in self._table(placed).column(self._actions).take(self._rows(placed)).to_pylist():
+        for value in column.take(self._rows(placed)).to_pylist():
             single = value[0] if isinstance(value, list) and len(value) == 1 else value
             try:
                 name = action_name(single)
@@ -184,7 +201,24 @@ class LeRobotRecording:
                 names.append(self._vocabulary[number] if 0 <= number < len(self._vocabulary) else name)
             except BadPicture as error:
                 raise self._layout.bad(f"{error} (feature {self._actions!r}, episode {placed.number})") from error
-        return Commands(times_ns=times_ns, names=names, vocabulary=self._vocabulary)
+        return DiscreteCommands(times_ns=times_ns, names=names, vocabulary=self._vocabulary)
+
+    def _continuous_commands(
+        self, placed: Placed, column: Any, times_ns: Int64[np.ndarray, " n"]
+    ) -> ContinuousCommands:
+        key = self._actions or ""
+        try:
+            return from_rows(
+                _matrix(column, self._rows(placed), self._limits.numbers),
+                times_ns,
+                key,
+                names=self._layout.number_names(key),
+                fields=self._fields,
+                stated=self._stated,
+                most=self._limits.numbers,
+            )
+        except BadCommands as error:
+            raise self._layout.bad(f"{error} (feature {key!r}, episode {placed.number})") from error
 
     def _known_actions(self) -> list[str]:
         """The names of the actions in the order of their numbers, where ``data export`` has left them."""
@@ -192,3 +226,30 @@ class LeRobotRecording:
             return [action_name(name) for name in self._layout.action_names(self._actions or "")]
         except BadPicture as error:
             raise self._layout.bad(f"{error} ({ACTION_NAMES} of the feature {self._actions!r})") from error
+
+
+def _matrix(column: Any, rows: list[int], most: int) -> np.ndarray[Any, Any]:
+    """Some rows of a column of numbers, or of lists of numbers that are all as long.
+
+    Raises:
+        BadCommands: They are something else.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as compute
+
+    values = column.take(pa.array(rows, pa.int64())).combine_chunks()
+    width = 1
+    if pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type) or pa.types.is_large_list(values.type):
+        lengths = compute.list_value_length(values)
+        if lengths.null_count or len(compute.unique(lengths)) > 1:
+            raise BadCommands("has actions with different numbers of components")
+        width = lengths[0].as_py() if len(lengths) else 1
+        values = values.flatten()
+    if len(values) > most:
+        raise BadCommands(f"holds {len(values):,} numbers as actions, more than the {most:,} that can be imported")
+    if not (pa.types.is_floating(values.type) or pa.types.is_integer(values.type)):
+        raise BadCommands(f"holds {values.type} as actions, which is no number")
+    if values.null_count:
+        raise BadCommands("lacks numbers of its actions")
+    matrix: np.ndarray[Any, Any] = values.to_numpy(zero_copy_only=False).reshape(len(rows), width)
+    return matrix

@@ -19,6 +19,7 @@ class ImportLimits:
         pixels: Of one picture, before it is decoded.
         frames: Of all episodes together, after resampling.
         actions: Distinct actions; more than this is a measurement, not a choice.
+        numbers: In the continuous actions of a recording, all together.
         reader_bytes: Memory of the process that reads videos, HDF5 and LeRobot data sets.
         reader_seconds: Of its processor, without another picture.
     """
@@ -29,5 +30,6 @@ class ImportLimits:
     pixels: int = 64 * MIB
     frames: int = 20_000_000
     actions: int = 64
+    numbers: int = 20_000_000
     reader_bytes: int = 1024 * MIB
     reader_seconds: int = 60

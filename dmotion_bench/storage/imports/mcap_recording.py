@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,7 +13,8 @@ from jaxtyping import Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, Picture, picture_decoder
-from dmotion_bench.storage.imports.commands import Commands, command_decoder
+from dmotion_bench.storage.imports.commands import CommandsReader, DiscreteReader
+from dmotion_bench.storage.imports.continuous_messages import ContinuousReader
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_records import LATEST, McapFile, RawMessage, TopicInfo
 from dmotion_bench.storage.imports.mcap_topics import camera_topic, is_stream, named_topic
@@ -33,6 +34,7 @@ class McapRecording:
         path: The file.
         camera: Its camera topic; None for the only one there is.
         actions: Its topic of actions; None for none.
+        action_fields: The fields of the actions that hold their numbers; none for discrete actions.
         clock: Which time counts.
         limits: What the file may make us do.
         salvage: Take what stands before the damage in a damaged file, and for a damaged picture the one before it.
@@ -47,12 +49,13 @@ class McapRecording:
         *,
         camera: str | None,
         actions: str | None,
+        action_fields: Sequence[str] = (),
         clock: Clock = Clock.LOG,
         limits: ImportLimits,
         salvage: bool = False,
     ) -> None:
         self.path, self._clock, self._limits, self._salvage = path, clock, limits, salvage
-        self.unreadable = 0
+        self.unreadable, self._fields = 0, tuple(action_fields)
         self._file = McapFile(path, limits=limits, salvage=salvage)
         topics = self._file.topics()
         self._camera = camera_topic(self._file, topics, camera)
@@ -79,9 +82,8 @@ class McapRecording:
         Raises:
             RecordingImportError: As the file deserves it.
         """
-        times, others, shown, given = array("q"), array("q"), array("q"), array("q")
-        names: list[str] = []
-        known: dict[str, str] = {}
+        times, others, shown = array("q"), array("q"), array("q")
+        commands = self._commands_reader()
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
         size: Size | None = None
 
@@ -98,28 +100,25 @@ class McapRecording:
                 others.append(message.log_ns if self._clock is Clock.HEADER else min(picture.stamp_ns, LATEST))
                 look(self._look(picture, len(times) - 1))
                 progress(len(shown))
-            else:
-                name = self._decode(message, len(given), decoders, command_decoder)
-                names.append(known.setdefault(name, name))
-                given.append(message.log_ns)
+            elif commands is not None:
+                commands.add(message.log_ns, self._decode(message, commands.count, decoders, commands.decoder))
         look(self._look_on())
         if not times:
             raise RecordingImportError(f"{str(self.path)!r} has no pictures: there is no message on {self._camera!r}.")
         if size is None:
             raise RecordingImportError(f"{str(self.path)!r}: no message on {self._camera!r} gives a picture.")
-        if self._actions is not None and not names:
+        if commands is not None and not commands.count:
             raise RecordingImportError(f"{str(self.path)!r} has no actions: no message is on {self._actions!r}.")
         taken, logged = (np.array(clock, np.int64)[np.array(shown)] for clock in (times, others))
         self._check_order(taken, np.array(shown), self._camera)
-        commands = None
-        if self._actions is not None:
-            commands = Commands(times_ns=np.array(given, np.int64), names=names)
-            self._check_order(commands.times_ns, np.arange(len(given)), self._actions)
+        given = None if commands is None else commands.collected()
+        if given is not None:
+            self._check_order(given.times_ns, np.arange(len(given.times_ns)), self._actions or "")
         return Survey(
             camera=self._camera,
             height=size[0],
             width=size[1],
-            segments=[Segment(times_ns=taken, commands=commands)],
+            segments=[Segment(times_ns=taken, commands=given)],
             hints=self._clock_hints(taken, logged),
         )
 
@@ -159,6 +158,11 @@ class McapRecording:
     def _look_on(self) -> Iterator[tuple[int, Size]]:
         """The same of those that still wait at the end of the file."""
         yield from ()
+
+    def _commands_reader(self) -> CommandsReader | None:
+        if self._actions is None:
+            return None
+        return ContinuousReader(self._fields, self._limits.numbers) if self._fields else DiscreteReader()
 
     def _camera_messages(self) -> Iterator[tuple[int, RawMessage]]:
         return enumerate(self._file.messages(self._camera))

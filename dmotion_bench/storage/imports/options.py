@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.storage.imports.continuous_commands import Reduce
 from dmotion_bench.storage.imports.fitting import Fit
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.recording import Clock
@@ -21,6 +23,9 @@ class ImportOptions:
         camera: Of the pictures: a topic (MCAP), a feature (LeRobot), a path (HDF5), a folder (pictures), the number of
             a stream (video); None for the only one there is.
         actions: Topic or feature of the actions; None imports the video alone.
+        action_fields: Fields with the numbers of continuous actions; a field with several numbers stands for them
+            all. Without any, actions are discrete, unless the format says that they are continuous.
+        action_reduce: What several continuous commands between two frames become.
         size: Side of a frame [px].
         hz: Frames a second.
         fit: What becomes of a picture that is not square.
@@ -37,6 +42,8 @@ class ImportOptions:
 
     camera: str | None = None
     actions: str | None = None
+    action_fields: tuple[str, ...] = ()
+    action_reduce: Reduce = Reduce.LAST
     size: int = 128
     hz: float = 10.0
     source_hz: float | None = None
@@ -50,6 +57,16 @@ class ImportOptions:
     limits: ImportLimits = field(default_factory=ImportLimits)
 
     def __post_init__(self) -> None:
+        if self.actions is None and self.action_fields:
+            raise InvalidSetting(
+                "'--action-fields' names fields of the actions, and no actions are asked for; name their topic or "
+                "feature with '--actions'."
+            )
+        if not all(self.action_fields) or len(set(self.action_fields)) < len(self.action_fields):
+            raise InvalidSetting(
+                f"'--action-fields {','.join(self.action_fields)}' has an empty field, or a field twice; name each "
+                "once, such as '--action-fields linear.x,angular.z'."
+            )
         for name, low, high in (
             ("size", 8, 4096),
             ("hz", 0.01, 1000),
@@ -75,8 +92,9 @@ def options_from(fields: Mapping[str, Any]) -> ImportOptions:
     """Options out of what ``dataclasses.asdict`` and JSON have made of them."""
     given = dict(fields)
     limits = ImportLimits(**given.pop("limits"))
-    fit, clock = Fit(given.pop("fit")), Clock(given.pop("clock"))
-    return ImportOptions(fit=fit, clock=clock, limits=limits, **given)
+    fit, clock, reduce = Fit(given.pop("fit")), Clock(given.pop("clock")), Reduce(given.pop("action_reduce"))
+    named = tuple(given.pop("action_fields"))
+    return ImportOptions(fit=fit, clock=clock, action_reduce=reduce, action_fields=named, limits=limits, **given)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +111,7 @@ class ImportReport:
         unreadable: Damaged pictures, in whose place the ones before them were taken; of this import, none if the data
             set was there already.
         left_out: Frames of episodes that were too short.
-        actions: Names of the actions, none without labels.
+        actions: What they are; None without labels.
         advice: Sentences about what would make a better data set of the same recordings.
     """
 
@@ -107,5 +125,5 @@ class ImportReport:
     repeated: int
     unreadable: int
     left_out: int
-    actions: tuple[str, ...]
+    actions: ActionSpec | None
     advice: tuple[str, ...]

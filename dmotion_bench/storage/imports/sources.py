@@ -112,7 +112,11 @@ def open_recording(source: Source, options: ImportOptions, confinement: Confinem
         return open_here(source.path, source.kind, options)
     if source.kind is Kind.MCAP:
         recording = McapRecording(source.path, **_of_mcap(options))
-        return confinement.open(source.path, Kind.MCAP_VIDEO) if recording.is_stream else recording
+        if recording.is_stream:
+            return confinement.open(source.path, Kind.MCAP_VIDEO)
+        if options.action_fields:  # its messages are decoded by the definitions in the file, programs of a kind
+            return confinement.open(source.path, Kind.MCAP)
+        return recording
     return confinement.open(source.path, source.kind)
 
 
@@ -127,6 +131,8 @@ def open_here(path: Path, kind: str, options: ImportOptions) -> Recording:
         from dmotion_bench.storage.imports.mcap_video import McapVideo
 
         return McapVideo(path, **_of_mcap(options))
+    if kind == Kind.MCAP:
+        return McapRecording(path, **_of_mcap(options))
     if kind == Kind.PICTURES:
         return PictureFolder(
             path,
@@ -148,18 +154,22 @@ def open_here(path: Path, kind: str, options: ImportOptions) -> Recording:
             path,
             camera=options.camera,
             actions=options.actions,
+            action_fields=options.action_fields,
             source_hz=options.source_hz,
             default_hz=options.hz,
             limits=limits,
         )
     from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording
 
-    return LeRobotRecording(path, camera=options.camera, actions=options.actions, limits=limits)
+    return LeRobotRecording(
+        path, camera=options.camera, actions=options.actions, action_fields=options.action_fields, limits=limits
+    )
 
 
 class _McapArguments(TypedDict):
     camera: str | None
     actions: str | None
+    action_fields: Sequence[str]
     clock: Clock
     limits: ImportLimits
     salvage: bool
@@ -169,6 +179,7 @@ def _of_mcap(options: ImportOptions) -> _McapArguments:
     return {
         "camera": options.camera,
         "actions": options.actions,
+        "action_fields": options.action_fields,
         "clock": options.clock,
         "limits": options.limits,
         "salvage": options.salvage,

@@ -1,0 +1,134 @@
+"""Commands of the recordings -> the actions of the episodes, discrete or continuous."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.specs import EpisodeLabels, ObjectStates
+from dmotion_bench.storage.imports.advice import SLOWEST_HZ
+from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, in_force, ordered_names
+from dmotion_bench.storage.imports.continuous_commands import (
+    LOST,
+    ContinuousCommands,
+    Reduce,
+    bounded,
+    commands_within,
+    reduced,
+)
+from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.recording import Recording, Survey
+from dmotion_bench.storage.imports.timeline import Piece, interval_ns
+
+Actions = Int64[np.ndarray, " s"] | Float[np.ndarray, "s a"]
+
+
+def discrete_names(surveys: Sequence[Survey], options: ImportOptions) -> tuple[str, ...]:
+    """The names of discrete actions; none if the actions are continuous, or unknown.
+
+    Raises:
+        RecordingImportError: The recordings do not go together, or there are too many.
+    """
+    given = given_commands(surveys)
+    discrete = [commands for commands in given if isinstance(commands, DiscreteCommands)]
+    if discrete and len(discrete) < len(given):
+        raise RecordingImportError(
+            "the actions are discrete in one recording and continuous in another; import them into data sets of their "
+            "own."
+        )
+    if options.action_reduce is not Reduce.LAST and (discrete or not given):
+        what = "the actions are discrete" if discrete else "there are no actions"
+        raise RecordingImportError(
+            f"'--action-reduce {options.action_reduce}' is for continuous actions, and {what}; leave it out."
+        )
+    return ordered_names(discrete, options.limits.actions)
+
+
+def given_commands(surveys: Sequence[Survey]) -> list[Commands]:
+    """The commands of all segments that have any."""
+    return [segment.commands for survey in surveys for segment in survey.segments if segment.commands is not None]
+
+
+def action_spec(
+    surveys: Sequence[Survey],
+    episodes: Sequence[Actions | None],
+    names: tuple[str, ...],
+    options: ImportOptions,
+) -> ActionSpec | None:
+    """What the actions are; None where there are none.
+
+    Args:
+        surveys: Of the recordings.
+        episodes: The actions of each.
+        names: Of discrete actions.
+        options: How they are imported.
+
+    Raises:
+        RecordingImportError: The recordings do not go together.
+    """
+    continuous = [commands for commands in given_commands(surveys) if isinstance(commands, ContinuousCommands)]
+    if not continuous:
+        return Discrete(names) if names else None
+    return bounded(continuous, [actions for actions in episodes if actions is not None], options.action_reduce)
+
+
+def commanded(piece: Piece, commands: Commands) -> Piece:
+    """The piece without what comes before the first command."""
+    before = int((in_force(commands, piece.t_ns) < 0).sum())
+    return piece.cut(before, len(piece))
+
+
+def check_pace(recording: Recording, commands: Commands, pieces: Sequence[Piece], options: ImportOptions) -> None:
+    """See that continuous commands are as many as steps: to hold one would be to say it again.
+
+    Raises:
+        RecordingImportError: They are fewer.
+    """
+    if not isinstance(commands, ContinuousCommands):
+        return
+    steps = sum(max(len(piece) - 1, 0) for piece in pieces)
+    count = sum(commands_within(commands, piece.t_ns) for piece in pieces if len(piece) > 1)
+    if count >= steps - steps // LOST:
+        return
+    usual = interval_ns(commands.times_ns)
+    fastest = min(options.hz * count / steps, 1e9 / usual if usual else options.hz)
+    slower = math.floor(100 * fastest) / 100
+    slow_down = f"Lower '--hz' to {slower:g}, or import" if slower >= SLOWEST_HZ else "Import"
+    raise RecordingImportError(
+        f"{str(recording.path)!r} has {count:,} commands on {options.actions!r} for {steps:,} steps between frames at "
+        f"{options.hz:g} Hz; continuous actions need one for each step. {slow_down} the video alone by leaving "
+        "'--actions' out."
+    )
+
+
+def step_actions(piece: Piece, commands: Commands, names: tuple[str, ...], options: ImportOptions) -> Actions:
+    """The action of each step of an episode: its number, or its vector."""
+    if isinstance(commands, ContinuousCommands):
+        return reduced(commands, in_force(commands, piece.t_ns), piece.t_ns, options.action_reduce)
+    numbers = {name: number for number, name in enumerate(names)}
+    return np.array([numbers[commands.names[index]] for index in in_force(commands, piece.t_ns)], np.int64)
+
+
+def action_labels(actions: Actions, shape: tuple[int, ...]) -> EpisodeLabels:
+    """Labels with actions alone: no objects, and an agent at an unknown place."""
+    return EpisodeLabels(
+        actions=actions,
+        pushed=np.zeros(len(actions), bool),
+        agent=_nowhere(shape[0], 1),
+        objects=_nowhere(shape[0], 0),
+        masks=np.zeros(shape, np.uint8),
+    )
+
+
+def _nowhere(t: int, k: int) -> ObjectStates:
+    return ObjectStates(
+        position=np.full((t, k, 3), np.nan),
+        orientation=np.full((t, k, 4), np.nan),
+        pixel=np.full((t, k, 2), np.nan),
+        visible=np.zeros((t, k)),
+    )

@@ -16,7 +16,7 @@ SPINS = "10000"
 """How often a waiting thread looks: about 0.2 ms, longer than most pauses between the parallel parts of a step.
 
 GNU's OpenMP, which torch ships, looks 300,000 times. Beside other work a step with two threads then takes ten times as
-long as with one (docs/decisions/051-waiting-threads-give-way.md).
+long as with one (docs/decisions/050-waiting-threads-give-way.md).
 """
 
 

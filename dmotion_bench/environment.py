@@ -106,6 +106,68 @@ class Restorable(Protocol):
 
 
 @runtime_checkable
+class Undrawn(Protocol):
+    """An environment that can take an action without drawing, which the oracle does thousands of times a step."""
+
+    def advance(self, action: Action) -> bool:
+        """Do what ``step`` does to the state; whether the action was impossible. The next ``step`` draws again."""
+
+
+@runtime_checkable
+class TaskMeasure(Protocol):
+    """How far an environment is from a control task's goal."""
+
+    def distance(self, env: Environment) -> float:
+        """The judged distance: 1 at the start, 0 at the goal."""
+
+    def lost(self, env: Environment) -> int:
+        """How many things that the goal needs are lost for good."""
+
+    def cost(self, env: Environment) -> float:
+        """What the oracle minimises: lower is nearer; zero at the goal."""
+
+
+@runtime_checkable
+class Judging(Protocol):
+    """An environment whose tasks have a distance of their own, such as how far a drawer is open.
+
+    Others are judged by how far the objects are from their places at the goal.
+    """
+
+    def task_measure(self, start: ObjectStates, goal: ObjectStates) -> TaskMeasure:
+        """The measure of a task by its objects' states at the start and at the goal."""
+
+
+@runtime_checkable
+class Script(Protocol):
+    """Solves one control task by rules that read the simulator: the reference ``scripted``."""
+
+    def watch(self, env: Environment) -> None:
+        """Called at the task's start and after every step."""
+
+    def act(self, env: Environment, goal: ObjectStates) -> Action | None:
+        """The next action towards the objects' states at the goal; None for none."""
+
+
+@runtime_checkable
+class HasScript(Protocol):
+    """An environment that comes with rules for its tasks."""
+
+    def script(self) -> Script:
+        """Made anew for each task, so it may remember."""
+
+
+@runtime_checkable
+class HasObjective(Protocol):
+    """An environment class that names the objective that suits what its camera shows.
+
+    Control plans with it if nobody names another; without it, with the paper's, ``centres``.
+    """
+
+    objective: ClassVar[str]
+
+
+@runtime_checkable
 class Policy(Protocol):
     """Chooses the actions of a recording."""
 

@@ -1,4 +1,4 @@
-"""Registered environments, models and speeds: names to what they stand for, by entry points that are loaded on use.
+"""Registered environments, models, objectives, solvers and speeds: names to what they stand for, by entry points.
 
 Nothing is imported until a name is asked for, so listing names costs no torch and no simulator.
 """
@@ -15,10 +15,22 @@ if TYPE_CHECKING:
     from dmotion_bench.benchmarks.result import Result
     from dmotion_bench.environment import Environment
     from dmotion_bench.learning.model import ForwardModel
+    from dmotion_bench.planning.objectives.base import Objective
+    from dmotion_bench.planning.solvers.base import Solver
 
 ENVIRONMENTS = "dmbench.environments"
 MODELS = "dmbench.models"
+OBJECTIVES = "dmbench.objectives"
+SOLVERS = "dmbench.solvers"
 SPEEDS = "dmbench.speeds"
+
+LISTED = {
+    ENVIRONMENTS: "dmbench list environments",
+    MODELS: "dmbench list models",
+    OBJECTIVES: "dmbench score --help",
+    SOLVERS: "dmbench score --help",
+}
+"""The commands that list the names of each group."""
 
 
 def names(group: str) -> list[str]:
@@ -29,7 +41,7 @@ def names(group: str) -> list[str]:
 def _load(group: str, kind: str, name: str) -> Any:
     found: list[EntryPoint] = [point for point in entry_points(group=group) if point.name == name]
     if not found:
-        raise UnknownName(kind, name, names(group), f"dmbench list {kind}s")
+        raise UnknownName(kind, name, names(group), LISTED.get(group, ""))
     if len({point.value for point in found}) > 1:
         owners = sorted(f"{point.dist.name if point.dist else 'a package'} ({point.value})" for point in found)
         raise DmbenchError(f"the {kind} {name!r} is registered by {' and by '.join(owners)}; rename or uninstall one.")
@@ -100,4 +112,34 @@ def model_class(name: str) -> type[ForwardModel[Any]]:
         UnknownName: Nothing is registered under this name.
     """
     loaded: type[ForwardModel[Any]] = _load(MODELS, "model", name)
+    return loaded
+
+
+def objective_names() -> list[str]:
+    """The names of all installed objectives."""
+    return names(OBJECTIVES)
+
+
+def solver_names() -> list[str]:
+    """The names of all installed solvers."""
+    return names(SOLVERS)
+
+
+def objective_class(name: str) -> type[Objective]:
+    """The class of an objective.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: type[Objective] = _load(OBJECTIVES, "objective", name)
+    return loaded
+
+
+def solver_class(name: str) -> type[Solver]:
+    """The class of a solver.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: type[Solver] = _load(SOLVERS, "planner", name)
     return loaded

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeVar
 
-from dmotion_bench.planning.control import CONTROL_VERSION
+from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.scoring.report import Version
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.comparison import difference_by_episode

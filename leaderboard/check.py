@@ -321,7 +321,7 @@ def _apart(stored: pa.Table, scored: pa.Table) -> Bool[np.ndarray, " n"]:
     wrong: Bool[np.ndarray, " n"] = np.zeros(len(stored), np.bool_)
     for name in (*FIGURE_COLUMNS, "action", "pushed"):
         wrong |= _far(*(column(table, name).astype(np.float64) for table in (stored, scored)))
-    for name in ("distance", "found", "found_truth", "motion"):
+    for name in ("distance", "found", "found_truth", "motion", "command"):
         sizes, others = (
             pc.fill_null(pc.list_value_length(table[name]), 0).to_numpy().astype(np.int64) for table in (stored, scored)
         )

@@ -60,6 +60,11 @@ _AFTER: Final = (
         heading="Motion within / between",
         meaning="Variance of the agent's motion within an action over that between actions; 0 is best.",
     ),
+    Column(
+        figure="motion_probe_error",
+        heading="Probe error",
+        meaning="Squared error of a linear probe of the motion for the normalised action, if continuous; 0 is best.",
+    ),
 )
 _CONTROL_AFTER: Final = (
     Column(

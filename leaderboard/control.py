@@ -15,14 +15,17 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from jaxtyping import Int, UInt8
 
-from dmotion_bench.actions import require_discrete
+from dmotion_bench.actions import Discrete
+from dmotion_bench.environment import HasScript
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.control import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
-from dmotion_bench.planning.controllers import Controller, Decision, ModelController, Seen
-from dmotion_bench.planning.planner import make_planner
-from dmotion_bench.planning.problems import Moving, Problem, World, load_problems, task_environment
-from dmotion_bench.scoring.control import QUICK, ControlScoring, control_samples, score_control
+from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent
+from dmotion_bench.planning.earlier import present_planning, present_settings
+from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
+from dmotion_bench.planning.solvers.base import PlanContext
+from dmotion_bench.planning.tasks import Problem, World, load_problems, task_environment
+from dmotion_bench.scoring.control import QUICK, ControlScoring, agent_of, control_samples, score_control
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import column
@@ -89,15 +92,17 @@ def check_control(
     scoring = _scoring(check)
     if scoring is None:
         return
+    if not isinstance(dataset.spec.actions, Discrete):
+        check.missing.append("control: continuous actions are not kept with an entry, so they cannot be repeated")
+        return
     problems = load_problems(dataset, scoring.tasks)
     if check.entry.planned_by == CONTROL_VERSION and content.get("planning"):
-        for part, own in scoring.planning(dataset.spec, needs_pixels=run.model.needs_pixels).items():
-            check.expect(f"planning.{part}", content["planning"].get(part), own)
+        said = present_planning(content["planning"])
+        for part, own in scoring.planning(dataset, needs_pixels=run.model.needs_pixels).items():
+            check.expect(f"planning.{part}", said.get(part), own)
     found = dict[str, pa.Table]()
     for name in sorted({MODEL, *content[METRIC]}):
-        actions = _actions(
-            check, name, problems, scoring.steps, len(require_discrete(dataset.spec.actions, "an entry"))
-        )
+        actions = _actions(check, name, problems, scoring.steps, len(dataset.spec.actions))
         if actions is None:
             continue
         repeater = _Repeater(actions)
@@ -117,12 +122,14 @@ def check_control(
 
 def _scoring(check: Findings) -> ControlScoring | None:
     """The settings of control; None if the entry's settings are not possible."""
-    given = check.entry.content["settings"]
+    given = present_settings(check.entry.content["settings"])
     allowed: dict[str, Callable[[Any], bool]] = {
         "tasks": lambda value: value is None or (type(value) is int and value >= 1),
         "steps": lambda value: type(value) is int and 1 <= value <= MOST_STEPS,
         "planner": lambda value: isinstance(value, str),
-        "cost": lambda value: value is None or isinstance(value, str),
+        "planner_set": _are_settings,
+        "objective": lambda value: value is None or isinstance(value, str),
+        "objective_set": _are_settings,
         "seed": lambda value: type(value) is int and value >= 0,
         "group": lambda value: type(value) is int and 1 <= value <= MOST_GROUP,
     }
@@ -137,6 +144,10 @@ def _scoring(check: Findings) -> ControlScoring | None:
             "scored it"
         )
     return ControlScoring.from_json(given)
+
+
+def _are_settings(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(one, str) for one in value)
 
 
 def _actions(
@@ -199,8 +210,7 @@ def _plan_anew(
     groups = range(0, len(problems), scoring.group)
     first = groups[int(check.entry.content["weights"][:8], 16) % len(groups)]
     group = problems[first : first + scoring.group]
-    planner = make_planner(scoring.planner)
-    model = ModelController(run.model.laid_out(), dataset.spec, planner, cost=scoring.cost, device=how.device)
+    model = agent_of(run.model.laid_out(), dataset, scoring, how.device)
     witness = _Repeater(actions, model)
     few = ControlScoring(steps=min(PLANNED, scoring.steps), seed=scoring.seed, group=scoring.group)
     _control(witness, group, dataset, few, how, "control, planned anew")
@@ -213,8 +223,8 @@ def _plan_anew(
         check.remarks.append(f"control: {len(witness.otherwise)} of {witness.asked} actions were planned otherwise")
 
 
-class _Repeater:
-    """Repeats recorded actions, and can ask a controller at each step which action it would take.
+class _Repeater(SimulatorAgent):
+    """Repeats recorded actions, and can ask another agent at each step which action it would take.
 
     Args:
         actions: By task.
@@ -226,29 +236,36 @@ class _Repeater:
         otherwise: Where it would have acted otherwise.
     """
 
-    def __init__(self, actions: Mapping[int, Sequence[int]], asked_too: Controller | None = None) -> None:
-        self._actions, self._controller = actions, asked_too
+    def __init__(self, actions: Mapping[int, Sequence[int]], asked_too: Agent | None = None) -> None:
+        self._actions, self._agent = actions, asked_too
         self.asked, self.otherwise = 0, list[str]()
 
-    def act(self, seen: Seen) -> Decision:
-        """Raises TypeError: the actions depend on the task, see ``act_in``."""
-        raise TypeError("which actions were taken depends on the task")
+    def reset(self, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]) -> None:
+        """The other agent begins."""
+        if self._agent is not None:
+            self._agent.reset(first, goals)
 
-    def act_in(self, seen: Seen, worlds: Sequence[World]) -> Decision:
+    def observe(self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+        """The other agent sees what the recorded actions lead to."""
+        if self._agent is not None:
+            self._agent.observe(actions, frames)
+
+    def act_in(self, context: PlanContext, worlds: Sequence[World]) -> Decision:
         """The recorded actions of this step."""
-        taken = np.array([self._actions[world.problem.number][seen.step] for world in worlds])
-        if self._controller is None:
+        step = context.observation.step
+        taken = np.array([self._actions[world.problem.number][step] for world in worlds])
+        if self._agent is None:
             return Decision(action=taken)
-        wanted = self._controller.act(seen)
+        wanted = self._agent.act(context)
         for world, one, other in zip(worlds, taken.tolist(), wanted.action.tolist(), strict=True):
             self.asked += 1
             if one != other:
-                self.otherwise.append(f"task {world.problem.number}, step {seen.step}: {one}, and it plans {other}")
+                self.otherwise.append(f"task {world.problem.number}, step {step}: {one}, and it plans {other}")
         return Decision(action=taken, plan=wanted.plan)
 
 
 def _control(
-    controller: Controller,
+    agent: Agent,
     problems: Sequence[Problem],
     dataset: Dataset,
     scoring: ControlScoring,
@@ -260,7 +277,7 @@ def _control(
     def make_env() -> Any:
         return task_environment(dataset.recipe)
 
-    return control(controller, problems, make_env, settings, on_progress=_told(what, how))
+    return control(agent, problems, make_env, settings, on_progress=_told(what, how))
 
 
 def _reference(name: str, dataset: Dataset, scoring: ControlScoring, how: Execution) -> pa.Table:
@@ -277,7 +294,7 @@ def _told(what: str, how: Execution) -> Callable[[ControlProgress], None]:
 def _quick(dataset: Dataset) -> list[str]:
     """The references that take seconds and can act in this environment."""
     (env := task_environment(dataset.recipe)).close()
-    return [name for name in QUICK if name != "scripted" or isinstance(env, Moving)]
+    return [name for name in QUICK if name != "scripted" or isinstance(env, HasScript)]
 
 
 def _of(table: pa.Table, value: str, name: str) -> pa.Table:

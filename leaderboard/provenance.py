@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from dmotion_bench.planning.earlier import present_planning
 from leaderboard.board import Board
 from leaderboard.columns import control_columns, count, interval, number
 from leaderboard.entry import Entry
@@ -31,9 +32,9 @@ def provenance(board: Board) -> Markup:
 def _measured(entry: Entry) -> Markup:
     content = entry.content
     labels, dataset, samples = content["labels"], content["dataset"], content["samples"]
-    own = dataset.get("trained_on")
+    own, planning = dataset.get("trained_on"), present_planning(content.get("planning", {}))
     given = ", ".join(f"{purpose} {count}" for purpose, count in labels["given"].items())
-    facts = {
+    facts: dict[str, Any] = {
         "model": f"{entry.model}, {content['arch']} architecture, preset {content['preset']}, seed {content['seed']}",
         "labels": f"{labels['asked']}: {count(labels['total'])} handed out{f' ({given})' if given else ''}",
         "data set": f"{dataset['name']} ({dataset['environment']})",
@@ -44,11 +45,7 @@ def _measured(entry: Entry) -> Markup:
         "samples' SHA-256": samples["sha256"],
         "protocol": f"{content['protocol']}, scored by {content.get('code') or f'version {entry.scored_by}'}",
         "settings": _listed(content["settings"]),
-        **{
-            name: _listed(content["planning"][name])
-            for name in ("planner", "cost")
-            if name in content.get("planning", {})
-        },
+        **{name: _listed(planning[name]) for name in ("solver", "objective") if name in planning},
         "training": _listed(content["training"]),
         "versions": _listed(content["versions"]),
     }

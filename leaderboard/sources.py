@@ -8,6 +8,7 @@ from typing import Final
 
 from dmotion_bench.errors import DmbenchError, RunMismatch
 from dmotion_bench.learning.run import Run
+from dmotion_bench.planning.earlier import present_planning
 from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.transfer import training_of, transferable
@@ -122,5 +123,7 @@ def _against_report(check: Findings, folder: Path) -> None:
     if report is None:
         check.wrong.append(f"report: there is none of this protocol in {str(folder)!r}")
         return
-    for name in ("versions", "remarks", "planning"):
+    for name in ("versions", "remarks"):
         check.expect(name, check.entry.content.get(name, {}), getattr(report, name))
+    said, own = (present_planning(one) for one in (check.entry.content.get("planning", {}), report.planning))
+    check.expect("planning", said, own)

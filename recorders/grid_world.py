@@ -36,6 +36,7 @@ from dmotion_bench.specs import (
 from recorders import grid_drawing
 from recorders.grid_drawing import CELLS, SIZE, Drawn, Version
 from recorders.policies import RandomPolicy
+from recorders.pushing_script import PushingScript
 
 ACTIONS: Final = Discrete(("up", "down", "left", "right"))
 FACTS: Final = EnvSpec(
@@ -126,6 +127,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     )
     policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType({"random": RandomPolicy})
     default_policy: ClassVar[str] = "random"
+    objective: ClassVar[str] = "tracked"
     versions: ClassVar[Mapping[int, str]] = MappingProxyType(
         {
             1: "drawn on the 128 x 128 pixels themselves",
@@ -146,6 +148,10 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     def moves(self) -> Float[np.ndarray, "a 2"]:
         """Where each action takes the agent, in cells."""
         return MOVES.astype(np.float64)
+
+    def script(self) -> PushingScript:
+        """The rules of the reference ``scripted``."""
+        return PushingScript()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

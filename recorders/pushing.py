@@ -21,6 +21,7 @@ from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.specs import EnvSpec, ObjectSpec, ObjectStates, Preset, Scalar
 from recorders.push_policy import PushPolicy
+from recorders.pushing_script import PushingScript
 from recorders.table_lattice import Lattice, Place
 from recorders.variation import Factor, Variation, named_factors
 
@@ -84,6 +85,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     )
     policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType({"push": PushPolicy})
     default_policy: ClassVar[str] = "push"
+    objective: ClassVar[str] = "tracked"
     factors: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __init__(
@@ -118,6 +120,10 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         moves: Float[np.ndarray, "a 2"] = self.lattice.step * np.asarray(self.lattice.moves)
         return moves
 
+    def script(self) -> PushingScript:
+        """The rules of the reference ``scripted``."""
+        return PushingScript()
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:
@@ -146,16 +152,25 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         Raises:
             InvalidSetting: A displacement has a number outside of its bounds.
         """
-        place, illegal = self._after(action)
-        acts = not illegal or isinstance(self.actions, Continuous)
-        if acts:
-            self._place = place
-            self._moment += 1
-            self._push(self.lattice.at(self._place))
-        if acts or not self._drawn_as_is:
+        illegal = self.advance(action)
+        if not self._drawn_as_is:
             self._frame, self._masks = self._draw()
             self._drawn_as_is = True
         return self._frame.copy(), 0.0, self._terminated(), False, {"illegal": illegal}
+
+    def advance(self, action: Any) -> bool:
+        """Move the pusher as ``step`` does, without drawing it; whether the move would have left its area.
+
+        Raises:
+            InvalidSetting: A displacement has a number outside of its bounds.
+        """
+        place, illegal = self._after(action)
+        if not illegal or isinstance(self.actions, Continuous):
+            self._place = place
+            self._moment += 1
+            self._push(self.lattice.at(self._place))
+            self._drawn_as_is = False
+        return illegal
 
     def _after(self, action: Any) -> tuple[Place, bool]:
         """Where an action leads, and whether it would leave the pusher's area."""

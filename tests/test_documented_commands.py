@@ -11,7 +11,6 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from test_documentation import PAGES, ROOT, _commands, _is_example
 from dmotion_bench.cli import demo, score
 from dmotion_bench.learning import checkpoint, start, table
 from dmotion_bench.learning.start import TrainingRequest, open_run
-from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
+from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
@@ -91,13 +90,21 @@ def _shorter_training(settings: Any, config: Any, training: Any) -> Any:
 _with_settings = start.with_settings
 
 
+TWO = CrossEntropy(samples=2, horizon=1, iterations=1, elites=1)
+_control = score._control
+
+
+def _two_steps(*asked: Any) -> ControlScoring:
+    return replace(_control(*asked), steps=2)
+
+
 def _shorten(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(start, "with_settings", _shorter_training)
     patch.setattr(table, "model_names", lambda: ["dmotion"])
     patch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
-    two = partial(CrossEntropyPlanner, samples=2, horizon=1, iterations=1, elites=1)
-    patch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": two})
-    patch.setattr(score, "_control", lambda tasks, planner, cost: ControlScoring(tasks=tasks, cost=cost, steps=2))
+    patch.setattr("dmotion_bench.planning.choices.make_solver", lambda name, settings=(): TWO)
+    patch.setattr("dmotion_bench.scoring.control.make_solver", lambda name, settings=(): TWO)
+    patch.setattr(score, "_control", _two_steps)
     patch.setattr(demo, "EPISODES", 12)
     patch.setattr(demo, "EPOCHS", 0.01)
     patch.delenv("DMBENCH_WORKSPACE", raising=False)

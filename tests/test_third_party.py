@@ -1,7 +1,8 @@
-"""Anyone's model: the guide's package is built, installed, found, checked, trained and asked for frames."""
+"""Anyone's model, solver and objective: the guides' packages are built, installed, found, checked and used."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -11,7 +12,9 @@ from pathlib import Path
 import pytest
 from noise_world import noise_episode, noise_spec
 
+from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
 
 pytestmark = pytest.mark.slow
@@ -31,18 +34,32 @@ print(type(model).__module__, tuple(one.shape), torch.equal(one, other))
 """
 
 
-def _blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+PLANNER_GUIDE = GUIDE.with_name("your_planner.md")
+
+
+def _blocks(language: str, guide: Path = GUIDE) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", guide.read_text(), re.DOTALL)
 
 
 @pytest.fixture
 def shell(tmp_path: Path):
-    """Runs Python with the installed package on its path and a workspace of its own."""
-    package, site = tmp_path / "package", tmp_path / "site"
-    (package / "tiny_latents").mkdir(parents=True)
-    (package / "tiny_latents" / "__init__.py").write_text(_blocks("python")[0])
-    (package / "pyproject.toml").write_text(_blocks("toml")[0])
+    """Runs Python with the installed package of the guide for models."""
     (tmp_path / "test_tiny.py").write_text(_blocks("python")[1])
+    return _installed(tmp_path, "tiny_latents", GUIDE)
+
+
+@pytest.fixture
+def planner_shell(tmp_path: Path):
+    """Runs Python with the installed package of the guide for planners."""
+    return _installed(tmp_path, "bright_planner", PLANNER_GUIDE)
+
+
+def _installed(tmp_path: Path, name: str, guide: Path):
+    """What runs Python with a guide's installed package on its path and a workspace of its own."""
+    package, site = tmp_path / "package", tmp_path / "site"
+    (package / name).mkdir(parents=True)
+    (package / name / "__init__.py").write_text(_blocks("python", guide)[0])
+    (package / "pyproject.toml").write_text(_blocks("toml", guide)[0])
     places = os.pathsep.join([str(site), *(path for path in sys.path if path)])
     environment = os.environ | {"PYTHONPATH": places, "DMBENCH_WORKSPACE": str(tmp_path), "OMP_NUM_THREADS": "1"}
 
@@ -76,6 +93,29 @@ def test_the_guides_model_works_from_its_own_package(shell, tmp_path: Path) -> N
     used = _blocks("python")[2].replace("runs/tiny-latents-grid_world-small-s0", str(folder))
     used = used.replace("data/grid_world-small", str(data))
     assert shell("-c", used + "print(tuple(pictures.shape), pictures.dtype)").split()[-1] == "torch.uint8"
+
+
+def test_the_guides_solver_and_objective_plan_from_their_own_package(planner_shell, tmp_path: Path) -> None:
+    recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=20, frames=32, tasks=2)
+    record_dataset(tmp_path / "data" / "grid", recipe)
+    dataset = Dataset.open(tmp_path / "data" / "grid")
+    plan = ("plan", "oracle", "--data", "grid", "--steps", "3", "--planner", "straight", "--json")
+    chosen = ("--planner-set", "horizon=2", "--objective", "brightness", "--objective-set", "weight=2")
+    said = json.loads(planner_shell("-c", COMMAND, *plan, *chosen))
+    assert said["planner"] == "straight"
+    assert said["frames"] == 3 * 4 * 2
+    assert len(said["actions"]) == 3
+    assert dataset.tasks()
+    script = (
+        "import json; from dmotion_bench.scoring.control import ControlScoring\n"
+        "from dmotion_bench.storage.dataset import Dataset\n"
+        "chosen = ControlScoring(planner='straight', objective='brightness', objective_set=('weight=2',))\n"
+        "print(json.dumps(chosen.planning(Dataset.open('data/grid'), needs_pixels=True)))\n"
+    )
+    assert json.loads(planner_shell("-c", script)) == {
+        "solver": {"name": "straight", "horizon": 5},
+        "objective": {"name": "brightness", "weight": 2.0},
+    }
 
 
 def test_the_guides_code_is_short() -> None:

@@ -17,6 +17,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from dmotion_bench.benchmarks import machine
+from dmotion_bench.benchmarks.planning_speed import PlanningOneByOne, PlanningTogether
 from dmotion_bench.benchmarks.result import Failure, Result
 from dmotion_bench.benchmarks.rounds import measure_in_rounds
 from dmotion_bench.benchmarks.scene import SIZE, scene_facts, scene_frames
@@ -25,7 +26,6 @@ from dmotion_bench.errors import DmbenchError, UnknownName
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.triplets import TripletSet
-from dmotion_bench.planning.speed import PlanningOneByOne, PlanningTogether
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.recording.speed import RecordedFrames
 from dmotion_bench.registry import environment_names, model_class, model_names, speed, speed_names

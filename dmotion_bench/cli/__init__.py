@@ -12,10 +12,18 @@ from dmotion_bench.interrupts import INTERRUPTED, ended_like_ctrl_c, exit_code
 
 __all__ = ["main"]
 
+SPINS = "10000"
+"""How often a waiting thread looks: about 0.2 ms, longer than most pauses between the parallel parts of a step.
+
+GNU's OpenMP, which torch ships, looks 300,000 times. Beside other work a step with two threads then takes ten times as
+long as with one (docs/decisions/050-waiting-threads-give-way.md).
+"""
+
 
 def main() -> None:
     """Entry point of the ``dmbench`` script. Ctrl-C ends it with a sentence, also while it is still loading."""
     _open_streams()
+    bound_waiting()
     try:
         with ended_like_ctrl_c():
             from dmotion_bench.cli.app import main as run
@@ -25,6 +33,15 @@ def main() -> None:
         with contextlib.suppress(OSError):
             print(f"dmbench: {INTERRUPTED}", file=sys.stderr, flush=True)  # noqa: T201
         sys.exit(exit_code())
+
+
+def bound_waiting() -> None:
+    """See that torch's threads wait for each other for a moment only, and then leave their core to other work.
+
+    OpenMP reads this when torch loads. A variable that is set already decides instead.
+    """
+    if not {"GOMP_SPINCOUNT", "OMP_WAIT_POLICY"} & os.environ.keys():
+        os.environ["GOMP_SPINCOUNT"] = SPINS
 
 
 def _open_streams() -> None:

@@ -15,8 +15,8 @@ from dmotion_bench.errors import UnknownName
 if TYPE_CHECKING:
     from dmotion_bench.scoring.score import Metric
 
-PLANNERS: Final = ("cem", "icem", "exhaustive")
-COSTS: Final = ("followed", "tracked", "position", "pixel", "feature")
+PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "mppi", "random-shooting")
+OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "control")
 EXECUTORS: Final = ("local", "ray", "slurm")
@@ -49,14 +49,35 @@ PlannerName = Annotated[
     typer.Option(
         metavar=listed(PLANNERS),
         help="How control searches for actions. cem is the paper's cross-entropy method, icem a newer variant of it, "
-        "and exhaustive tries every sequence. Default: cem.",
+        "random-shooting draws sequences once. exhaustive tries every sequence of discrete actions; mppi and gradient "
+        "are for continuous ones. A package of your own can add others. Default: cem.",
     ),
 ]
-CostName = Annotated[
+PlannerSettings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--planner-set",
+        metavar="KEY=VALUE",
+        help="Change a setting of the planner, such as horizon=10. Can be repeated.",
+    ),
+]
+ObjectiveName = Annotated[
     str | None,
     typer.Option(
-        metavar=listed(COSTS),
-        help="How control measures the distance of a predicted frame from the goal. position is the paper's; followed "
-        "and tracked also handle hidden objects. Default: a cost that suits the model and the environment.",
+        "--objective",
+        "--cost",
+        metavar=listed(OBJECTIVES),
+        help="What control minimises. centres is the paper's: the distance of the objects that a predicted frame shows "
+        "from their places in the goal; tracked remembers hidden objects as well, tabletop also follows them through "
+        "predicted frames and avoids falls. A package of your own can add others. Default: the one that the "
+        "environment names, and feature for models that draw no frames.",
+    ),
+]
+ObjectiveSettings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--objective-set",
+        metavar="KEY=VALUE",
+        help="Change a setting of the objective that is named, such as lost_distance=1. Can be repeated.",
     ),
 ]

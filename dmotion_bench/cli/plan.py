@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmotion_bench.actions import require_discrete
-from dmotion_bench.cli.options import COSTS, REFERENCES, CostName, PlannerName, require_one_of
+from dmotion_bench.actions import Discrete
+from dmotion_bench.cli.options import REFERENCES, ObjectiveName, ObjectiveSettings, PlannerName, PlannerSettings
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.learning.model import ForwardModel
-    from dmotion_bench.planning.control import ControlResult
-    from dmotion_bench.planning.planner import Planner
-    from dmotion_bench.planning.problems import Problem
+    from dmotion_bench.planning.mpc import ControlResult
+    from dmotion_bench.planning.tasks import Problem
+    from dmotion_bench.scoring.control import ControlScoring
     from dmotion_bench.storage.dataset import Dataset
 
 
@@ -33,7 +33,9 @@ def plan(
     ],
     task: Annotated[int, typer.Option(min=0, help="Number of the control task in the data set.")] = 0,
     planner: PlannerName = None,
-    cost: CostName = None,
+    planner_set: PlannerSettings = None,
+    objective: ObjectiveName = None,
+    objective_set: ObjectiveSettings = None,
     steps: Annotated[int, typer.Option(min=1, help="Number of actions to take.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the planner's random numbers.")] = 0,
     data: Annotated[
@@ -51,17 +53,23 @@ def plan(
 ) -> None:
     """Plan one control task with a model and watch it in Rerun."""
     from dmotion_bench.errors import UsageError
-    from dmotion_bench.planning.planner import DEFAULT_PLANNER, make_planner
+    from dmotion_bench.planning.choices import DEFAULT_SOLVER
+    from dmotion_bench.scoring.control import ControlScoring
     from dmotion_bench.workspace import Workspace
 
     if save is not None and save.suffix != ".rrd":
         raise UsageError(f"--save {str(save)!r} must end in .rrd, as Rerun knows its files by it.")
-    if cost is not None:
-        require_one_of("cost", cost, COSTS)
-    name = planner or DEFAULT_PLANNER
-    chosen = make_planner(name)
+    chosen = ControlScoring(
+        steps=steps,
+        planner=planner or DEFAULT_SOLVER,
+        planner_set=tuple(planner_set or ()),
+        objective=objective,
+        objective_set=tuple(objective_set or ()),
+        seed=seed,
+        group=1,
+    )
 
-    from dmotion_bench.planning.problems import load_problems
+    from dmotion_bench.planning.tasks import load_problems
     from dmotion_bench.specs import IMPORTED
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.viewing.viewer import require_display
@@ -82,8 +90,8 @@ def plan(
     problem = load_problems(dataset, [task])[0]
     if window := not (web or save or as_json):
         require_display()  # said before the work, not after it
-    result = _solve(who, model, dataset, problem, chosen, cost, steps, seed, save, window=window, web=web)
-    summary = _summary(who, dataset, result, name)
+    result = _solve(who, model, dataset, problem, chosen, save, window=window, web=web)
+    summary = _summary(who, dataset, result, chosen.planner)
     if as_json:
         typer.echo(json.dumps(summary))
         return
@@ -95,10 +103,7 @@ def _solve(
     model: ForwardModel[Any] | None,
     dataset: Dataset,
     problem: Problem,
-    planner: Planner,
-    cost: str | None,
-    steps: int,
-    seed: int,
+    chosen: ControlScoring,
     save: Path | None,
     *,
     window: bool,
@@ -109,26 +114,24 @@ def _solve(
 
     from dmotion_bench.cli.live import live_recording
     from dmotion_bench.cli.progress import progress_bar
-    from dmotion_bench.planning.control import ControlProgress, ControlSettings, Scene, control
-    from dmotion_bench.planning.controllers import ModelController, make_reference
-    from dmotion_bench.planning.driving import imagined
-    from dmotion_bench.planning.problems import task_environment
+    from dmotion_bench.planning.choices import make_solver
+    from dmotion_bench.planning.driving import predicted
+    from dmotion_bench.planning.dynamics.model import in_units
+    from dmotion_bench.planning.mpc import ControlProgress, ControlSettings, Scene, control
+    from dmotion_bench.planning.tasks import task_environment
+    from dmotion_bench.scoring.control import agent_of
     from dmotion_bench.viewing.control import SHOWN, control_blueprint, log_goal, log_step
 
     spec = dataset.spec
-    controller = (
-        make_reference(who, spec, lambda: task_environment(dataset.recipe), planner, cost)
-        if model is None
-        else ModelController(model, spec, planner, cost=cost)
-    )
+    agent, solver = agent_of(model or who, dataset, chosen), make_solver(chosen.planner, chosen.planner_set)
     pictures = model is not None and model.needs_pixels
     watched = window or web or save is not None
-    blueprint = control_blueprint(spec, getattr(planner, "horizon", 5), pictures)
+    blueprint = control_blueprint(spec, getattr(solver, "horizon", 5), pictures)
     title = f"{who}, task {problem.number} of {dataset.name}"
     with contextlib.ExitStack() as stack:
         recording = stack.enter_context(live_recording(title, blueprint, window=window, web=web, save=save))
         bar = stack.enter_context(progress_bar())
-        row = bar.add_task(title, total=steps, status="")
+        row = bar.add_task(title, total=chosen.steps, status="")
         if watched:
             log_goal(recording, problem.goal_frame)
 
@@ -136,29 +139,31 @@ def _solve(
             bar.update(row, status=f"distance {scene.distance[0]:.3f}")
             if not watched:
                 return
-            futures = None
+            futures, seen = None, scene.context.observation
             if pictures and model is not None and scene.decision.plan is not None:
-                seen, best = scene.seen, torch.from_numpy(scene.decision.plan.candidates[0, :SHOWN])
+                best = in_units(model.inputs.actions, torch.from_numpy(scene.decision.plan.candidates[0, :SHOWN]))
                 previous, current = (torch.from_numpy(images[0]) for images in (seen.previous, seen.current))
-                futures = imagined(model, previous, current, best).numpy()
+                futures = predicted(model, previous, current, best).numpy()
             world = scene.worlds[0]
-            log_step(recording, spec, scene.seen.step, world.frame, world.distance, scene.decision.plan, futures)
+            log_step(recording, spec, seen.step, world.frame, world.distance, scene.decision.plan, futures)
 
         def advance(progress: ControlProgress) -> None:
             bar.update(row, completed=progress.steps)
 
         return control(
-            controller,
+            agent,
             [problem],
             lambda: task_environment(dataset.recipe),
-            ControlSettings(steps=steps, seed=seed, group=1),
+            ControlSettings(steps=chosen.steps, seed=chosen.seed, group=1),
             watch=watch,
             on_progress=advance,
         )
 
 
 def _summary(who: str, dataset: Dataset, result: ControlResult, planner: str) -> dict[str, Any]:
-    names = require_discrete(dataset.spec.actions, "planning").names
+    from dmotion_bench.planning.agents import known_actions, was_taken
+
+    spec = known_actions(dataset.spec)
     distance = result.distance[0].round(6).tolist()
     return {
         "run": who,
@@ -169,7 +174,10 @@ def _summary(who: str, dataset: Dataset, result: ControlResult, planner: str) ->
         "distance": distance,
         "final_distance": distance[-1],
         "lost": int(result.lost[0, -1]),
-        "actions": [names[action] if action >= 0 else None for action in result.actions[0].tolist()],
+        "actions": [
+            (spec.names[action] if isinstance(spec, Discrete) else action.tolist()) if taken else None
+            for action, taken in zip(result.actions[0], was_taken(result.actions[0]), strict=True)
+        ],
         "frames": result.frames,
         "planning_seconds": round(result.seconds, 3),
     }
@@ -185,6 +193,6 @@ def _show(summary: dict[str, Any], save: Path | None) -> None:
         typer.echo(f"  {summary['lost']} object(s) lost, each counting 1")
     if summary["frames"]:
         each = summary["frames"] / summary["steps"]
-        typer.echo(f"  {each:.0f} frames imagined a step, {summary['planning_seconds']:.1f} s of planning in all")
+        typer.echo(f"  {each:.0f} frames predicted a step, {summary['planning_seconds']:.1f} s of planning in all")
     if save is not None:
         typer.echo(f"Watch it with {command('dmbench view', save)}.")

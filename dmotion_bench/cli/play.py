@@ -118,7 +118,7 @@ def _tell(drive: Drive, actions: Sequence[str]) -> None:
 def _simulator(dataset: Dataset, episode: int) -> Callable[[int | None], np.ndarray[Any, Any]] | None:
     """A function that takes an action in the simulator (None: start again); None without that environment."""
     from dmotion_bench.errors import DmbenchError
-    from dmotion_bench.planning.problems import task_environment
+    from dmotion_bench.planning.tasks import task_environment
     from dmotion_bench.specs import IMPORTED
 
     if dataset.recipe.environment == IMPORTED:

@@ -14,9 +14,11 @@ from dmotion_bench.cli.options import (
     METRICS,
     REFERENCES,
     AsJson,
-    CostName,
     Device,
+    ObjectiveName,
+    ObjectiveSettings,
     PlannerName,
+    PlannerSettings,
     listed,
     require_one_of,
 )
@@ -61,7 +63,9 @@ def score(
         typer.Option(min=1, help="For control: work on the data set's first tasks only, this many. Default: all."),
     ] = None,
     planner: PlannerName = None,
-    cost: CostName = None,
+    planner_set: PlannerSettings = None,
+    objective: ObjectiveName = None,
+    objective_set: ObjectiveSettings = None,
     data: Annotated[
         Path | None,
         typer.Option(
@@ -94,6 +98,7 @@ def score(
     require_one_of("device", device, DEVICES)
     use_cache(cache)
     asked = _metrics(metrics)
+    control = _control(tasks, planner, planner_set, objective, objective_set)
     workspace = Workspace.current()
     if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):
         if len(named) < len(runs) or every:
@@ -102,9 +107,7 @@ def score(
             )
         if asked != ("control",):
             raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
-        _references(
-            [str(one) for one in named], workspace.dataset(data), _control(tasks, planner, cost), as_json=as_json
-        )
+        _references([str(one) for one in named], workspace.dataset(data), control, as_json=as_json)
         return
     if every and runs:
         raise UsageError("--all scores every run; name runs or give --all, not both.")
@@ -118,7 +121,7 @@ def score(
         split="validation" if split == "validation" else "test",
         horizon=horizon,
         precision="bf16" if precision == "bf16" else "float32",
-        control=_control(tasks, planner, cost),
+        control=control,
     )
     other = None if data is None else workspace.dataset(data)
     reports, failures = score_runs(paths, asked, settings, batch_size=batch_size, device=device, keep=every, data=other)
@@ -210,18 +213,30 @@ def _metrics(text: str) -> tuple[Metric, ...]:
     return tuple(name for name in METRICS if name in asked)
 
 
-def _control(tasks: int | None, planner: str | None, cost: str | None) -> ControlScoring:
-    from dmotion_bench.planning.planner import DEFAULT_PLANNER
+def _control(
+    tasks: int | None,
+    planner: str | None,
+    planner_set: list[str] | None,
+    objective: str | None,
+    objective_set: list[str] | None,
+) -> ControlScoring:
+    from dmotion_bench.planning.choices import DEFAULT_SOLVER
     from dmotion_bench.scoring.control import ControlScoring
 
-    return ControlScoring(tasks=tasks, planner=planner or DEFAULT_PLANNER, cost=cost)
+    return ControlScoring(
+        tasks=tasks,
+        planner=planner or DEFAULT_SOLVER,
+        planner_set=tuple(planner_set or ()),
+        objective=objective,
+        objective_set=tuple(objective_set or ()),
+    )
 
 
 def _references(names: list[str], path: Path, scoring: ControlScoring, *, as_json: bool) -> None:
     """Score references for control; what they did stays in the data set's cache."""
     from dmotion_bench.cli.progress import progress_bar
     from dmotion_bench.cli.report_table import show_control
-    from dmotion_bench.planning.control import ControlProgress
+    from dmotion_bench.planning.mpc import ControlProgress
     from dmotion_bench.scoring.control import control_samples, score_reference
     from dmotion_bench.scoring.figures import figures_of
     from dmotion_bench.storage.dataset import Dataset

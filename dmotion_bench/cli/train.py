@@ -194,7 +194,9 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
 
 def _conditions(conditions: Conditions) -> str:
     threads = f"{conditions.threads} thread{'s' if conditions.threads > 1 else ''}"
-    taken = ", ".join(f"{seconds:.3g} s in {precision}" for precision, seconds in conditions.probe.items())
+    tried = {f"in {precision}": seconds for precision, seconds in conditions.probe.items()}
+    tried |= {f"with threads: {count}": seconds for count, seconds in conditions.threads_probe.items()}
+    taken = ", ".join(f"{seconds:.3g} s {how}" for how, seconds in tried.items())
     return f"{conditions.precision} with {threads}" + (f"; before the training a step took {taken}" if taken else "")
 
 

@@ -1,22 +1,33 @@
-"""The conditions of a training that begins: as many threads as torch has now, and the precision that is asked for.
+"""The conditions of a training that begins: threads and precision, as asked for, or whichever are faster here.
 
-Where no precision is asked for, a model and an optimiser that are thrown away afterwards take some real steps in each.
+What is not asked for is measured: a model and an optimiser that are thrown away afterwards take some real steps in
+each way. One thread is faster than all where other work keeps the cores busy: threads that share a step wait for the
+one that got no core.
 """
 
 from __future__ import annotations
 
+import functools
+import logging
+import statistics
 from collections.abc import Callable, Sequence
 
 import torch
 
 from dmotion_bench.learning.curriculum import Part
 from dmotion_bench.learning.optimization import learning_rate, make_optimizer, set_learning_rate
-from dmotion_bench.learning.precision import Precision, settled, timed
+from dmotion_bench.learning.precision import PRECISIONS, Precision, settled
 from dmotion_bench.learning.run_manifest import Conditions, RunSpec
 from dmotion_bench.learning.step import Stepper
+from dmotion_bench.learning.threads import has_choice_of_threads, using_threads
+from dmotion_bench.learning.timing import clearly_faster, timed_in_turn
+
+_log = logging.getLogger(__name__)
 
 
-def choose_conditions(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int) -> Conditions:
+def choose_conditions(
+    spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int, threads: int | None = None
+) -> Conditions:
     """What a training is to compute with from its first step to its last.
 
     Args:
@@ -24,13 +35,41 @@ def choose_conditions(spec: RunSpec, parts: Sequence[Part], device: torch.device
         parts: Of the training.
         device: Where it runs.
         processes: How many share a batch.
+        threads: Asked for; None: as many as torch has, or a single one where that is clearly faster.
     """
-    threads = torch.get_num_threads()
-    precision = settled(spec.training_config.precision, parts[-1].stop, device)
+    steps, precision = parts[-1].stop, settled(spec.training_config.precision, parts[-1].stop, device)
+    step = functools.cache(lambda: _trial(spec, parts, device, processes))
+    by_threads: dict[str, float] = {}
+    if threads is None and has_choice_of_threads(steps, device, processes):
+        tried = precision or "bf16"
+        counts = {str(count): count for count in (torch.get_num_threads(), 1)}
+        rounds = timed_in_turn(
+            {name: functools.partial(_with_threads, count, step(), tried) for name, count in counts.items()}, device
+        )
+        by_threads = {name: statistics.median(seconds) for name, seconds in rounds.items()}
+        usual, alone = rounds.values()
+        threads = 1 if clearly_faster(alone, usual) else None
+        if threads == 1:
+            _log.warning(
+                "this machine is busy: a step takes %.2g s with %s threads and %.2g s with one, so the training "
+                "computes with one; '--threads' chooses another number.",
+                *(by_threads[str(torch.get_num_threads())], torch.get_num_threads(), by_threads["1"]),
+            )
+    threads = threads or torch.get_num_threads()
     if precision is not None:
-        return Conditions(threads=threads, precision=precision)
-    rounds = timed(_trial(spec, parts, device, processes), device)
-    return Conditions(threads=threads, precision=rounds.faster, probe=rounds.medians)
+        return Conditions(threads=threads, precision=precision, threads_probe=by_threads)
+    ways: dict[str, Callable[[], object]] = {
+        name: functools.partial(_with_threads, threads, step(), name) for name in PRECISIONS
+    }
+    seconds = timed_in_turn(ways, device)
+    chosen: Precision = "float32" if clearly_faster(seconds["float32"], seconds["bf16"]) else "bf16"
+    medians = {name: statistics.median(each) for name, each in seconds.items()}
+    return Conditions(threads=threads, precision=chosen, probe=medians, threads_probe=by_threads)
+
+
+def _with_threads(threads: int, step: Callable[[Precision], object], precision: Precision) -> None:
+    with using_threads(threads):
+        step(precision)
 
 
 def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int) -> Callable[[Precision], object]:

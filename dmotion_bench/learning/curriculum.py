@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.batches import TripletBatches
 from dmotion_bench.learning.images import to_model
@@ -86,11 +85,6 @@ def parts_of(
         size = phase.batch_size or config.batch_size
         total = BatchOrder(len(video), size, 0).steps(config.epochs)
         start = parts[-1].stop if parts else 0
-        if phase.needs_actions and np.unique(batches.triplets.episode, return_counts=True)[1].max() < phase.together:
-            raise LabelsNotAvailable(
-                f"the phase {phase.name!r} compares {phase.together} labelled transitions of one episode, and the "
-                f"budget {data.budget.request} has fewer of each; give more, such as --labels 64."
-            )
         parts.append(
             Part(
                 phase=phase,

@@ -160,17 +160,28 @@ class Conditions:
         threads: That each process computes with.
         precision: In which matrices are multiplied.
         probe: Seconds that a step took in each precision; empty where nothing had to be measured.
+        threads_probe: The same by the number of threads.
     """
 
     threads: int
     precision: Precision
     probe: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    threads_probe: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _within("threads", self.threads, range(1, MOST_THREADS + 1))
         for name, seconds in self.probe.items():
-            if name not in get_args(Precision) or type(seconds) not in (int, float) or not 0 <= seconds < math.inf:
+            if name not in get_args(Precision) or not _is_duration(seconds):
                 raise InvalidSetting(f"probe is {shown(dict(self.probe))}; it can be seconds by precision.")
+        for count, seconds in self.threads_probe.items():
+            if not count.isdecimal() or not _is_duration(seconds):
+                raise InvalidSetting(
+                    f"threads_probe is {shown(dict(self.threads_probe))}; it can be seconds by number."
+                )
+
+
+def _is_duration(seconds: object) -> bool:
+    return type(seconds) in (int, float) and 0 <= seconds < math.inf  # type: ignore[operator]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

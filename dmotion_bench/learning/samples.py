@@ -75,7 +75,7 @@ def _sheet(
     previous: Float[Tensor, "n c h w"],
     current: Float[Tensor, "n c h w"],
     following: Float[Tensor, "n c h w"],
-    action: Int[Tensor, " n"],
+    action: Int[Tensor, " n"] | Float[Tensor, "n a"],
 ) -> UInt8[np.ndarray, "y x 3"]:
     predicted = model.predict(previous, current, action)
     rows = torch.stack([to_pixels(images.float()) for images in (current, following, predicted)]).cpu().numpy()

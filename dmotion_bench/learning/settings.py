@@ -21,8 +21,13 @@ def _fields(config: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in dataclasses.fields(config) if field.init}
 
 
-def with_settings(settings: Sequence[str], *configs: Any) -> tuple[Any, ...]:
+def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set") -> tuple[Any, ...]:
     """New configs with ``KEY=VALUE`` settings applied; each key belongs to the one config that has it.
+
+    Args:
+        settings: As they were typed.
+        configs: Whose fields can be set.
+        option: Of the command line that they were given with.
 
     Raises:
         InvalidSetting: No config has the key (the closest is named), or the value is not of its type.
@@ -32,7 +37,7 @@ def with_settings(settings: Sequence[str], *configs: Any) -> tuple[Any, ...]:
     for setting in settings:
         key, equals, text = setting.partition("=")
         if not equals:
-            raise InvalidSetting(f"--set {setting!r} has no value; write --set {key}=VALUE.")
+            raise InvalidSetting(f"{option} {setting!r} has no value; write {option} {key}=VALUE.")
         if key not in owners:
             near = difflib.get_close_matches(key, owners, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(owners))}."

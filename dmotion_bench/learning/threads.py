@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import torch
 
 from dmotion_bench.errors import UsageError
+from dmotion_bench.learning.precision import FEWEST_STEPS
 
 
 @contextlib.contextmanager
@@ -35,6 +36,15 @@ def using_threads(count: int | None) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def has_choice_of_threads(steps: int, device: torch.device, processes: int) -> bool:
+    """Whether a training that no number of threads is asked for may measure which number is faster.
+
+    Not where it is short, and not where somebody has set the number of threads for torch.
+    """
+    own = "OMP_NUM_THREADS" not in os.environ and processes == 1 and device.type == "cpu"
+    return own and steps >= FEWEST_STEPS and torch.get_num_threads() > 1
 
 
 def not_allowed(count: int) -> str | None:

@@ -150,7 +150,9 @@ class _Trainer:
         fabric = self.fabric
         conditions: Any = self.run.conditions
         if conditions is None and fabric.is_global_zero:
-            conditions = choose_conditions(self.run.spec, self.parts, fabric.device, fabric.world_size)
+            conditions = choose_conditions(
+                self.run.spec, self.parts, fabric.device, fabric.world_size, self.run.threads
+            )
         agreed: Conditions = fabric.broadcast(conditions)
         if fabric.is_global_zero:
             self.run.begin(agreed)
@@ -158,6 +160,7 @@ class _Trainer:
 
     def fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
         self.conditions = self._settle()  # here, where nobody else trains the run
+        torch.set_num_threads(self.conditions.threads)
         self._resume()
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)

@@ -2,26 +2,17 @@
 
 ::
 
-    problems.py       stored tasks as problems: start state by replay, goal image, goal positions
-    control.py        the control loop: many tasks at once, resumable
-    controllers.py    who chooses the actions: a model with a planner, idle, random, the oracle
-    pusher.py         a scripted controller that reads the simulator
-    journal.py        the progress of control, on disk
-    futures.py        what a model predicts from the present state of some tasks
-    simulation.py     the same predicted by the true simulator, for the oracle
-    tree.py           predictions of many action sequences; a beginning that several share is predicted once
-    planner.py        the contract of a planner, and the planners by name
-    configuration.py  every field and constant that decides a plan, for reports
-    cross_entropy.py  the cross-entropy method: the paper's, and with later additions
-    exhaustive.py     every sequence there is
-    costs.py          how far a predicted frame is from the goal
-    following.py      the cost of predicted objects that are followed from step to step
-    tracking.py       where objects are, also those that the arm hides
-    covering.py       whether an object that is out of sight is hidden or has fallen off the table
-    table.py          which part of the picture is the table
-    edges.py          which objects may fall off the table at the next step
-    approaching.py    how near the agent is to a place from which it can push a misplaced object
-    exploring.py      where the agent goes while no known sequence brings an object nearer to its goal
-    driving.py        a model's predictions, driven by hand
-    speed.py          control steps per second
+    mpc.py        the control loop: observe, plan, act; many tasks at once, resumable
+    agents.py     who chooses the actions: a model with a solver and an objective, idle, random, the oracle, a script
+    tasks.py      stored tasks as problems: start state by replay, goal image, judged distance
+    journal.py    the progress of control, on disk
+    choices.py    solvers and objectives by their names, with every field settable, and as a report holds them
+    earlier.py    what earlier reports say of planning, in the words of today
+    driving.py    a model's predictions, driven by hand
+    dynamics/     what actions lead to: a forward model, the true simulator; beginnings shared in a tree
+    objectives/   what is minimised: centres, pixels, features; for arms that push objects on a table, tabletop/
+    solvers/      the search: the cross-entropy method, iCEM, random shooting, MPPI, gradients, every sequence
+
+``base.py`` in each folder is its contract. Solvers and objectives are reached through the entry points
+``dmbench.solvers`` and ``dmbench.objectives`` (``docs/your_planner.md``).
 """

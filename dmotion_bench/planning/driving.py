@@ -44,7 +44,7 @@ class Drive:
         return self.frame
 
 
-def imagined(
+def predicted(
     model: ForwardModel[Any],
     previous: UInt8[Tensor, "h w 3"],
     current: UInt8[Tensor, "h w 3"],

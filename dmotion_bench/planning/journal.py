@@ -1,8 +1,8 @@
 """The progress of the control loop on disk, so that an interrupted run continues with the same result.
 
-One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the planner
+One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the solver
 of the unfinished group remembers. A file of another key is not taken up: it belongs to other weights, other tasks
-or another planner. Neither is a file that does not fit its checksum.
+or another solver. Neither is a file that does not fit its checksum.
 """
 
 from __future__ import annotations
@@ -16,14 +16,19 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
-from dmotion_bench.planning.problems import Problem, World
-from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.planning.tasks import Problem, World
+from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.json_file import read_json
 
 FORMAT: Final = "dmbench-control/2"
+EARLIER_FORMAT: Final = "dmbench-control/1"
+"""Of earlier releases, without a checksum; what the oracle did takes hours, so it is read still."""
 WRITE_EVERY: Final = 5.0  # [s]
+
+Memory = Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"]
+"""What a solver remembers of each task: sequences of actions."""
 
 
 @dataclass(kw_only=True)
@@ -31,12 +36,12 @@ class TaskRecord:
     """The actions and distances of one task so far.
 
     Attributes:
-        actions: Taken so far.
+        actions: Taken so far: numbers, or of continuous actions lists; None for none of these.
         distance, lost: At the start and after each of them.
-        frames: Imagined for it so far.
+        frames: Predicted for it so far.
     """
 
-    actions: list[int] = field(default_factory=list)
+    actions: list[int | list[float] | None] = field(default_factory=list)
     distance: list[float] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
     frames: int = 0
@@ -60,9 +65,10 @@ class Journal:
         self._path, self._key = path, json.loads(json.dumps(key))
         self._accepted = [self._key, *(json.loads(json.dumps(one)) for one in earlier)]
         self._records: dict[int, TaskRecord] = {}
-        self._memory: dict[int, list[list[int]]] = {}
+        self._memory: dict[int, list[Any]] = {}
         self._written = time.monotonic()
         if path is not None:
+            remove_leftovers(path.parent)
             self._read(path)
 
     @classmethod
@@ -81,14 +87,14 @@ class Journal:
             known = {number: TaskRecord() for number in known}
         return known
 
-    def memory(self, problems: Sequence[Problem]) -> Int[np.ndarray, "b n t"] | None:
-        """The planner's memory of these tasks; None if there is none."""
+    def memory(self, problems: Sequence[Problem]) -> Memory | None:
+        """The solver's memory of these tasks; None if there is none."""
         found = [self._memory.get(problem.number) for problem in problems]
         if any(one is None for one in found):
             return None
-        return np.array(found, np.int64)
+        return np.array(found)
 
-    def write(self, records: Mapping[int, TaskRecord], memory: Int[np.ndarray, "b n t"] | None, *, last: bool) -> None:
+    def write(self, records: Mapping[int, TaskRecord], memory: Memory | None, *, last: bool) -> None:
         """Store these records; write them to disk every few seconds and after the group's last step."""
         self._records.update(records)
         self._memory = {}
@@ -112,9 +118,9 @@ class Journal:
     def _read(self, path: Path) -> None:
         try:
             content = read_json(path, nan=True)
-            if content.pop("crc32") != _checksum(content):
+            if content["format"] != EARLIER_FORMAT and content.pop("crc32") != _checksum(content):
                 return
-            if content["format"] != FORMAT or content["key"] not in self._accepted:
+            if content["format"] not in (FORMAT, EARLIER_FORMAT) or content["key"] not in self._accepted:
                 return
             records = {int(number): _record(**fields) for number, fields in content["tasks"].items()}
             memory = {int(number): own for number, own in content["memory"].items()}
@@ -127,11 +133,17 @@ def _checksum(content: Mapping[str, Any]) -> int:
     return zlib.crc32(json.dumps(content).encode())
 
 
-def _record(actions: list[int], distance: list[float], lost: list[int], frames: int) -> TaskRecord:
+def _action(stored: Any) -> int | list[float] | None:
+    if stored is None:
+        return None
+    return [float(number) for number in stored] if isinstance(stored, list) else int(stored)
+
+
+def _record(actions: list[Any], distance: list[float], lost: list[int], frames: int) -> TaskRecord:
     if not len(actions) + 1 == len(distance) == len(lost):
         raise ValueError("a record whose parts do not fit")
     return TaskRecord(
-        actions=[int(action) for action in actions],
+        actions=[_action(action) for action in actions],
         distance=[float(value) for value in distance],
         lost=[int(value) for value in lost],
         frames=int(frames),

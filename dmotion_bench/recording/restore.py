@@ -67,6 +67,10 @@ def repair_dataset(
         return Repaired(how="salvaged", salvaged=salvage(path))
     if report.tables:
         rebuild_tables(path, report.manifest)
+        deeper = repair_dataset(path, executor, on_progress)  # only now shards can be compared with what they hold
+        if deeper.how == "salvaged":
+            return deeper
+        return Repaired(how="restored", shards=tuple(sorted({*lost, *deeper.shards})))
     if not report.cache and any(cache_damages(Dataset.open(path))):  # which shows only where all else is sound
         _delete_cache(path)
     return Repaired(how="cache" if report.cache and not lost else "restored", shards=lost)

@@ -1,10 +1,10 @@
 """Control: how near to their goals a model and a planner bring the objects in a hundred steps.
 
 A task's figure is its normalised distance: 1 at the start, 0 at the goal, from the simulator's positions, whatever
-the model saw (``planning/problems.py``). What becomes of the samples of it stands in ``figures.py``.
+the model saw (``planning/tasks.py``). What becomes of the samples of it stands in ``figures.py``.
 
 The references say what a figure means: ``idle`` (1 by definition), ``random``, ``scripted`` (rules that read the
-simulator) and ``oracle`` (the same planner with the true simulator as its model). They depend on the data set alone,
+simulator) and ``oracle`` (the same solver with the true simulator as its model). They depend on the data set alone,
 so what they did is kept in its ``cache/``. The oracle takes much longer than any model: it stands beside a model
 once it has been scored for itself (``dmbench score oracle``).
 """
@@ -22,11 +22,23 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName
+from dmotion_bench.environment import HasScript
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
 from dmotion_bench.learning.checkpoint import weights_hash
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.configuration import planning_configuration
-from dmotion_bench.planning.control import (
+from dmotion_bench.planning.agents import REFERENCES, Agent, ModelAgent, make_reference
+from dmotion_bench.planning.choices import (
+    DEFAULT_SOLVER,
+    SIMULATOR,
+    default_objective,
+    make_objective,
+    make_solver,
+    planning_configuration,
+    present_name,
+)
+from dmotion_bench.planning.earlier import NOT_SETTINGS, earlier_name, earlier_planning, present_settings
+from dmotion_bench.planning.journal import Journal
+from dmotion_bench.planning.mpc import (
     CONTROL_VERSION,
     GROUP,
     STEPS,
@@ -35,15 +47,11 @@ from dmotion_bench.planning.control import (
     ControlSettings,
     control,
 )
-from dmotion_bench.planning.controllers import REFERENCES, Controller, ModelController, make_reference
-from dmotion_bench.planning.costs import COSTS
-from dmotion_bench.planning.journal import Journal
-from dmotion_bench.planning.planner import DEFAULT_PLANNER, make_planner
-from dmotion_bench.planning.problems import Moving, TaskDataset, load_problems, task_environment
+from dmotion_bench.planning.objectives.base import Objective
+from dmotion_bench.planning.tasks import TaskDataset, load_problems, task_environment
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import CONTROL_OF_CODE
 from dmotion_bench.scoring.samples import SampleRows
-from dmotion_bench.specs import EnvSpec
 from dmotion_bench.workspace import cache_folder
 
 METRIC: Final = "control"
@@ -60,38 +68,67 @@ class ControlScoring:
     Attributes:
         tasks: So many of the data set's first tasks; None for all.
         steps: Actions a task.
-        planner: Of ``planner_names()``; references that do not plan ignore it.
-        cost: Of ``planning.costs.COSTS``; None for what suits the model.
-        seed: Of the planner's random numbers.
+        planner: The solver's name; references that do not plan ignore it.
+        planner_set: ``KEY=VALUE`` for its fields that differ from their defaults.
+        objective: The objective's name; None for the one that suits (``default_objective``).
+        objective_set: As ``planner_set``; of an objective that is named.
+        seed: Of the solver's random numbers.
         group: Tasks side by side; it only decides which numbers are rounded together.
     """
 
     tasks: int | None = None
     steps: int = STEPS
-    planner: str = DEFAULT_PLANNER
-    cost: str | None = None
+    planner: str = DEFAULT_SOLVER
+    planner_set: tuple[str, ...] = ()
+    objective: str | None = None
+    objective_set: tuple[str, ...] = ()
     seed: int = 0
     group: int = GROUP
 
     def __post_init__(self) -> None:
         if self.tasks is not None and self.tasks < 1:
             raise InvalidSetting(f"tasks is {self.tasks}; control is scored on 1 or more.")
-        make_planner(self.planner)
-        if self.cost is not None and self.cost not in COSTS:
-            raise UnknownName("cost", self.cost, COSTS)
+        make_solver(self.planner, self.planner_set)
+        if self.objective is not None:
+            object.__setattr__(self, "objective", present_name(self.objective))
+            make_objective(self.objective, self.objective_set)
+        elif self.objective_set:
+            raise InvalidSetting(
+                f"{', '.join(self.objective_set)} is set, and no objective is named; name one with '--objective'."
+            )
 
     def to_json(self) -> dict[str, Any]:
         """The settings as a report stores them: with a prefix, and with the version of control."""
-        return {f"{METRIC}_{name}": value for name, value in (asdict(self) | {"version": CONTROL_VERSION}).items()}
+        own = asdict(self) | {"version": CONTROL_VERSION}
+        return {f"{METRIC}_{name}": list(one) if isinstance(one, tuple) else one for name, one in own.items()}
 
-    def planning(self, spec: EnvSpec, *, needs_pixels: bool | None) -> dict[str, Any]:
-        """The planner and the cost in full, see ``planning_configuration``."""
-        return planning_configuration(make_planner(self.planner), self.cost, spec, needs_pixels=needs_pixels)
+    def planned_with(self, dataset: TaskDataset, *, needs_pixels: bool | None) -> tuple[str, Objective | None]:
+        """The objective's name, and the objective.
+
+        Args:
+            dataset: Whose environment may name the one that suits.
+            needs_pixels: The model's; None for the true simulator in a model's place, which has its own.
+        """
+        if self.objective is None and needs_pixels is None:
+            return SIMULATOR, None
+        name = self.objective
+        if name is None:
+            name = default_objective(dataset.recipe.environment, dataset.spec, needs_pixels=bool(needs_pixels))
+        return name, make_objective(name, self.objective_set)
+
+    def planning(self, dataset: TaskDataset, *, needs_pixels: bool | None) -> dict[str, Any]:
+        """The solver and the objective in full, see ``planning_configuration``."""
+        solver = make_solver(self.planner, self.planner_set)
+        return planning_configuration(self.planner, solver, *self.planned_with(dataset, needs_pixels=needs_pixels))
 
     @classmethod
     def from_json(cls, settings: Mapping[str, Any]) -> ControlScoring:
-        """Read the settings back from those of a report."""
-        return cls(**{one.name: settings[f"{METRIC}_{one.name}"] for one in fields(cls)})
+        """Read the settings back from those of a report, which may be an earlier one."""
+        present = present_settings(settings)
+        read: dict[str, Any] = {one.name: present[f"{METRIC}_{one.name}"] for one in fields(cls)}
+        for name in ("planner_set", "objective_set"):
+            read[name] = tuple(read[name])
+        return cls(**read)
 
 
 def score_control(
@@ -118,13 +155,13 @@ def score_control(
     Raises:
         DatasetError: The data set stores no tasks, or this machine's simulator does not repeat the recording.
         LabelsNotAvailable: It is a recording of something that is not here to be controlled.
-        UnknownName: No such task, planner, cost or reference.
+        UnknownName: No such task, planner, objective or reference.
     """
     scoring = scoring or ControlScoring()
     require_tasks(dataset)
     problems = load_problems(dataset, scoring.tasks)
     return control(
-        _controller(model, dataset, scoring, device),
+        agent_of(model, dataset, scoring, device),
         problems,
         lambda: task_environment(dataset.recipe),
         ControlSettings(steps=scoring.steps, seed=scoring.seed, group=scoring.group),
@@ -192,12 +229,12 @@ def known_references(dataset: TaskDataset, scoring: ControlScoring) -> tuple[str
         return all(len(record.actions) >= scoring.steps for record in journal.all_records(problems).values())
 
     (env := task_environment(dataset.recipe)).close()
-    possible = [name for name in REFERENCES if name != "scripted" or isinstance(env, Moving)]
+    possible = [name for name in REFERENCES if name != "scripted" or isinstance(env, HasScript)]
     return tuple(name for name in possible if name in QUICK or is_done(name))
 
 
 def control_samples(predictor: str, result: ControlResult) -> pa.Table:
-    """The samples of control: one row for each task and step, including the start."""
+    """The samples of control: one row for each task and step, including the start; continuous actions are left out."""
     moments = result.distance.shape[1]
     rows = SampleRows(METRIC, predictor)
     for place, (task, episode) in enumerate(zip(result.tasks, result.episodes, strict=True)):
@@ -206,7 +243,7 @@ def control_samples(predictor: str, result: ControlResult) -> pa.Table:
                 "episode": np.full(moments, episode),
                 "step": np.full(moments, result.starts[place]),
                 "ahead": np.arange(moments),
-                "action": np.append(result.actions[place], -1),
+                "action": np.append(result.actions[place], -1) if result.actions.ndim == 2 else np.full(moments, -1),
                 "task": np.full(moments, task),
                 "control_distance": result.distance[place],
                 "control_lost": result.lost[place],
@@ -215,13 +252,17 @@ def control_samples(predictor: str, result: ControlResult) -> pa.Table:
     return rows.table()
 
 
-def _controller(
-    model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None
-) -> Controller:
-    planner = make_planner(scoring.planner)
+def agent_of(
+    model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None = None
+) -> Agent:
+    """Whoever acts: a model with its solver and objective, or a reference by its name."""
+    solver = make_solver(scoring.planner, scoring.planner_set)
     if isinstance(model, str):
-        return make_reference(model, dataset.spec, lambda: task_environment(dataset.recipe), planner, scoring.cost)
-    return ModelController(model, dataset.spec, planner, cost=scoring.cost, device=device)
+        _, wanted = scoring.planned_with(dataset, needs_pixels=None)
+        return make_reference(model, dataset.spec, lambda: task_environment(dataset.recipe), solver, wanted)
+    name, objective = scoring.planned_with(dataset, needs_pixels=model.needs_pixels)
+    assert objective is not None, f"{name} is the oracle's alone"
+    return ModelAgent(model, dataset.spec, solver, objective, device=device)
 
 
 def _journal(
@@ -231,9 +272,9 @@ def _journal(
     scoring: ControlScoring,
     device: torch.device | None,
 ) -> Journal:
-    """The journal of a control run; it also accepts results that name this version by a hash of the code."""
-    earlier = (_earlier_key(code, model, dataset, scoring, device) for code in _codes())
-    return Journal(path, _key(model, dataset, scoring, device), earlier=tuple(earlier))
+    """The journal of a control run; it also accepts results of this version in the words of earlier releases."""
+    key = _key(model, dataset, scoring, device)
+    return Journal(path, key, earlier=_earlier_keys(key, scoring))
 
 
 def _key(
@@ -243,14 +284,7 @@ def _key(
     needs_pixels = None if isinstance(model, str) else model.needs_pixels
     return {
         "version": CONTROL_VERSION,
-        "planning": scoring.planning(dataset.spec, needs_pixels=needs_pixels),
-    } | _common_key(model, dataset, scoring, device)
-
-
-def _common_key(
-    model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None
-) -> dict[str, Any]:
-    return {
+        "planning": scoring.planning(dataset, needs_pixels=needs_pixels),
         "dataset": dataset.fingerprint,
         "who": model if isinstance(model, str) else weights_hash(model.state_dict()),
         "device": "cpu" if device is None else device.type,
@@ -262,9 +296,9 @@ def _common_key(
 
 def _kept(name: str, dataset: TaskDataset, scoring: ControlScoring) -> Path:
     """Where a reference's results are kept: in the file of an earlier key, if there is one, or in that of the key."""
-    keys = [_earlier_key(code, name, dataset, scoring, None) for code in _codes()]
-    earlier = (_place(name, dataset, key) for key in keys)
-    return next((path for path in earlier if path.is_file()), _place(name, dataset, _key(name, dataset, scoring, None)))
+    key = _key(name, dataset, scoring, None)
+    earlier = (_place(name, dataset, one) for one in _earlier_keys(key, scoring))
+    return next((path for path in earlier if path.is_file()), _place(name, dataset, key))
 
 
 def _place(name: str, dataset: TaskDataset, key: Mapping[str, Any]) -> Path:
@@ -272,19 +306,20 @@ def _place(name: str, dataset: TaskDataset, key: Mapping[str, Any]) -> Path:
     return cache_folder(dataset.path) / f"control-{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
 
 
-def _codes() -> list[str]:
-    """Hashes of the code that stand for the present version of control."""
-    return [code for code, version in CONTROL_OF_CODE.items() if version == CONTROL_VERSION]
+def _earlier_keys(key: Mapping[str, Any], scoring: ControlScoring) -> list[dict[str, Any]]:
+    """The keys by which earlier releases kept the same results.
 
-
-def _earlier_key(
-    code: str,
-    model: ForwardModel[Any] | str,
-    dataset: TaskDataset,
-    scoring: ControlScoring,
-    device: torch.device | None,
-) -> dict[str, Any]:
-    """The key by which results were kept when the version was a hash of the code."""
-    planner = repr(make_planner(scoring.planner))
-    own = {"code": code, "planner": planner, "cost": scoring.cost}
-    return own | _common_key(model, dataset, scoring, device)
+    At first the version was a hash of the code; then a report said ``planner`` and ``cost`` (``planning/earlier.py``).
+    """
+    planning = earlier_planning(key["planning"])
+    if planning is None:
+        return []
+    found = [dict(key) | {"planning": planning}]
+    if not scoring.objective_set:
+        fields = {name: value for name, value in planning["planner"].items() if name not in NOT_SETTINGS}
+        planner = f"{planning['planner']['class']}({', '.join(f'{name}={value!r}' for name, value in fields.items())})"
+        cost = None if scoring.objective is None else earlier_name(scoring.objective)
+        common = {name: value for name, value in key.items() if name not in ("version", "planning")}
+        codes = [code for code, version in CONTROL_OF_CODE.items() if version == CONTROL_VERSION]
+        found += [{"code": code, "planner": planner, "cost": cost} | common for code in codes]
+    return found

@@ -51,7 +51,7 @@ def _single_steps(single: pa.Table, resamples: int, seed: int) -> Figures:
             if (estimate := bootstrap.mean(np.where(counted, column(single, name), np.nan))) is not None:
                 found[name + suffix] = estimate
     motion = vectors(single, "motion")
-    if motion is not None:
+    if motion is not None and not single["action"].null_count:
         ratio = motion_within_over_between(motion, column(single, "action"), bootstrap)
         if ratio is not None:
             found["motion_within_over_between"] = ratio

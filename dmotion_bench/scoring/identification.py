@@ -15,9 +15,13 @@ phi^0 below stands for any latent action:
 - ``motion_probe_accuracy``: how often a linear probe (discriminant analysis: nearest mean of an action, in units
   of the pooled covariance) reads the action from phi^0. It is fitted on every other episode and asked on the rest,
   then the other way round, so no episode is in its own fit.
+- ``motion_probe_error``: the same for continuous actions: squared error of a ridge regression from phi^0 to the
+  action, normalised to [-1, 1], averaged over its numbers. Zero means that phi^0 holds the action.
 - ``mse_true_motion``: MSE with the true triplet's phi^0 instead of the table's: what the table costs.
 - ``motion_swap_change``: mean squared change of the prediction, in squared pixel values, when phi^0 is another
   triplet's, of another action: near zero when the model ignores it.
+
+A variance within an action and the accuracy of a probe are not defined for continuous actions, and are left out there.
 """
 
 from __future__ import annotations
@@ -31,6 +35,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
+from dmotion_bench.actions import Continuous
+from dmotion_bench.learning.action_to_latent import ridge
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
 from dmotion_bench.scoring.transitions import HeldOut
@@ -79,7 +85,7 @@ class Identification:
 
     Attributes:
         motion: phi^0 of each true triplet.
-        agent_iou, motion_shift_error, motion_probe_accuracy: As above, of each triplet.
+        agent_iou, motion_shift_error, motion_probe_accuracy, motion_probe_error: As above, of each triplet.
         partner: A triplet of another action, to swap phi^0 with; -1 where there is none.
     """
 
@@ -87,6 +93,7 @@ class Identification:
     agent_iou: Float[np.ndarray, " n"]
     motion_shift_error: Float[np.ndarray, " n"]
     motion_probe_accuracy: Float[np.ndarray, " n"]
+    motion_probe_error: Float[np.ndarray, " n"]
     partner: Int[np.ndarray, " n"]
 
 
@@ -110,13 +117,21 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
         motions.append(motion.float().cpu())
         actions.append(batch.action)
         episodes.append(batch.episode)
-    motion_table, action = torch.cat(motions).numpy(), np.concatenate(actions)
+    motion_table, action, episode = torch.cat(motions).numpy(), np.concatenate(actions), np.concatenate(episodes)
+    spec, undefined = held_out.dataset.spec.actions, np.full(len(action), np.nan)
+    if isinstance(spec, Continuous):
+        right, missed = undefined, probe_error(motion_table, spec.normalise(action), episode)
+        partner = far_partners(len(action))
+    else:
+        right, missed = probe_accuracy(motion_table, action, episode), undefined
+        partner = swap_partners(action)
     return Identification(
         motion=motion_table,
         agent_iou=torch.cat(overlaps).numpy(),
         motion_shift_error=torch.cat(shift_errors).numpy(),
-        motion_probe_accuracy=probe_accuracy(motion_table, action, np.concatenate(episodes)),
-        partner=swap_partners(action),
+        motion_probe_accuracy=right,
+        motion_probe_error=missed,
+        partner=partner,
     )
 
 
@@ -153,6 +168,32 @@ def probe_accuracy(
         if fitted.any() and held.any():
             right[held] = _nearest_mean(motion[fitted], action[fitted], motion[held]) == action[held]
     return right
+
+
+def probe_error(
+    motion: Float[np.ndarray, "n d"], action: Float[np.ndarray, "n a"], episode: Shaped[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Mean squared error with which a ridge regression reads each triplet's action; NaN if nothing could be fitted."""
+    fold = np.unique(episode, return_inverse=True)[1] % 2
+    error = np.full(len(action), np.nan)
+    scale = motion.std(0, dtype=np.float64)
+    inputs = torch.from_numpy(motion / np.where(scale > 0, scale, 1)).double()
+    wanted = torch.from_numpy(np.asarray(action, np.float64))
+    for asked in (0, 1):
+        fitted, held = torch.from_numpy(fold != asked), torch.from_numpy(fold == asked)
+        if fitted.any() and held.any():
+            found = ridge(inputs[fitted], wanted[fitted])
+            read = found[0] + inputs[held] @ found[1:]
+            error[held.numpy()] = (read - wanted[held]).square().mean(1).numpy()
+    return error
+
+
+def far_partners(count: int) -> Int[np.ndarray, " n"]:
+    """For each triplet the one half the list away; -1 if there is no other."""
+    if count < 2:
+        return np.full(count, -1)
+    partners: Int[np.ndarray, " n"] = (np.arange(count) + count // 2) % count
+    return partners
 
 
 def _nearest_mean(

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.transitions import HeldOut
@@ -50,7 +51,7 @@ def rank_rollouts(
     true: list[Tensor] = []
     for batch in held_out.rollouts(horizon, batch_size):
         frames = torch.from_numpy(np.concatenate([batch.previous[:, None], batch.current[:, None], batch.future], 1))
-        actions = torch.from_numpy(batch.actions.astype(np.int64)).to(device)
+        actions = as_tensor(batch.actions, device)
         images = [to_model(frames[:, place].to(device)) for place in range(horizon + 2)]
         state = model.begin(images[0], images[1])
         steps, after = [], []

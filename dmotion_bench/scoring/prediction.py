@@ -13,10 +13,11 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
 from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.frame_measures import FrameMeasures
@@ -24,7 +25,7 @@ from dmotion_bench.scoring.identification import Identification, LatentActionMod
 from dmotion_bench.scoring.latent_ranking import Ranks, rank_rollouts
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.references import REFERENCES
-from dmotion_bench.scoring.samples import SampleRows
+from dmotion_bench.scoring.samples import SampleRows, action_column
 from dmotion_bench.scoring.transitions import HeldOut, RolloutBatch, TransitionBatch
 
 MODEL = "model"
@@ -74,7 +75,7 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
     for batch in held_out.batches(how.batch_size):
         stored = torch.from_numpy(batch.frames).to(how.device)
         previous, current = to_model(stored[:, 0]), to_model(stored[:, 1])
-        action = torch.from_numpy(batch.action).to(how.device)
+        action = as_tensor(batch.action, how.device)
         predicted = _pixels(model, model.predict(previous, current, action), current.shape)
         truth = stored[:, 2]
         columns = measures.compare(predicted, truth, measures.positions(truth))
@@ -94,7 +95,7 @@ def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, 
         previous, current = (
             to_model(torch.from_numpy(frames).to(how.device)) for frames in (batch.previous, batch.current)
         )
-        actions = torch.from_numpy(batch.actions.astype(np.int64)).to(how.device)
+        actions = as_tensor(batch.actions, how.device)
         frames = model.rollout(previous, current, actions)
         return _pixels(model, frames, (len(current), actions.shape[1], *current.shape[1:]))
 
@@ -150,9 +151,8 @@ def _rolled_out(
                 "episode": batch.episode,
                 "step": batch.start + ahead,
                 "ahead": np.full(len(batch.start), ahead + 1),
-                "action": batch.actions[:, ahead],
                 "pushed": batch.pushed[:, ahead],
-            }
+            } | action_column(batch.actions[:, ahead])
             if ranked is not None:
                 here = slice(done, done + len(batch.start))
                 described["hit_at_1"] = ranked.hit_at_1[here, ahead]
@@ -186,6 +186,7 @@ def _by_latent(
         "agent_iou": torch.from_numpy(found.agent_iou[here]),
         "motion_shift_error": torch.from_numpy(found.motion_shift_error[here]),
         "motion_probe_accuracy": torch.from_numpy(found.motion_probe_accuracy[here]),
+        "motion_probe_error": torch.from_numpy(found.motion_probe_error[here]),
         "motion": torch.from_numpy(found.motion[here]),
         "mse_true_motion": mean_squared_error(own, truth).cpu(),
         "motion_swap_change": change.where(torch.from_numpy(partner >= 0), torch.nan),
@@ -210,12 +211,11 @@ def _pixels(
     return to_pixels(images)
 
 
-def _described(batch: TransitionBatch) -> dict[str, Int[np.ndarray, " b"]]:
-    return {
+def _described(batch: TransitionBatch) -> dict[str, Shaped[np.ndarray, "b *a"]]:
+    return action_column(batch.action) | {
         "episode": batch.episode,
         "step": batch.step,
         "ahead": np.ones(len(batch), np.int64),
-        "action": batch.action,
         "pushed": batch.pushed,
     }
 

@@ -40,6 +40,7 @@ import pyarrow as pa
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 
 PROTOCOL = "dmbench-1"
@@ -142,15 +143,56 @@ def read_report(folder: Path) -> Report | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (JsonUnreadable, OSError) as error:
-        raise RunCorrupt(
-            f"the report {str(path)!r} cannot be read ({error}); delete it and score the run again."
-        ) from None
+        raise _unreadable(path, error) from None
     if "code" in stored:
         stored = _with_versions(stored)
     names = {field.name for field in fields(Report)}
     if stored.get("protocol") != PROTOCOL or set(stored) != names:
         return None
+    try:
+        _require_fields(Fields(stored, "report"))
+    except ValueError as error:
+        raise _unreadable(path, error) from None
     return Report(**stored)
+
+
+def _unreadable(path: Path, why: Exception) -> RunCorrupt:
+    return RunCorrupt(f"the report {str(path)!r} cannot be read ({why}); delete it and score the run again.")
+
+
+def _require_fields(report: Fields) -> None:
+    """See that the fields that commands use are there and of their kinds.
+
+    Raises:
+        ValueError: One is not; says which.
+    """
+    for name in ("run", "model", "arch", "preset", "weights"):
+        report.text(name)
+    for name in ("training", "versions", "planning"):
+        report.pairs(name)
+    report.whole("seed")
+    labels, dataset, settings = (report.inner(name) for name in ("labels", "dataset", "settings"))
+    labels.text("asked")
+    labels.whole("total")
+    settings.whole("horizon")
+    settings.texts("metrics")
+    for name in ("split", "protocol"):
+        settings.text(name)
+    trained_on = dataset.inner("trained_on") if "trained_on" in report.pairs("dataset") else dataset
+    for name in ("name", "fingerprint"):
+        dataset.text(name)
+        trained_on.text(name)
+    report.inner("samples").text("sha256")
+    remarks, reference = report.inner("remarks"), report.inner("reference")
+    for name in report.pairs("remarks"):
+        remarks.text(name)
+    for holder, of_whom in ((report, "figures"), *((reference, name) for name in report.pairs("reference"))):
+        figures = holder.inner(of_whom)
+        for name in holder.pairs(of_whom):
+            figure = figures.inner(name)
+            figure.whole_or_none("n")
+            for part in ("mean", "std", "low", "high"):
+                figure.real_or_none(part)
 
 
 def read_report_samples(folder: Path, report: Report) -> pa.Table | None:

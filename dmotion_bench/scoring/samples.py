@@ -5,7 +5,8 @@
 ``predictor``      ``"model"``, or a reference: ``"copy_last"``, ``"agent_moves"``; in control ``"idle"`` and so on
 ``episode, step``  the action taken at frame ``step`` leads to the predicted frame ``step + 1``
 ``ahead``          predicted so many steps after the last true frame: 1 for single steps
-``action, pushed`` the recorded action, and whether it moves an object
+``action, pushed`` the recorded action, and whether it moves an object; null for a continuous action
+``command``        the numbers of a continuous action, in their units; only there if actions are continuous
 figures            as in the report; null where the frame has no value (see ``position_errors``)
 ``distance``       of each thing's centre [px], objects first, then the agent if it has a colour; null if not in both
 ``found``          whether the prediction shows each thing; ``found_truth`` the true frame
@@ -17,8 +18,8 @@ A figure of the report is the mean of its column over the rows of its predictor 
 ``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``.
 
 In control a row is one moment of one task: ``task`` is its number, ``episode`` and ``step`` where it starts, ``ahead``
-how many steps have been taken, ``action`` the next (-1 for none), ``control_distance`` and ``control_lost`` how things
-stand then.
+how many steps have been taken, ``action`` the next (-1 for none, or a continuous one), ``control_distance`` and
+``control_lost`` how things stand then.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from jaxtyping import Shaped
+from jaxtyping import Float, Int, Shaped
 
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.frame_measures import OBJECTS_ONLY
@@ -48,6 +49,7 @@ IDENTIFICATION_COLUMNS = (
     "agent_iou",
     "motion_shift_error",
     "motion_probe_accuracy",
+    "motion_probe_error",
     "mse_true_motion",
     "motion_swap_change",
 )
@@ -69,6 +71,7 @@ SCHEMA = pa.schema(
         ("found", pa.list_(pa.bool_())),
         ("found_truth", pa.list_(pa.bool_())),
         ("motion", pa.list_(pa.float32())),
+        ("command", pa.list_(pa.float64())),
         ("task", pa.int32()),
         ("control_distance", pa.float32()),
         ("control_lost", pa.int16()),
@@ -78,8 +81,9 @@ SCHEMA = pa.schema(
 MOST_SAMPLES: Final = 2_000_000
 """Rows of a table that is read: some 200 bytes of memory each."""
 _MOST_LISTED: Final = 2**25  # values in a column of lists
-_LISTS: Final = ("distance", "found", "found_truth", "motion")
-_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS
+_LISTS: Final = ("distance", "found", "found_truth", "motion", "command")
+_OF_CONTINUOUS: Final = ("command", "motion_probe_error")  # not written where they say nothing
+_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _OF_CONTINUOUS
 
 
 class SampleRows:
@@ -107,6 +111,11 @@ class SampleRows:
         return pa.Table.from_batches(self._batches, SCHEMA)
 
 
+def action_column(actions: Int[np.ndarray, " b"] | Float[np.ndarray, "b a"]) -> dict[str, Shaped[np.ndarray, "b *a"]]:
+    """The column that holds recorded actions, by its name: ``action`` or ``command``."""
+    return {"action": actions} if actions.ndim == 1 else {"command": actions}
+
+
 def _array(values: Shaped[np.ndarray, "b *k"], kind: pa.DataType) -> pa.Array:
     if not pa.types.is_list(kind):
         return pa.array(values, kind, from_pandas=True)
@@ -131,6 +140,7 @@ def vectors(samples: pa.Table, name: str) -> Shaped[np.ndarray, "n d"] | None:
 
 def write_samples(path: Path, samples: pa.Table) -> None:
     """Replace the file in one step."""
+    samples = samples.drop_columns([name for name in _OF_CONTINUOUS if samples[name].null_count == len(samples)])
     with atomic_file(path) as file:
         pq.write_table(samples, file, compression="zstd")
 

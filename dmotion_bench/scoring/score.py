@@ -17,7 +17,8 @@ from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
-from dmotion_bench.planning.controllers import REFERENCES as CONTROL_REFERENCES
+from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
+from dmotion_bench.planning.earlier import present_planning, present_settings
 from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.explanation import explain_steps
@@ -204,7 +205,7 @@ def score_run(
 
     It computes with as many threads as the training: another number rounds otherwise (``learning/threads.py``).
     Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings and
-    version; of control the same planner and cost, too.
+    version; of control the same solver and objective, too.
 
     Args:
         renew: Whether to score again what the report already holds.
@@ -267,7 +268,7 @@ def score_run(
             arithmetic = "bfloat16" if has_bf16((how or Execution()).device) else "float32"
             scored = replace(scored, planning=_planning(run, dataset, settings) | {"arithmetic": arithmetic})
         elif "control" in true and report is not None:
-            scored = replace(scored, planning=report.planning or _planning(run, dataset, settings))
+            scored = replace(scored, planning=present_planning(report.planning) or _planning(run, dataset, settings))
         written = write_report(folder, scored, scores.samples)
         journal.unlink(missing_ok=True)
     return written
@@ -294,7 +295,7 @@ def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ..
 
 
 def _planning(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, Any]:
-    return settings.control.planning(dataset.spec, needs_pixels=run.model.needs_pixels)
+    return settings.control.planning(dataset, needs_pixels=run.model.needs_pixels)
 
 
 def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Mapping[str, Any]) -> bool:
@@ -302,11 +303,13 @@ def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Map
     said = settings.to_json(METRICS)
     others = {"metrics", *(() if metric == "rollout" else ("horizon",))}
     decisive = [name for name in said if name.startswith(CONTROL) == (metric == "control") and name not in others]
-    if metric == "control":  # its version is among its settings; reports of before that hold no planner
-        same = not report.planning or all(report.planning.get(name) == one for name, one in planning.items())
+    if metric == "control":  # its version is among its settings; reports of before that hold no solver
+        said_of = present_planning(report.planning)
+        same = not said_of or all(said_of.get(name) == one for name, one in planning.items())
     else:
         same = report.scoring_version == SCORING_VERSION
-    return same and all(said[name] == report.settings.get(name) for name in decisive)
+    stored = present_settings(report.settings)
+    return same and all(said[name] == stored.get(name) for name in decisive)
 
 
 def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:

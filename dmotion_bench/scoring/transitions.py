@@ -35,7 +35,7 @@ class TransitionBatch:
     episode: Int[np.ndarray, " b"]
     step: Int[np.ndarray, " b"]
     frames: UInt8[np.ndarray, "b 3 h w 3"]
-    action: Int[np.ndarray, " b"]
+    action: Int[np.ndarray, " b"] | Float[np.ndarray, "b a"]
     pushed: Bool[np.ndarray, " b"]
     agent: Bool[np.ndarray, "b 2 h w"]
     shift: Float[np.ndarray, "b 2"]
@@ -64,7 +64,7 @@ class RolloutBatch:
     previous: UInt8[np.ndarray, "b h w 3"]
     current: UInt8[np.ndarray, "b h w 3"]
     future: UInt8[np.ndarray, "b t h w 3"]
-    actions: Int[np.ndarray, "b t"]
+    actions: Int[np.ndarray, "b t"] | Float[np.ndarray, "b t a"]
     pushed: Bool[np.ndarray, "b t"]
 
 
@@ -163,7 +163,7 @@ class HeldOut:
                 episode=part.episode,
                 step=step,
                 frames=part.gather(np.arange(rows)),
-                action=labels.actions[step].astype(np.int64),
+                action=labels.actions[step],
                 pushed=labels.pushed[step],
                 agent=np.stack([masks[step], masks[step + 1]], axis=1),
                 shift=(place[step + 1] - place[step]).astype(np.float64),

@@ -40,9 +40,17 @@ class Fields:
         """A number."""
         return float(self._take(name, int, float))
 
+    def real_or_none(self, name: str) -> float | None:
+        """A number, or null."""
+        return None if self._value.get(name, ...) is None else self.real(name)
+
     def whole(self, name: str) -> int:
         """A whole number."""
         return int(self._take(name, int))
+
+    def whole_or_none(self, name: str) -> int | None:
+        """A whole number, or null."""
+        return None if self._value.get(name, ...) is None else self.whole(name)
 
     def wholes(self, name: str, count: int) -> tuple[int, ...]:
         """An array of so many whole numbers."""

@@ -62,15 +62,15 @@ def read_messages(path: Path, span: Span, *, chunk_limit: int) -> Iterator[Messa
         while position < end:
             opcode, length = _head(file.read(min(RECORD_HEAD.size, end - position)))
             if length > end - position - RECORD_HEAD.size:
-                raise DamagedFile(f"a record at byte {position} runs past the episode's end")
+                raise DamagedFile(f"holds a record at byte {position} that runs past the episode's end")
             if opcode == Opcode.CHUNK:
                 if length > chunk_limit + chunk_limit // 64 + _FIXED:  # noise grows when it is compressed
-                    raise DamagedFile(f"the chunk at byte {position} has {length} bytes, more than can be right")
+                    raise DamagedFile(f"holds a chunk of {length} bytes at byte {position}, more than can be right")
                 yield from _chunk_messages(memoryview(file.read(length)), chunk_limit, position)
             elif opcode == Opcode.MESSAGE_INDEX:
                 file.seek(length, os.SEEK_CUR)
             else:
-                raise DamagedFile(f"a record of kind {opcode} at byte {position}, where a chunk was expected")
+                raise DamagedFile(f"holds a record of kind {opcode} at byte {position}, where a chunk was expected")
             position += RECORD_HEAD.size + length
 
 
@@ -78,38 +78,40 @@ def _head(data: bytes) -> tuple[int, int]:
     try:
         opcode, length = RECORD_HEAD.unpack(data)
     except struct.error as error:
-        raise DamagedFile(f"a record is cut off: {error}") from None
+        raise DamagedFile(f"holds a record that is cut off: {error}") from None
     return opcode, length
 
 
 def _chunk_messages(body: memoryview, limit: int, where: int) -> Iterator[MessageView]:
     if len(body) < _FIXED:
-        raise DamagedFile(f"the chunk at byte {where} is cut off")
+        raise DamagedFile(f"holds a chunk at byte {where} that is cut off")
     _, _, uncompressed, crc = CHUNK_HEAD.unpack_from(body)
     name_size, name, packed_size = _CHUNK_TAIL.unpack_from(body, CHUNK_HEAD.size)
     packed = body[_FIXED:]
     if name_size != len(COMPRESSION) or name != COMPRESSION.encode() or packed_size != len(packed):
-        raise DamagedFile(f"the head of the chunk at byte {where} is garbled")
+        raise DamagedFile(f"holds a chunk at byte {where} whose head is garbled")
     if uncompressed > limit:
-        raise DamagedFile(f"the chunk at byte {where} claims {uncompressed} bytes; at most {limit} can be right")
+        raise DamagedFile(
+            f"holds a chunk at byte {where} that claims {uncompressed} bytes; at most {limit} can be right"
+        )
     try:
         declared = zstandard.get_frame_parameters(packed).content_size
         if declared != uncompressed:  # zstandard would set aside what the frame declares, whatever we allow
-            raise DamagedFile(f"the chunk at byte {where} contradicts itself about its size")
+            raise DamagedFile(f"holds a chunk at byte {where} that contradicts itself about its size")
         raw = zstandard.ZstdDecompressor().decompress(packed, max_output_size=uncompressed)
     except zstandard.ZstdError as error:
-        raise DamagedFile(f"the chunk at byte {where} cannot be decompressed: {error}") from None
+        raise DamagedFile(f"holds a chunk at byte {where} that cannot be decompressed: {error}") from None
     if zlib.crc32(raw) != crc:
-        raise DamagedFile(f"the chunk at byte {where} does not match its checksum")
+        raise DamagedFile(f"holds a chunk at byte {where} that does not match its checksum")
     data, position = memoryview(raw), 0
     while position < len(data):
         try:
             opcode, length, channel, _, t_ns, _ = MESSAGE_HEAD.unpack_from(data, position)
         except struct.error as error:
-            raise DamagedFile(f"a message in the chunk at byte {where} is cut off: {error}") from None
+            raise DamagedFile(f"holds a message in the chunk at byte {where} that is cut off: {error}") from None
         end = position + RECORD_HEAD.size + length
         if opcode != Opcode.MESSAGE or end > len(data) or end < position + MESSAGE_HEAD.size:
-            raise DamagedFile(f"a message in the chunk at byte {where} is garbled")
+            raise DamagedFile(f"holds a message in the chunk at byte {where} that is garbled")
         yield MessageView(channel, t_ns, data[position + MESSAGE_HEAD.size : end])
         position = end
 

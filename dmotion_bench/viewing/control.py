@@ -6,14 +6,15 @@ Everything is on the timeline ``step``, the number of actions taken before.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
-from dmotion_bench.actions import require_discrete
-from dmotion_bench.planning.planner import Plan
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
+from dmotion_bench.planning.solvers.base import Plan
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.viewing.scene import picture_view
 
@@ -69,7 +70,7 @@ def log_step(
         step: Actions taken before.
         camera: What is seen.
         distance: Normalised.
-        plan: What the planner came to for this task alone.
+        plan: What the solver came to for this task alone.
         futures: What the model makes of its best candidates.
     """
     recording.set_time(STEP, sequence=step)
@@ -80,7 +81,7 @@ def log_step(
         recording.log(
             "candidates",
             rr.TextDocument(
-                candidate_table(require_discrete(spec.actions, "a table of candidates").names, plan),
+                candidate_table(spec.actions, plan),
                 media_type="text/markdown",
             ),
         )
@@ -101,13 +102,21 @@ def strip_of(futures: UInt8[np.ndarray, "m t h w 3"]) -> UInt8[np.ndarray, "y x 
     return strip
 
 
-def candidate_table(actions: Sequence[str], plan: Plan) -> str:
-    """The best candidates of a plan's first task, as Markdown."""
-    lines = ["| cost | actions |", "|---:|---|"]
-    rows: list[tuple[Float[np.ndarray, ""], list[int]]] = list(
-        zip(plan.costs[0], plan.candidates[0].tolist(), strict=True)
-    )
-    for cost, sequence in rows:
+def named(actions: ActionSpec | None, sequence: Sequence[Any]) -> str:
+    """A sequence of actions in words: names, or the numbers of continuous ones in their units."""
+    if isinstance(actions, Discrete):
+        return " ".join(actions.names[action] for action in sequence)
+    rows = actions.denormalise(np.array(sequence)).tolist() if isinstance(actions, Continuous) else sequence
+    return " ".join(f"({', '.join(f'{number:.3g}' for number in row)})" for row in rows)
+
+
+def candidate_table(actions: ActionSpec | None, plan: Plan) -> str:
+    """The best candidates of a plan's first task, as Markdown; with the parts of their costs, if there are several."""
+    parts = {name: values[0] for name, values in plan.parts.items()}
+    shown = list(parts) if any(np.any(values) for name, values in parts.items() if name != "distance") else []
+    lines = [f"| cost |{''.join(f' {name} |' for name in shown)} actions |", f"|---:|{'---:|' * len(shown)}---|"]
+    for place, (cost, sequence) in enumerate(zip(plan.costs[0], plan.candidates[0].tolist(), strict=True)):
         if np.isfinite(cost):
-            lines.append(f"| {cost:.4g} | {' '.join(actions[action] for action in sequence)} |")
+            values = "".join(f" {parts[name][place]:.4g} |" for name in shown)
+            lines.append(f"| {cost:.4g} |{values} {named(actions, sequence)} |")
     return "\n".join(lines)

@@ -20,6 +20,7 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from dmotion_bench.errors import LabelsNotAvailable
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.positions import PositionFinder
@@ -95,7 +96,7 @@ def imagine(
     images = to_model(torch.from_numpy(frames))
     with predicting(torch.device("cpu")):
         if labels is not None:
-            steps, imagined = _by_actions(model, images, torch.from_numpy(np.asarray(labels.actions, np.int64)))
+            steps, imagined = _by_actions(model, images, as_tensor(labels.actions))
         elif isinstance(model, LatentActionModel):
             steps, imagined = _by_latent(model, images)
         else:
@@ -119,7 +120,9 @@ def imagine(
 _Drawn = tuple[UInt8[Tensor, "s h w 3"], UInt8[Tensor, "s h w 3"]]
 
 
-def _by_actions(model: ForwardModel[Any], images: Float[Tensor, "t c h w"], actions: Int[Tensor, " a"]) -> _Drawn:
+def _by_actions(
+    model: ForwardModel[Any], images: Float[Tensor, "t c h w"], actions: Int[Tensor, " m"] | Float[Tensor, "m a"]
+) -> _Drawn:
     """One step, and imagined, from the recorded actions."""
     steps = [
         to_pixels(model.predict(before, now, action))

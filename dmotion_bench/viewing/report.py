@@ -32,7 +32,7 @@ SHOWN = (
     "motion_within_over_between",
     "control_success",
 )
-AHEAD = re.compile(r"rollout_mse\[(\d+)\]")
+AHEAD = re.compile(r"rollout_mse\[(\d{1,4})\]")
 
 
 def telling_episodes(run: Path, folder: Path | None = None) -> dict[int, str]:

@@ -63,6 +63,7 @@ class RobotPush(PushingEnvironment):
     """
 
     factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
+    objective: ClassVar[str] = "tabletop"
 
     def __init__(
         self,

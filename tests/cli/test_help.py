@@ -59,19 +59,21 @@ def test_asking_for_help_loads_no_torch_and_no_simulator() -> None:
 
 def test_the_listed_names_are_those_that_there_are() -> None:
     """The names that ``--help`` lists stand in ``cli/options.py``, so that asking for help loads nothing heavy."""
-    from dmotion_bench.planning.controllers import REFERENCES
-    from dmotion_bench.planning.costs import COSTS
-    from dmotion_bench.planning.planner import planner_names
+    from dmotion_bench.planning.agents import REFERENCES
+    from dmotion_bench.registry import objective_names, solver_names
     from dmotion_bench.scoring.score import METRICS
 
-    assert list(options.PLANNERS) == planner_names()
-    assert (options.COSTS, options.REFERENCES, options.METRICS) == (COSTS, REFERENCES, METRICS)
+    assert list(options.PLANNERS) == solver_names()
+    assert list(options.OBJECTIVES) == objective_names()
+    assert (options.REFERENCES, options.METRICS) == (REFERENCES, METRICS)
     with pytest.raises(UnknownName, match=f"known: {', '.join(sorted(options.EXECUTORS))}"):
         make_executor("?")
 
 
 @pytest.mark.parametrize("command", ["score", "plan"])
-@pytest.mark.parametrize(("option", "names"), [("--planner", options.PLANNERS), ("--cost", options.COSTS)])
+@pytest.mark.parametrize(
+    ("option", "names"), [("--planner", options.PLANNERS), ("--objective, --cost", options.OBJECTIVES)]
+)
 def test_help_lists_what_a_choice_allows(command: str, option: str, names: tuple[str, ...]) -> None:
     result = CliRunner().invoke(app, [command, "--help"], prog_name="dmbench", terminal_width=100)
     assert f"{option} [{'|'.join(names)}]" in result.output

@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
     ForwardModel,
@@ -43,7 +44,6 @@ class Small(ForwardModel[SmallConfig]):
     supervision: ClassVar[Supervision] = Supervision.NONE
     paper: ClassVar[str] = "nobody, nowhere"
     Config: ClassVar[type] = SmallConfig
-    table: Tensor
 
     def __init__(self, config: SmallConfig, inputs: ModelInputs) -> None:
         super().__init__(config, inputs)
@@ -51,9 +51,7 @@ class Small(ForwardModel[SmallConfig]):
         self.move = nn.Conv2d(6 + config.latents, config.width, 3, padding=1)
         self.normal = nn.BatchNorm2d(config.width) if config.normal else nn.Identity()
         self.draw = nn.Conv2d(config.width, 3, 1)
-        self.register_buffer(
-            "table", torch.zeros(1 if inputs.actions is None else inputs.actions.width, config.latents)
-        )
+        self.table = ActionToLatent(inputs.actions, config.latents)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
@@ -73,11 +71,10 @@ class Small(ForwardModel[SmallConfig]):
 
     def align(self, demonstrations: Demonstrations) -> None:
         latent = self._latent(demonstrations.previous, demonstrations.current, demonstrations.next)
-        for action in demonstrations.action.unique().tolist():
-            self.table[action] = latent[demonstrations.action == action].mean(0)
+        self.table.fit(latent, demonstrations.action)
 
     def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
-        return self._next(previous, current, self.table[action])
+        return self._next(previous, current, self.table(action))
 
 
 class SmallWorld(Small):
@@ -91,14 +88,14 @@ class SmallWorld(Small):
     def losses(self, batch: TripletBatch) -> Losses:
         if batch.action is None:
             return super().losses(batch)
-        latent = F.one_hot(batch.action, self.config.latents).to(batch.current.dtype)
-        return _losses(self._next(batch.previous, batch.current, latent), batch.next)
+        return _losses(self.predict(batch.previous, batch.current, batch.action), batch.next)
 
     def align(self, demonstrations: Demonstrations) -> None:
         """There is nothing to align."""
 
     def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
-        return self._next(previous, current, F.one_hot(action, self.config.latents).to(current.dtype))
+        known = self.table.encoding(action).to(current.dtype)
+        return self._next(previous, current, F.pad(known, (0, self.config.latents - known.shape[1])))
 
 
 def _losses(predicted: Tensor, truth: Tensor) -> Losses:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectSpec, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
 
+NAMED = Discrete(("left", "right", "up"))
+MOVES = Continuous(names=("dx", "turn"), low=(-0.04, 0.0), high=(0.04, 1.5), units=("m", "rad"))
 SPEC = EnvSpec(
     id="noise",
-    actions=Discrete(("left", "right", "up")),
+    actions=NAMED,
     agent=ObjectSpec(name="agent", shape="dot", color=(0, 255, 0)),
     objects=(
         ObjectSpec(name="one", shape="box", color=(255, 0, 0)),
@@ -29,19 +32,19 @@ EPISODES = 12
 FRAMES = 6
 
 
-def write_noise(path: Path, *, episodes: int = EPISODES, shard_episodes: int = 5, tasks: int = 4) -> Dataset:
+def write_noise(path: Path, actions: ActionSpec = NAMED) -> Dataset:
     """A data set with labels, factors and control tasks, whose environment is not installed."""
     recipe = DatasetRecipe(
         environment="noise",
         policy="random",
-        episodes=episodes,
+        episodes=EPISODES,
         frames=FRAMES,
-        tasks=tasks,
-        shard_episodes=shard_episodes,
+        tasks=4,
+        shard_episodes=5,
     )
-    with DatasetWriter.create_or_resume(path, recipe, SPEC) as writer:
+    with DatasetWriter.create_or_resume(path, recipe, replace(SPEC, actions=actions)) as writer:
         for index in writer.missing:
-            writer.write_shard(index, (_episode(number) for number in writer.episodes_of(index)))
+            writer.write_shard(index, (_episode(number, actions) for number in writer.episodes_of(index)))
         writer.finish()
     return Dataset.open(path)
 
@@ -60,13 +63,13 @@ def record_grid_world(path: Path, episodes: int = 3, frames: int = 5) -> Dataset
     return Dataset.open(path)
 
 
-def _episode(number: int) -> Episode:
+def _episode(number: int, actions: ActionSpec) -> Episode:
     rng = np.random.default_rng(number)
     frames = FRAMES - number % 2
     return Episode(
         frames=rng.integers(0, 256, (frames, SPEC.height, SPEC.width, 3), dtype=np.uint8),
         labels=EpisodeLabels(
-            actions=rng.integers(0, 3, frames - 1),
+            actions=_actions(rng, frames - 1, actions),
             pushed=rng.random(frames - 1) < 0.6,
             agent=_states(rng, frames, 1),
             objects=_states(rng, frames, 2),
@@ -76,6 +79,12 @@ def _episode(number: int) -> Episode:
         seed=number,
         ended="terminated" if number % 2 else "truncated",
     )
+
+
+def _actions(rng: np.random.Generator, steps: int, actions: ActionSpec) -> np.ndarray:
+    if isinstance(actions, Continuous):
+        return actions.denormalise(rng.uniform(-1, 1, (steps, actions.width)))
+    return rng.integers(0, len(actions), steps)
 
 
 def _states(rng: np.random.Generator, frames: int, count: int) -> ObjectStates:

@@ -1,8 +1,8 @@
 """Golden traces of control: the actions that are taken in a few stored tasks, and the distances that they reach.
 
-Every planner and cost that published results were planned with works here on every environment, with a model that
-needs no training (``PushingModel``, ``PerfectGridModel``), and so do the references. The planners draw fewer sequences
-than usual, to be fast; ``control.json`` also holds every field and every constant of those that are used for results.
+Every solver and objective that published results were planned with works here on every environment, with a model that
+needs no training (``PushingModel``, ``PerfectGridModel``), and so do the references. The solvers draw fewer sequences
+than usual, to be fast; ``control.json`` also holds every field of those that are used for results.
 
 Write the file anew with ``cd tests && python -m golden.control``, after raising CONTROL_VERSION.
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,15 +22,22 @@ from planning.worlds import PerfectGridModel
 
 from dmotion_bench.environment import Environment
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.configuration import planning_configuration
-from dmotion_bench.planning.control import CONTROL_VERSION, ControlSettings, control
-from dmotion_bench.planning.controllers import Controller, ModelController, make_reference
-from dmotion_bench.planning.costs import COSTS
-from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
-from dmotion_bench.planning.exhaustive import ExhaustivePlanner
-from dmotion_bench.planning.planner import Planner, make_planner, planner_names
-from dmotion_bench.planning.problems import Problem
+from dmotion_bench.planning.agents import Agent, ModelAgent, make_reference
+from dmotion_bench.planning.choices import (
+    SIMULATOR,
+    default_objective,
+    make_objective,
+    make_solver,
+    planning_configuration,
+)
+from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlSettings, control
+from dmotion_bench.planning.objectives.base import Objective
+from dmotion_bench.planning.solvers.base import Solver
+from dmotion_bench.planning.solvers.cem import CrossEntropy
+from dmotion_bench.planning.solvers.exhaustive import Exhaustive
+from dmotion_bench.planning.tasks import Problem
 from dmotion_bench.recording.rollout import policy_generator
+from dmotion_bench.specs import ObjectStates
 from dmotion_bench.storage.tasks import ControlTask
 from recorders.grid_world import GridWorld
 from recorders.planar_push import PlanarPush
@@ -40,7 +47,7 @@ from recorders.robot_push.scene import TABLE_COLOR as ROBOT_TABLE
 
 FILE: Final = Path(__file__).with_name("control.json")
 ADVICE: Final = (
-    "If this is meant, raise CONTROL_VERSION in dmotion_bench/planning/control.py and write the traces anew with "
+    "If this is meant, raise CONTROL_VERSION in dmotion_bench/planning/mpc.py and write the traces anew with "
     "'cd tests && python -m golden.control'; published results of the version before are then of another version."
 )
 STEPS: Final = 6
@@ -85,6 +92,10 @@ WORLDS: Final = {
     "planar_push": World(make_env=PlanarPush, make_model=lambda env: PushingModel(env.facts, PLANAR_TABLE)),
     "robot_push": World(make_env=RobotPush, make_model=_robot_model),
 }
+SOLVERS: Final = ("cem", "exhaustive", "icem")
+OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
+"""Those that results were made with."""
+
 FINDS: Final = {"grid_world": (), "planar_push": ("followed",), "robot_push": ("tracked",)}
 """Costs of objects that are not the environment's default."""
 CASES: Final = tuple(
@@ -105,32 +116,37 @@ CASES: Final = tuple(
 )
 
 
-def small(name: str) -> Planner:
-    """A planner that draws few sequences; what is left of its fields is as usual."""
-    planner = make_planner(name)
-    if isinstance(planner, CrossEntropyPlanner):
-        return replace(planner, samples=10, iterations=3, elites=4)
-    assert isinstance(planner, ExhaustivePlanner)
-    return replace(planner, horizon=3)
+def small(name: str) -> Solver:
+    """A solver that draws few sequences; what is left of its fields is as usual."""
+    solver = make_solver(name)
+    if isinstance(solver, CrossEntropy):
+        return replace(solver, samples=10, iterations=3, elites=4)
+    assert isinstance(solver, Exhaustive)
+    return replace(solver, horizon=3)
 
 
-def controller(case: Case, planner: Planner) -> Controller:
-    """Whoever acts in a case."""
+def agent(case: Case, solver: Solver, objective: Objective | None = None) -> Agent:
+    """Whoever acts in a case, with another objective than the case's if one is given."""
     world = WORLDS[case.environment]
     env = world.make_env()
     try:
-        if case.who == "model":
-            return ModelController(world.make_model(env), env.facts, planner, cost=case.cost, bf16=False)
-        return make_reference(case.who, env.facts, world.make_env, planner, case.cost)
+        if objective is None and case.cost is not None:
+            objective = make_objective(case.cost)
+        if case.who != "model":
+            return make_reference(case.who, env.facts, world.make_env, solver, objective)
+        objective = objective or make_objective(default_objective(case.environment, env.facts, needs_pixels=True))
+        return ModelAgent(world.make_model(env), env.facts, solver, objective, bf16=False)
     finally:
         env.close()
 
 
-def trace(case: Case, tasks: list[dict[str, Any]], planner: Planner | None = None) -> dict[str, Any]:
+def trace(
+    case: Case, tasks: list[dict[str, Any]], solver: Solver | None = None, objective: Objective | None = None
+) -> dict[str, Any]:
     """What a case does in some tasks."""
     make_env = WORLDS[case.environment].make_env
     result = control(
-        controller(case, planner or small(case.planner)),
+        agent(case, solver or small(case.planner), objective),
         problems(make_env, tasks),
         make_env,
         ControlSettings(steps=STEPS, group=2),
@@ -150,7 +166,7 @@ def problems(make_env: Callable[[], Environment], tasks: list[dict[str, Any]]) -
         frame = env.reset(seed=task["seed"])[0]
         for action in opening:
             frame = env.step(action)[0]
-        start_frame, start_positions = frame.copy(), env.objects().position.copy()
+        start_frame, start_objects = frame.copy(), _objects(env)
         for action in goal:
             frame = env.step(action)[0]
         found.append(
@@ -162,30 +178,33 @@ def problems(make_env: Callable[[], Environment], tasks: list[dict[str, Any]]) -
                 opening=np.array(opening),
                 start_frame=start_frame,
                 goal_frame=frame.copy(),
-                start_positions=start_positions,
-                goal_positions=env.objects().position.copy(),
+                start_objects=start_objects,
+                goal_objects=_objects(env),
             )
         )
     env.close()
     return found
 
 
+def _objects(env: Environment) -> ObjectStates:
+    states = env.objects()
+    return ObjectStates(**{one.name: getattr(states, one.name).copy() for one in fields(states)})
+
+
 def configurations() -> dict[str, Any]:
-    """Every field and constant of the planners and the costs that results are made with."""
+    """Every field of the solvers and the objectives that results are made with."""
     facts = {name: world.make_env().facts for name, world in WORLDS.items()}
-    spec = facts["robot_push"]
+    cem, centres = make_solver("cem"), make_objective("centres")
     return {
-        "planners": {
-            name: planning_configuration(make_planner(name), None, spec, needs_pixels=True)["planner"]
-            for name in planner_names()
+        "solvers": {
+            name: planning_configuration(name, make_solver(name), "centres", centres)["solver"] for name in SOLVERS
         },
-        "costs": {
-            name: planning_configuration(make_planner("cem"), name, spec, needs_pixels=True)["cost"] for name in COSTS
-        },
-        "default costs": {
-            f"{name}, {'pixels' if pixels else 'features'}": planning_configuration(
-                make_planner("cem"), None, one, needs_pixels=pixels
-            )["cost"]["name"]
+        "objectives": {
+            name: planning_configuration("cem", cem, name, make_objective(name))["objective"] for name in OBJECTIVES
+        }
+        | {SIMULATOR: planning_configuration("cem", cem, SIMULATOR, None)["objective"]},
+        "default objectives": {
+            f"{name}, {'pixels' if pixels else 'features'}": default_objective(name, one, needs_pixels=pixels)
             for name, one in facts.items()
             for pixels in (True, False)
         },
@@ -236,6 +255,7 @@ def main() -> None:
     content = {
         "control_version": CONTROL_VERSION,
         "configurations": configurations(),
+        "earlier configurations": known.get("earlier configurations", {}),
         "tasks": tasks,
         "traces": {case.name: trace(case, tasks[case.environment]) for case in CASES},
     }

@@ -28,6 +28,7 @@ class Scenario:
         needs: Files and folders of the base that it needs.
         outcome: What is compared.
         says: Whether what it prints is the outcome, too; without times.
+        without: Folders of these that it has to make again, such as a cache.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Scenario:
     needs: tuple[str, ...]
     outcome: Callable[[Path], Content]
     says: bool = False
+    without: tuple[str, ...] = ()
 
     @property
     def command(self) -> tuple[str, ...]:
@@ -48,6 +50,8 @@ class Scenario:
             source, place = base / name, workspace / name
             place.parent.mkdir(parents=True, exist_ok=True)
             shutil.copytree(source, place) if source.is_dir() else shutil.copyfile(source, place)
+        for name in self.without:
+            shutil.rmtree(workspace / name, ignore_errors=True)
 
 
 RECORD = (
@@ -103,6 +107,7 @@ SCENARIOS: tuple[Scenario, ...] = (
         name="train",
         words=(*TRAIN, "--out", "runs/new"),
         needs=("data/walk-tiny",),
+        without=("data/walk-tiny/cache",),
         outcome=lambda workspace: training(workspace, "new"),
     ),
     Scenario(
@@ -115,6 +120,7 @@ SCENARIOS: tuple[Scenario, ...] = (
         name="score",
         words=("score", "pushes", "--horizon", "4", "--json"),
         needs=("data/grid-tiny", "runs/pushes/run.json", "runs/pushes/best.safetensors"),
+        without=("data/grid-tiny/cache",),
         outcome=lambda workspace: report(workspace, "pushes"),
     ),
     Scenario(

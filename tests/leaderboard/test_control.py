@@ -6,7 +6,6 @@ import copy
 import json
 import shutil
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import pytest
 from known_model import Known, write_run
 
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
+from dmotion_bench.planning.earlier import earlier_planning
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, score_reference
 from dmotion_bench.scoring.figures import figures_of
@@ -31,21 +30,20 @@ from leaderboard.entry import Entry
 
 pytestmark = pytest.mark.slow
 
-SCORING = ControlScoring(tasks=3, steps=5, group=2)
+FEW = ("samples=4", "horizon=2", "iterations=1", "elites=2")
+SCORING = ControlScoring(tasks=3, steps=5, group=2, planner_set=FEW)
 QUICK = CheckSettings(score=False)
 RUN = "dmotion-pushed-tiny-s0"
 Rows = list[dict[str, Any]]
 
 
-def _few_candidates(patch: pytest.MonkeyPatch) -> None:
-    quick = partial(CrossEntropyPlanner, samples=4, horizon=2, iterations=1, elites=2)
-    patch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": quick})
+def _known_model(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
 
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    _few_candidates(monkeypatch)
+    _known_model(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +56,7 @@ def controlled(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     record_dataset(workspace.data / "pushed-tiny", recipe)
     dataset = Dataset.open(workspace.data / "pushed-tiny")
     with pytest.MonkeyPatch.context() as patch:
-        _few_candidates(patch)
+        _known_model(patch)
         run = write_run(workspace.runs / RUN, dataset)
         score_reference("oracle", dataset, SCORING)
         score_run(run.path, metrics=("control",), settings=ScoreSettings(resamples=100, control=SCORING))
@@ -169,13 +167,39 @@ def test_an_entry_that_names_code_holds_as_the_version_that_the_code_stands_for(
     assert (verdict.findings, verdict.missing, verdict.holds) == ((), (), True)
 
 
-def test_another_planner_than_the_version_s_is_found(controlled: Workspace, entry: Entry) -> None:
+def test_an_entry_in_the_words_of_an_earlier_release_holds(copied: Workspace) -> None:
+    """It names a planner and a cost, of which no field could be set."""
+    plain = ControlScoring(tasks=1, steps=1)
+    run = copied.runs / RUN
+    shutil.rmtree(run / "report")
+    score_run(run, metrics=("control",), settings=ScoreSettings(resamples=100, control=plain))
+    report = run / "report/report.json"
+    old = json.loads(report.read_text())
+    planning = earlier_planning(old["planning"])
+    assert planning is not None
+    old["planning"] = planning | {"arithmetic": old["planning"]["arithmetic"]}
+    for name in ("objective", "objective_set", "planner_set"):
+        del old["settings"][f"control_{name}"]
+    old["settings"]["control_cost"] = None
+    report.write_text(json.dumps(old))
+
+    entry = entry_of_run(run)
+    assert set(entry.content["planning"]) == {"planner", "cost", "arithmetic"}
+    verdict = check_entry(entry, copied)
+    assert (verdict.findings, verdict.missing, verdict.holds) == ((), (), True)
+
     content = _content(entry)
-    content["planning"]["planner"]["samples"] += 1
+    content["planning"]["cost"]["tracking.CLEAR"] = 0.8
+    assert any(one.startswith("planning.objective: ") for one in check_entry(Entry(content), copied, QUICK).findings)
+
+
+def test_another_solver_than_the_entry_names_is_found(controlled: Workspace, entry: Entry) -> None:
+    content = _content(entry)
+    content["planning"]["solver"]["samples"] += 1
 
     findings = check_entry(Entry(content), controlled, QUICK).findings
     assert any(one.startswith("planning: the entry says") for one in findings)
-    assert any(one.startswith("planning.planner: the entry says") for one in findings)
+    assert any(one.startswith("planning.solver: the entry says") for one in findings)
 
 
 def test_figures_of_control_that_nobody_scored_are_found(controlled: Workspace, entry: Entry) -> None:

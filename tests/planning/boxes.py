@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.specs import EnvSpec, ObjectSpec
 
 RED, BLUE = (230, 20, 20), (20, 20, 230)
@@ -20,6 +21,7 @@ SPEC = EnvSpec(
     height=64,
     width=64,
 )
+SETTINGS = TabletopSettings()
 FIRST = torch.zeros(1, dtype=torch.long)
 AT = (20, 30)
 TABLE = torch.tensor([200, 180, 150], dtype=torch.uint8)

@@ -7,7 +7,7 @@ import torch
 from planning.worlds import PerfectGridModel
 
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.planning.driving import Drive, imagined
+from dmotion_bench.planning.driving import Drive, predicted
 from recorders.grid_world import GridWorld
 
 ACTIONS = [3, 3, 1, 0, 2, 1]
@@ -35,10 +35,10 @@ def test_a_perfect_model_drives_like_the_simulator() -> None:
         np.testing.assert_array_equal(drive.step(action).numpy(), env.step(action)[0])
 
 
-def test_imagined_futures_are_those_of_each_sequence() -> None:
+def test_predicted_frames_are_those_of_each_sequence() -> None:
     model, start = PerfectGridModel(), torch.from_numpy(GridWorld().reset(seed=3)[0])
     sequences = torch.tensor([ACTIONS, ACTIONS[::-1]])
-    found = imagined(model, start, start, sequences)
+    found = predicted(model, start, start, sequences)
     for sequence, frames in zip(sequences.tolist(), found, strict=True):
         drive = Drive(model, start)
         torch.testing.assert_close(frames, torch.stack([drive.step(action) for action in sequence]))

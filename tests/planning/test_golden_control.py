@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from types import ModuleType
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from golden.control import ADVICE, CASES, Case, configurations, small, stored, trace
 
-from dmotion_bench import positions
-from dmotion_bench.planning import approaching, configuration, covering, edges, exploring, following, table, tracking
-from dmotion_bench.planning.configuration import constants
-from dmotion_bench.planning.control import CONTROL_VERSION
-from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
-from recorders.robot_push import RobotPush
+from dmotion_bench.planning.choices import make_objective, planning_configuration
+from dmotion_bench.planning.earlier import present_planning
+from dmotion_bench.planning.mpc import CONTROL_VERSION
+from dmotion_bench.planning.objectives.tabletop.objective import Tabletop
+from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
+from dmotion_bench.planning.solvers.cem import CrossEntropy
 
-TUNED = (approaching, covering, edges, exploring, following, positions, table, tracking)
 ROUNDING = 1e-6
-SPEC = RobotPush().facts
 
 
 def test_the_golden_file_is_of_this_version() -> None:
@@ -42,42 +39,46 @@ def test_actions_and_distances_are_those_of_the_version(case: Case) -> None:
     )
 
 
-def test_planners_and_costs_are_configured_as_in_the_version() -> None:
-    assert configurations() == stored()["configurations"], f"a planner or a cost is configured otherwise. {ADVICE}"
+def test_solvers_and_objectives_are_configured_as_in_the_version() -> None:
+    assert configurations() == stored()["configurations"], f"a solver or an objective is configured otherwise. {ADVICE}"
 
 
-def test_a_changed_constant_shows_in_the_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_configurations_are_those_that_earlier_reports_hold() -> None:
+    """The constants of the modules that planned before there were settings: same names in the report, same values."""
+    earlier, now = stored()["earlier configurations"], configurations()
+    for name, solver in earlier["planners"].items():
+        for cost, objective in earlier["costs"].items():
+            present = present_planning({"planner": solver, "cost": objective, "arithmetic": "float32"})
+            assert present["solver"] == now["solvers"][name]
+            assert (
+                present["objective"]
+                == now["objectives"][{"position": "centres", "followed": "tabletop"}.get(cost, cost)]
+            )
+            assert present["arithmetic"] == "float32"
+    names = {"position": "centres", "followed": "tabletop"}
+    assert {key: names.get(cost, cost) for key, cost in earlier["default costs"].items()} == now["default objectives"]
+
+
+def test_a_changed_setting_shows_in_the_trace() -> None:
     """The traces would notice: going to where a push can begin decides what the robot does."""
     golden, case = stored(), Case(environment="robot_push", who="model")
-    monkeypatch.setattr(exploring, "NEARNESS", 0.0)
-    assert trace(case, golden["tasks"]["robot_push"])["actions"] != golden["traces"][case.name]["actions"]
-
-
-def test_a_changed_field_of_the_planner_shows_in_the_trace() -> None:
-    golden, case = stored(), Case(environment="planar_push", who="model")
-    planner = small("icem")
-    assert isinstance(planner, CrossEntropyPlanner)
-    changed = trace(case, golden["tasks"]["planar_push"], replace(planner, stickiness=0.0))
+    changed = trace(case, golden["tasks"]["robot_push"], objective=Tabletop(push_pose_bonus=0.0))
     assert changed["actions"] != golden["traces"][case.name]["actions"]
 
 
-@pytest.mark.parametrize("module", TUNED, ids=lambda module: module.__name__.rpartition(".")[2])
-def test_every_constant_that_was_tuned_is_in_a_report(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    numbers = {name for name, value in vars(module).items() if name.isupper() and isinstance(value, int | float)}
-    imported = {name.partition(".")[2] for other in TUNED if other is not module for name in constants(other)}
-    assert numbers - imported <= {name.partition(".")[2] for name in constants(module)}, "a constant is not Final"
-    before = configurations()["costs"]["followed"]
-    for name in constants(module):
-        monkeypatch.setattr(module, name.partition(".")[2], -1)
-        after = configuration.planning_configuration(small("cem"), "followed", SPEC, needs_pixels=True)["cost"]
-        assert {one for one in after if after[one] != before[one]} == {name}
-        monkeypatch.undo()
+def test_a_changed_field_of_the_solver_shows_in_the_trace() -> None:
+    golden, case = stored(), Case(environment="planar_push", who="model")
+    solver = small("icem")
+    assert isinstance(solver, CrossEntropy)
+    changed = trace(case, golden["tasks"]["planar_push"], replace(solver, action_repeat_prob=0.0))
+    assert changed["actions"] != golden["traces"][case.name]["actions"]
 
 
-def test_the_cost_that_suits_is_named_and_the_oracle_has_its_own() -> None:
-    def cost(name: str | None, needs_pixels: bool | None) -> str:
-        said = configuration.planning_configuration(small("cem"), name, SPEC, needs_pixels=needs_pixels)
-        return str(said["cost"]["name"])
-
-    assert [cost(None, True), cost(None, False), cost(None, None)] == ["followed", "feature", "simulator"]
-    assert [cost("position", True), cost("tracked", None)] == ["position", "tracked"]
+def test_every_setting_is_in_a_report() -> None:
+    objective = make_objective("tabletop")
+    said = planning_configuration("cem", small("cem"), "tabletop", objective)["objective"]
+    assert {one.name for one in fields(TabletopSettings)} < set(said)
+    for one in fields(TabletopSettings):
+        changed = make_objective("tabletop", [f"{one.name}={'1,2' if one.name == 'passing_below' else '7'}"])
+        after = planning_configuration("cem", small("cem"), "tabletop", changed)["objective"]
+        assert {name for name in after if after[name] != said[name]} == {one.name}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +14,9 @@ from torch import Tensor
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
-from dmotion_bench.planning.planner import Moment
+from dmotion_bench.planning.dynamics.base import Dynamics, Observation
+from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
+from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import Supervision
 from recorders.grid_drawing import CELLS, Version
@@ -24,55 +28,117 @@ MOVES = torch.tensor([(0, -1), (0, 1), (-1, 0), (1, 0)])
 class Walks:
     """A walker on an endless lattice; what a step costs depends on the task, the place and the way there.
 
-    The costs are arbitrary numbers out of a fixed function, so that hardly two sequences cost the same.
+    It is the dynamics, and ``PathCost`` the objective. The costs are arbitrary numbers out of a fixed function, so that
+    hardly two sequences cost the same.
     """
 
-    actions, at_once = 4, 7
+    actions, at_once, device = Discrete.numbered(4), 7, torch.device("cpu")
 
     def __init__(self, tasks: tuple[int, ...]) -> None:
-        self.tasks, self._names = len(tasks), torch.tensor(tasks)
+        self.tasks, self.names = len(tasks), torch.tensor(tasks)
         self.expanded: list[tuple[Any, ...]] = []
+        self.evaluator: Memoryless = PathCost(self)
 
-    def begin(self) -> tuple[Tensor, ...]:
-        return torch.zeros(self.tasks, 2, dtype=torch.long), torch.zeros(self.tasks, dtype=torch.long)
+    @contextlib.contextmanager
+    def computing(self, *, gradients: bool = False) -> Iterator[None]:
+        with torch.inference_mode():
+            yield
 
-    def expand(
-        self, states: tuple[Tensor, ...], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
-    ) -> tuple[tuple[Tensor, ...], Float[Tensor, " n"]]:
-        place, history = states
+    def start(self, observation: Observation) -> tuple[Tensor, ...]:
+        assert len(observation.current) == self.tasks
+        nothing = torch.zeros(self.tasks, dtype=torch.long)
+        return torch.zeros(self.tasks, 2, dtype=torch.long), nothing, torch.arange(self.tasks)
+
+    def step(self, state: tuple[Tensor, ...], action: Int[Tensor, " n"]) -> tuple[Tensor, ...]:
+        place, history, task = state
         place, history = place + MOVES[action], history * 5 + action + 1
         self.expanded += zip(task.tolist(), history.tolist(), strict=True)
-        mixed = (place @ torch.tensor([73, 151]) + history * 31 + self._names[task] * 57) * 2654435761 % 100003
-        return (place, history), 1.0 + mixed.double() / 100003
+        return place, history, task
+
+    def frames(self, state: tuple[Tensor, ...]) -> Tensor:
+        raise NotImplementedError
+
+    def features(self, state: tuple[Tensor, ...]) -> Tensor:
+        raise NotImplementedError
+
+    def plan(self, solver: Solver, context: PlanContext) -> Plan:
+        """The plan of a solver with this dynamics and its objective."""
+        return solver.plan(self, self.evaluator, context)
+
+
+class PathCost(Memoryless):
+    """What a walk costs, by the way."""
+
+    def __init__(self, walks: Walks) -> None:
+        self.walks = walks
+
+    def of(self, place: Tensor, history: Tensor, name: Tensor) -> Tensor:
+        mixed = (place @ torch.tensor([73, 151]) + history * 31 + name * 57) * 2654435761 % 100003
+        return 1.0 + mixed.double() / 100003
+
+    def step(
+        self, dynamics: Dynamics, state: tuple[Tensor, ...], task: Tensor, action: Tensor, cost_state: CostState
+    ) -> tuple[StepCost, CostState]:
+        place, history, own = state
+        assert torch.equal(own, task)
+        return StepCost.of(self.of(place, history, self.walks.names[task])), ()
+
+
+class SmoothCost(PathCost):
+    """The distance to a place of each task's own, so that CEM has something to follow."""
+
+    def of(self, place: Tensor, history: Tensor, name: Tensor) -> Tensor:
+        return (place - torch.stack([name % 4, -(name % 3)], dim=1)).square().sum(1).double()
+
+
+class FarCost(PathCost):
+    """Each task's goal lies so far in a corner that hardly a random walk comes near it."""
+
+    def of(self, place: Tensor, history: Tensor, name: Tensor) -> Tensor:
+        corner = torch.stack([1 - 2 * (name % 2), 1 - name // 2 % 2 * 2], dim=1)
+        return (place - 4 * corner).abs().sum(1).double()
 
 
 class SmoothWalks(Walks):
-    """The same lattice; the cost is the distance to a place of each task's own, so that CEM has something to follow."""
+    """The same lattice with ``SmoothCost``."""
 
-    def expand(
-        self, states: tuple[Tensor, ...], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
-    ) -> tuple[tuple[Tensor, ...], Float[Tensor, " n"]]:
-        after, _ = super().expand(states, task, action)
-        goal = torch.stack([self._names[task] % 4, -(self._names[task] % 3)], dim=1)
-        return after, (after[0] - goal).square().sum(1).double()
+    def __init__(self, tasks: tuple[int, ...]) -> None:
+        super().__init__(tasks)
+        self.evaluator = SmoothCost(self)
 
 
 class FarWalks(Walks):
-    """The same lattice; each task's goal lies so far in a corner that hardly a random walk comes near it."""
+    """The same lattice with ``FarCost``."""
 
-    def expand(
-        self, states: tuple[Tensor, ...], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
-    ) -> tuple[tuple[Tensor, ...], Float[Tensor, " n"]]:
-        after, _ = super().expand(states, task, action)
-        corner = torch.stack([1 - 2 * (self._names[task] % 2), 1 - self._names[task] // 2 % 2 * 2], dim=1)
-        return after, (after[0] - 4 * corner).abs().sum(1).double()
+    def __init__(self, tasks: tuple[int, ...]) -> None:
+        super().__init__(tasks)
+        self.evaluator = FarCost(self)
 
 
-def moment(tasks: int, *, seed: int = 0, blocked: Any = None) -> Moment:
+def observed(current: Any, previous: Any = None, goals: Any = None) -> Observation:
+    """Images as they are given to a dynamics."""
+    current = np.asarray(current)
+    return Observation(
+        previous=current if previous is None else np.asarray(previous),
+        current=current,
+        goals=current if goals is None else np.asarray(goals),
+    )
+
+
+def unseen(tasks: int) -> Observation:
+    """Tasks of which nothing is seen."""
+    return observed(np.zeros((tasks, 1, 1, 3), np.uint8))
+
+
+def context(
+    tasks: int, *, seed: int = 0, blocked: Any = None, memory: Any = None, observation: Observation | None = None
+) -> PlanContext:
     """The beginning, with a generator for each task."""
-    return Moment(
+    return PlanContext(
+        observation=observation or unseen(tasks),
         generators=tuple(np.random.default_rng([seed, task]) for task in range(tasks)),
         blocked=np.zeros((tasks, 4), np.bool_) if blocked is None else blocked,
+        memory=memory,
     )
 
 

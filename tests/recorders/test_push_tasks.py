@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dmotion_bench.environment import Environment
-from dmotion_bench.planning.problems import load_problems, task_environment
+from dmotion_bench.planning.tasks import load_problems, task_environment
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.registry import environment_class, environment_names

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -59,6 +60,20 @@ def test_labels_that_were_taken_away_come_back(dataset: Path) -> None:
     shutil.rmtree(dataset / "labels")
     assert repair_dataset(dataset).how == "restored"
     assert files_of(dataset) == before
+
+
+def test_damage_that_shows_only_with_sound_tables_is_mended_as_well(dataset: Path) -> None:
+    file, manifest = dataset / "labels" / "shard-00000.mcap", dataset / "dataset.json"
+    before, at = file.read_bytes(), Dataset.open(dataset).rows[0].masks.offset
+    file.write_bytes(before[: at + 60] + b"garbled!" + before[at + 68 :])
+    digests = [hashlib.sha256(one).hexdigest() for one in (before, file.read_bytes())]
+    manifest.write_text(manifest.read_text().replace(*digests))  # as a forger would: the hash is right
+    assert [damage.shard for damage in check_dataset(dataset).damages] == [0]
+    (dataset / "episodes.parquet").write_bytes(b"")
+    done = repair_dataset(dataset)
+    assert done.salvaged is not None
+    assert done.salvaged.lost == (0,)
+    assert check_dataset(dataset).damages == ()
 
 
 def test_an_environment_with_other_objects_than_the_manifest_is_not_recorded_anew(dataset: Path) -> None:

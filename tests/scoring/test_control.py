@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,9 @@ from torch import Tensor
 
 from dmotion_bench.errors import DatasetError, FolderInUse
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.control import CONTROL_VERSION, ControlProgress
-from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
-from dmotion_bench.planning.planner import make_planner
+from dmotion_bench.planning.earlier import earlier_planning
+from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress
+from dmotion_bench.planning.objectives.tabletop.tracked import Tracked
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, known_references, require_tasks, score_reference
 from dmotion_bench.scoring.prediction import Execution
@@ -34,14 +33,9 @@ from dmotion_bench.storage.dataset import Dataset
 pytestmark = pytest.mark.slow
 
 MakeRun = Callable[..., Run]
-SCORING = ControlScoring(tasks=3, steps=3, group=2)
+FEW = ("samples=3", "horizon=2", "iterations=1", "elites=2")
+SCORING = ControlScoring(tasks=3, steps=3, group=2, planner_set=FEW)
 QUICK = ScoreSettings(horizon=3, resamples=100, control=SCORING)
-
-
-@pytest.fixture(autouse=True)
-def _few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = partial(CrossEntropyPlanner, samples=3, horizon=2, iterations=1, elites=2)
-    monkeypatch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": quick})
 
 
 @pytest.fixture
@@ -204,26 +198,72 @@ def test_progress_counts_control_steps(tasks: Dataset) -> None:
     assert np.array([one["distance"] for one in kept["tasks"].values()]).shape == (3, 4)
 
 
-def test_a_report_names_the_planner_and_the_cost_in_full(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_names_the_solver_and_the_objective_in_full(run: Run) -> None:
     report = score(run, "prediction", "control")
     assert report.settings["control_version"] == CONTROL_VERSION
-    assert report.planning["planner"]["class"] == "CrossEntropyPlanner"
-    assert (report.planning["planner"]["samples"], report.planning["planner"]["haste"]) == (3, 0.0)
-    assert (report.planning["cost"]["name"], report.planning["cost"]["tracking.CLEAR"]) == ("tracked", 0.85)
+    solver, objective = report.planning["solver"], report.planning["objective"]
+    assert (solver["name"], solver["samples"], solver["step_discount"]) == ("cem", 3, 0.0)
+    assert (objective["name"], objective["fully_seen"], objective["positions.BITS"]) == ("tracked", 0.85, 5)
     assert report.planning["arithmetic"] in ("float32", "bfloat16")
     assert score(run, "prediction").planning == report.planning
 
-    monkeypatch.setattr("dmotion_bench.planning.tracking.CLEAR", 0.8)
+
+def test_figures_of_other_settings_are_not_kept(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    how = Execution(progress=lambda what, done, total: asked.append(what.partition(",")[0]))
+    score(run)
+    for other in (
+        replace(SCORING, planner_set=("samples=4", "horizon=2", "iterations=1", "elites=2")),
+        replace(SCORING, objective="tracked", objective_set=("fully_seen=0.8",)),
+    ):
+        report = score(run, how=how, settings=replace(QUICK, control=other), renew=False)
+        assert "control by the model" in asked
+        asked.clear()
+        assert report.settings["control_planner_set"] == list(other.planner_set)
+        assert report.settings["control_objective_set"] == list(other.objective_set)
+    other_default = Tracked(fully_seen=0.7)  # of another release
+    monkeypatch.setattr("dmotion_bench.scoring.control.make_objective", lambda name, settings: other_default)
     assert not any(name.startswith("control_") for name in score(run, "prediction").figures)
+
+
+def test_a_report_in_the_words_of_an_earlier_release_stays_true(run: Run) -> None:
+    plain = replace(QUICK, control=ControlScoring(tasks=1, steps=1))  # an earlier release could set no field
+    score(run, settings=plain)
+    path = run.path / "report/report.json"
+    now = json.loads(path.read_text())
+    planning = earlier_planning(now["planning"])
+    assert planning is not None
+    assert (planning["planner"]["class"], planning["cost"]["tracking.CLEAR"]) == ("CrossEntropyPlanner", 0.85)
+    old = now | {"planning": planning | {"arithmetic": now["planning"]["arithmetic"]}}
+    settings = {
+        name: value for name, value in now["settings"].items() if "_set" not in name and "objective" not in name
+    }
+    path.write_text(json.dumps(old | {"settings": settings | {"control_cost": None}}))
+    asked: list[str] = []
+    how = Execution(progress=lambda what, done, total: asked.append(what.partition(",")[0]))
+
+    kept = score(run, "prediction", how=how, settings=plain)
+
+    assert not any(what.startswith("control") for what in asked)
+    assert kept.planning == now["planning"]
+    assert {name for name in kept.figures if name.startswith("control_")}
+
+
+def in_the_earlier_format(file: Path) -> dict[str, Any]:
+    """A journal as releases before the checksum wrote it."""
+    content = json.loads(file.read_text())
+    assert content.pop("crc32")
+    return content | {"format": "dmbench-control/1"}
 
 
 def test_a_reference_that_was_kept_under_a_hash_of_the_code_is_kept(tasks: Dataset) -> None:
     """The oracle takes hours: what it did is not done again because versions have names now."""
     result = score_reference("oracle", tasks, SCORING)
     (new,) = (tasks.path / "cache").glob("control-oracle-*.json")
-    content, planner = json.loads(new.read_text()), make_planner("cem")
+    content = in_the_earlier_format(new)
+    planner = "CrossEntropyPlanner(samples=3, horizon=2, iterations=1, elites=2, stickiness=0.0, kept=0, haste=0.0)"
     common = {name: content["key"][name] for name in ("dataset", "who", "device", "steps", "seed", "group")}
-    key = {"code": "0.1.0+4fa30b762c67", "planner": repr(planner), "cost": None} | common
+    key = {"code": "0.1.0+4fa30b762c67", "planner": planner, "cost": None} | common
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:12]
     new.unlink()
     old = new.with_name(f"control-oracle-{digest}.json")
@@ -236,3 +276,14 @@ def test_a_reference_that_was_kept_under_a_hash_of_the_code_is_kept(tasks: Datas
     assert again.planned == 6  # of the last group alone
     np.testing.assert_array_equal(again.actions[:3], result.actions)
     assert score_reference("oracle", tasks, replace(SCORING, tasks=4)).planned == 0
+
+
+def test_a_reference_that_was_kept_in_the_words_of_an_earlier_release_is_kept(tasks: Dataset) -> None:
+    score_reference("oracle", tasks, SCORING)
+    (new,) = (tasks.path / "cache").glob("control-oracle-*.json")
+    content = in_the_earlier_format(new)
+    key = content["key"] | {"planning": earlier_planning(content["key"]["planning"])}
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:12]
+    new.unlink()
+    new.with_name(f"control-oracle-{digest}.json").write_text(json.dumps(content | {"key": key}))
+    assert score_reference("oracle", tasks, SCORING).planned == 0

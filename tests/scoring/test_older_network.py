@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training import train
-from dmotion_bench.planning.cross_entropy import CrossEntropyPlanner
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.samples import read_samples
@@ -30,8 +28,6 @@ from leaderboard.pictures import take_pictures
 def test_it_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channels_last: bool) -> None:
     for module in ("start", "run_manifest"):
         monkeypatch.setattr(f"dmotion_bench.learning.{module}.model_class", lambda name: OlderNetwork)
-    quick = partial(CrossEntropyPlanner, samples=2, horizon=2, iterations=1, elites=1)
-    monkeypatch.setattr("dmotion_bench.planning.planner._planners", lambda: {"cem": quick})
     recipe = recipe_for("grid_world", Preset.TINY, episodes=12, frames=32, tasks=1)
     record_dataset(str(tmp_path / "data"), recipe)
     dataset = Dataset.open(str(tmp_path / "data"))
@@ -45,7 +41,9 @@ def test_it_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ch
     check_model(OlderNetwork)
     train(run, training_data(run, dataset), launch("cpu"), lambda _: None)
     default = ScoreSettings()
-    few = replace(default, horizon=3, resamples=100, control=replace(default.control, planner="cem", tasks=1, steps=2))
+    quick = ("samples=2", "horizon=2", "iterations=1", "elites=1")
+    control = replace(default.control, planner="cem", planner_set=quick, tasks=1, steps=2)
+    few = replace(default, horizon=3, resamples=100, control=control)
     report = score_run(str(run.path), metrics=METRICS, settings=few)
 
     assert {"mse", "mse_true_motion", "rollout_mse[3]", "control_distance[2]"} <= set(report.figures)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import operator
 from collections.abc import Callable
 from pathlib import Path
 
@@ -191,7 +193,26 @@ def test_what_is_wrong_is_said(make_run: MakeRun, tmp_path: Path) -> None:
         score_run(make_run(tmp_path / "other", fingerprint="of another").path)
     run = make_run(tmp_path / "run")
     score_run(run.path, settings=QUICK)
-    (run.path / "report/report.json").write_text('{"protocol": ')
+    file = run.path / "report/report.json"
+    sound = file.read_text()
+    for path, value in (
+        ("figures.mse.mean", [1.0]),
+        ("figures.mse", None),
+        ("figures.mse", {"mean": 1.0}),
+        ("reference.copy_last.mse.n", 2.5),
+        ("reference", []),
+        ("labels.total", "3"),
+        ("dataset.trained_on", {"name": "other"}),
+        ("settings.metrics", "prediction"),
+        ("samples.sha256", 7),
+    ):
+        report = json.loads(sound)
+        *above, last = path.split(".")
+        functools.reduce(operator.getitem, above, report)[last] = value
+        file.write_text(json.dumps(report))
+        with pytest.raises(RunCorrupt, match=rf"report\.{path}.* delete it and score the run again"):
+            score_run(run.path, settings=QUICK)
+    file.write_text('{"protocol": ')
     with pytest.raises(RunCorrupt, match="delete it and score the run again"):
         score_run(run.path, settings=QUICK)
 

@@ -1,6 +1,6 @@
 """Commands that are numbers -> one action for each step between two frames, and the bounds of all actions.
 
-Decision 062 says which commands count for which step, decision 063 where the bounds come from.
+Decision 059 says which commands count for which step, decision 060 where the bounds come from.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.storage.dataset import Dataset
@@ -27,7 +28,7 @@ from tests.fuzz.mutations.mcap_file import spoil_mcap
 from tests.fuzz.mutations.parquet_table import spoil_parquet
 from tests.fuzz.mutations.plain import spoil_bytes
 from tests.fuzz.targets import Target, copied
-from tests.fuzz.worlds import record_grid_world, write_noise
+from tests.fuzz.worlds import MOVES, record_grid_world, write_noise
 
 MANIFEST = "dataset.json"
 PLAIN = 0.25
@@ -52,8 +53,9 @@ class DatasetTarget(Target):
     share: ClassVar[int] = 5
 
     def make(self) -> None:
-        """Noise with labels, the same without, and Grid World, which can be recorded anew."""
+        """Noise with labels, the same without, noise with continuous actions, and Grid World, to record anew."""
         write_noise(self.originals / "noise").cache()
+        write_noise(self.originals / "moves", MOVES).cache()
         video = copied(self.originals / "noise", self.originals / "video")
         shutil.rmtree(video / "labels")
         record_grid_world(self.originals / "grid").cache()
@@ -61,7 +63,7 @@ class DatasetTarget(Target):
             (self.originals / f"{name}.frames").write_text(json.dumps(sorted(frames_of(self.originals / name))))
 
     def names(self) -> list[str]:
-        return ["noise", "noise", "noise", "video", "grid"]
+        return ["noise", "noise", "moves", "moves", "video", "grid"]
 
     def intact(self, case: Case, name: str) -> SpoiltDataset:
         return SpoiltDataset(copied(self.originals / name, case.folder / "data" / name), name, [])
@@ -142,7 +144,7 @@ class DatasetTarget(Target):
             yield Probe("check", partial(_check, path))
         if opened and case.chance(0.06):
             yield Probe("view", lambda: dmbench("view", str(path), "--save", str(case.folder / "a.rrd")).code and None)
-        if opened and case.chance(0.04):
+        if opened and case.chance(0.04) and isinstance(opened[0].spec.actions, Discrete):
             yield Probe(
                 "export",
                 lambda: dmbench("data", "export", str(path), "--out", str(case.folder / "lerobot")).code and None,

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import torch
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import read_report, read_report_samples
@@ -27,12 +28,13 @@ from tests.fuzz.mutations.parquet_table import spoil_parquet
 from tests.fuzz.mutations.plain import spoil_bytes
 from tests.fuzz.mutations.weights import spoil_weights
 from tests.fuzz.targets import Target, copied
-from tests.fuzz.worlds import write_noise
+from tests.fuzz.worlds import MOVES, NAMED, write_noise
 
 DATA = "noise-tiny"
 WORDS = {
     "video": ("fuzz-small",),
     "world": ("fuzz-world", "--labels", "100%"),
+    "moves": ("fuzz-world", "--labels", "100%"),
     "begun": ("fuzz-small",),
     "begun-world": ("fuzz-world", "--labels", "100%"),
 }
@@ -58,10 +60,10 @@ class RunTarget(Target):
     share: ClassVar[int] = 4
 
     def make(self) -> None:
-        """Two finished and scored runs and two that were interrupted, in a workspace each."""
+        """Three finished and scored runs and two that were interrupted, in a workspace each."""
         for name, words in WORDS.items():
             workspace = self.originals / name
-            write_noise(workspace / "data" / DATA).cache()
+            write_noise(workspace / "data" / DATA, MOVES if name == "moves" else NAMED).cache()
             os.environ["DMBENCH_WORKSPACE"] = str(workspace)
             train = ("train", *words, "--out", str(workspace / "runs" / name))
             if name in STOPPED_AT:
@@ -80,7 +82,7 @@ class RunTarget(Target):
 
     def spoil(self, case: Case) -> SpoiltRun:
         case.folder.rmdir()
-        spoilt = self.intact(case, pick(case.rng, ("video", "video", "world", "begun", "begun-world")))
+        spoilt = self.intact(case, pick(case.rng, ("video", "video", "world", "moves", "begun", "begun-world")))
         for _ in range(int(case.rng.choice([1, 1, 1, 2]))):
             self._spoil_file(case, spoilt)
         if case.checksums is not Checksums.KEPT:
@@ -206,7 +208,8 @@ def _prediction(run: Run) -> Any:
     """Of fixed frames, by the trained model."""
     frames = torch.linspace(-1, 1, 2 * 3 * 16 * 16).reshape(2, 3, 16, 16)
     with torch.no_grad():
-        return run.model.predict(frames, frames.flip(2), torch.tensor([0, 1])).numpy()
+        actions = torch.tensor([0, 1]) if isinstance(run.spec.inputs.actions, Discrete) else torch.zeros(2, 2)
+        return run.model.predict(frames, frames.flip(2), actions).numpy()
 
 
 def _samples(folder: Path) -> Any:

@@ -1,0 +1,43 @@
+"""Which of a few ways is faster here: all are tried in turn, and one replaces the usual one only if it clearly wins."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import torch
+
+FEWEST_ROUNDS: Final = 3
+MOST_ROUNDS: Final = 9
+SECONDS: Final = 3.0
+"""After so long the fewest rounds are enough."""
+MARGIN: Final = 1.05
+OFTEN: Final = 0.75
+"""The other way must be faster by the margin in the median and in so many of the rounds: noise is not to decide."""
+
+
+def timed_in_turn(ways: Mapping[str, Callable[[], object]], device: torch.device) -> dict[str, tuple[float, ...]]:
+    """Seconds of each way, round by round, after one of each that does not count."""
+    for way in ways.values():
+        _seconds(way, device)
+    rounds: list[list[float]] = []
+    began = time.perf_counter()
+    while len(rounds) < FEWEST_ROUNDS or (len(rounds) < MOST_ROUNDS and time.perf_counter() - began < SECONDS):
+        rounds.append([_seconds(way, device) for way in ways.values()])
+    return dict(zip(ways, zip(*rounds, strict=True), strict=True))
+
+
+def clearly_faster(other: Sequence[float], usual: Sequence[float]) -> bool:
+    """Whether another way's seconds are clearly fewer than those of the usual one, round by round."""
+    won = [one * MARGIN < two for one, two in zip(other, usual, strict=True)]
+    return statistics.median(other) * MARGIN < statistics.median(usual) and sum(won) >= OFTEN * len(won)
+
+
+def _seconds(way: Callable[[], object], device: torch.device) -> float:
+    began = time.perf_counter()
+    way()
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter() - began

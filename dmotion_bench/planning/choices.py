@@ -1,0 +1,121 @@
+"""Solvers and objectives by their names, with every field settable, and as they stand in a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from types import MappingProxyType, ModuleType
+from typing import Any, Final
+
+from dmotion_bench import positions
+from dmotion_bench.environment import HasObjective
+from dmotion_bench.errors import DmbenchError, InvalidSetting
+from dmotion_bench.learning.settings import with_settings
+from dmotion_bench.planning.objectives.base import Objective
+from dmotion_bench.planning.solvers.base import Solver
+from dmotion_bench.registry import environment_class, objective_class, solver_class
+from dmotion_bench.specs import EnvSpec
+
+DEFAULT_SOLVER: Final = "cem"
+SIMULATOR: Final = "simulator"
+"""The oracle's own objective (``dynamics.simulator.TrueCost``)."""
+
+EARLIER_NAMES: Final[Mapping[str, str]] = MappingProxyType({"position": "centres", "followed": "tabletop"})
+"""Objectives that had another name; it is accepted still."""
+
+
+def make_solver(name: str, settings: Sequence[str] = ()) -> Solver:
+    """A solver by its name.
+
+    Args:
+        name: Registered under ``dmbench.solvers``.
+        settings: ``KEY=VALUE`` for fields that differ from their defaults.
+
+    Raises:
+        UnknownName: There is none of this name.
+        InvalidSetting: It has no such field, or the field cannot have this value.
+    """
+    solver: Solver = _made(solver_class(name), name, settings, "--planner-set")
+    return solver
+
+
+def make_objective(name: str, settings: Sequence[str] = ()) -> Objective:
+    """An objective by its name, present or earlier; arguments and errors as in ``make_solver``."""
+    name = present_name(name)
+    objective: Objective = _made(objective_class(name), name, settings, "--objective-set")
+    return objective
+
+
+def present_name(objective: str) -> str:
+    """The present name of an objective."""
+    return EARLIER_NAMES.get(objective, objective)
+
+
+def _made(kind: type[Any], name: str, settings: Sequence[str], option: str) -> Any:
+    if not is_dataclass(kind):
+        raise DmbenchError(
+            f"{name!r} is registered as {kind.__qualname__}, which is no dataclass; make it a frozen one."
+        )
+    try:
+        made = kind()
+    except TypeError as error:
+        raise DmbenchError(f"{name!r} cannot be made without settings ({error}); give each field a default.") from None
+    return with_settings(settings, made, option=option)[0] if settings else made
+
+
+def default_objective(environment: str, spec: EnvSpec, *, needs_pixels: bool) -> str:
+    """The name of the objective that control plans with if nobody names one.
+
+    Models that draw no frames compare features. Others plan with what the environment names (``HasObjective``), which
+    is the paper's where it names none.
+
+    Args:
+        environment: Its registered name.
+        spec: Its facts.
+        needs_pixels: The model's.
+    """
+    if not (needs_pixels and spec.objects):
+        return "feature"
+    kind: object = environment_class(environment)
+    return kind.objective if isinstance(kind, HasObjective) else "centres"
+
+
+def planning_configuration(
+    solver_name: str, solver: Solver, objective_name: str, objective: Objective | None
+) -> dict[str, Any]:
+    """A solver and an objective, complete, as JSON's types.
+
+    Args:
+        solver_name, solver: The solver.
+        objective_name, objective: The objective; None for the oracle's own.
+    """
+    finds = getattr(objective, "finds_objects", False)
+    return {
+        "solver": {"name": solver_name, **_fields(solver)},
+        "objective": {
+            "name": objective_name,
+            **({} if objective is None else _fields(objective)),
+            **(constants(positions) if finds else {}),
+        },
+    }
+
+
+def constants(module: ModuleType) -> dict[str, Any]:
+    """The constants (``Final``) of a module as ``module.NAME``."""
+    own = [name for name, kind in module.__annotations__.items() if str(kind).startswith("Final")]
+    place = module.__name__.rpartition(".")[2]
+    return {f"{place}.{name}": _plain(getattr(module, name)) for name in own}
+
+
+def _fields(settings: Any) -> dict[str, Any]:
+    if not is_dataclass(settings):
+        raise InvalidSetting(f"{type(settings).__name__} is no dataclass; its settings cannot be put into a report.")
+    plain: dict[str, Any] = _plain(asdict(settings))  # type: ignore[arg-type]
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    """A value with lists in place of tuples, as it reads back from JSON."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(one) for name, one in value.items()}
+    return [_plain(one) for one in value] if isinstance(value, tuple | list) else value

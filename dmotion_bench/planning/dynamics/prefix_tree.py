@@ -1,0 +1,149 @@
+"""Predictions of many action sequences; a beginning that several sequences share is predicted once.
+
+Fifty sequences of five actions out of four share most of their first steps: of their 250 frames only some 150 are
+different, and a planner's later iterations meet most of its earlier prefixes again. So frames are nodes of a tree
+whose edges are actions; a node is imagined when a sequence first goes through it and is remembered from then on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from dmotion_bench.actions import require_discrete
+from dmotion_bench.planning.dynamics.base import Dynamics, Observation
+from dmotion_bench.planning.objectives.base import PARTS, Evaluator
+
+States = tuple[Tensor, ...]
+
+
+@dataclass(kw_only=True)
+class _Level:
+    """All nodes at one depth, in the order in which they were predicted.
+
+    Attributes:
+        key: ``parent * actions + action`` of each node.
+        task: Which task it belongs to.
+        cost: Of each node: the total and its parts.
+        chunks: Their states, each with what its cost carries, in the batches in which they were predicted.
+        starts: The first node of each chunk.
+    """
+
+    key: Int[np.ndarray, " n"]
+    task: Int[np.ndarray, " n"]
+    cost: Float[np.ndarray, "n 4"]
+    chunks: list[States] = field(default_factory=list)
+    starts: list[int] = field(default_factory=list)
+
+    def nodes_of(self, keys: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+        """The nodes with these keys, -1 where there is none yet."""
+        if not len(self.key):
+            return np.full(len(keys), -1)
+        order = self.key.argsort(kind="stable")
+        place = np.searchsorted(self.key, keys, sorter=order).clip(max=len(order) - 1)
+        nodes: Int[np.ndarray, " m"] = np.where(self.key[order[place]] == keys, order[place], -1)
+        return nodes
+
+    def gather(self, nodes: Int[np.ndarray, " m"]) -> States:
+        """The states of some nodes, whose numbers are in ascending order."""
+        chunk = np.searchsorted(self.starts, nodes, side="right") - 1
+        parts = []
+        for index in np.unique(chunk).tolist():
+            rows = torch.from_numpy(nodes[chunk == index] - self.starts[index])
+            parts.append(tuple(tensor[rows.to(tensor.device)] for tensor in self.chunks[index]))
+        return parts[0] if len(parts) == 1 else tuple(torch.cat(tensors) for tensors in zip(*parts, strict=True))
+
+
+class PrefixTree:
+    """Stores the predictions for some tasks from one control step on; for discrete actions.
+
+    Args:
+        dynamics: Predicts the states.
+        evaluator: Says what they cost.
+        observation: Of the tasks, now.
+        horizon: The length of the longest sequence; the states at its end are not kept.
+
+    Raises:
+        InvalidSetting: The actions are continuous.
+
+    Attributes:
+        actions: How many there are.
+        frames: How many states have been predicted.
+    """
+
+    def __init__(self, dynamics: Dynamics, evaluator: Evaluator, observation: Observation, horizon: int) -> None:
+        self.dynamics, self.horizon, self.frames = dynamics, horizon, 0
+        self.actions = len(require_discrete(dynamics.actions, "sharing the beginnings of sequences"))
+        self._evaluator = evaluator
+        with torch.inference_mode():
+            carried = evaluator.begin(dynamics)
+        with dynamics.computing():
+            start = dynamics.start(observation)
+        self._carried = len(carried)
+        tasks = np.arange(len(observation.current))
+        nothing = np.full((len(tasks), 1 + len(PARTS)), np.nan)
+        root = _Level(key=tasks, task=tasks, cost=nothing, chunks=[(*start, *carried)], starts=[0])
+        self._levels = [root] + [
+            _Level(key=np.zeros(0, np.int64), task=np.zeros(0, np.int64), cost=nothing[:0]) for _ in range(horizon)
+        ]
+
+    def costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t"]:
+        """The cost of each sequence of each task after each of its steps."""
+        return self._costs(sequences)[..., 0]
+
+    def parts(
+        self, sequences: Int[np.ndarray, "b s t"], step: Int[np.ndarray, "b s"]
+    ) -> Mapping[str, Float[np.ndarray, "b s"]]:
+        """The parts of the cost of each sequence at one of its steps."""
+        costs = np.take_along_axis(self._costs(sequences), step[..., None, None], axis=2)[:, :, 0]
+        return {name: costs[..., 1 + place] for place, name in enumerate(PARTS)}
+
+    def _costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t 4"]:
+        if sequences.shape[2] > self.horizon:
+            raise ValueError(f"sequences of {sequences.shape[2]} actions in a tree made for {self.horizon}")
+        node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])
+        costs = np.empty((*sequences.shape, 1 + len(PARTS)))
+        for depth in range(sequences.shape[2]):
+            wanted, place = np.unique(node * self.actions + sequences[:, :, depth], return_inverse=True)
+            level = self._levels[depth + 1]
+            unknown = wanted[level.nodes_of(wanted) < 0]
+            if len(unknown):
+                self._predict(depth, unknown)
+            node = level.nodes_of(wanted)[place].reshape(sequences.shape[:2])
+            costs[:, :, depth] = level.cost[node]
+        return costs
+
+    def _predict(self, depth: int, keys: Int[np.ndarray, " n"]) -> None:
+        """Add nodes below those at ``depth``; the keys rise, so parents do not fall."""
+        above, level = self._levels[depth], self._levels[depth + 1]
+        parent, action = np.divmod(keys, self.actions)
+        task, costs = above.task[parent], []
+        for start in range(0, len(keys), self.dynamics.at_once):
+            part = slice(start, start + self.dynamics.at_once)
+            states, cost = self._expand(
+                above.gather(parent[part]), torch.from_numpy(task[part]), torch.from_numpy(action[part])
+            )
+            costs.append(cost.double().numpy())
+            if depth + 1 < self.horizon:
+                level.starts.append(len(level.key) + start)
+                level.chunks.append(states)
+        level.key = np.concatenate([level.key, keys])
+        level.task = np.concatenate([level.task, task])
+        level.cost = np.concatenate([level.cost, *costs])
+        self.frames += len(keys)
+
+    def _expand(
+        self, states: States, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
+    ) -> tuple[States, Float[Tensor, "n 4"]]:
+        """Each state after one more action, and its cost."""
+        dynamics, split = self.dynamics, len(states) - self._carried
+        with dynamics.computing():
+            task, action = task.to(dynamics.device), action.to(dynamics.device)
+            after = dynamics.step(states[:split], action)
+            cost, carried = self._evaluator.step(dynamics, after, task, action, states[split:])
+            return (*after, *carried), cost.stacked().cpu()

@@ -1,0 +1,202 @@
+"""The true simulator as the dynamics, which a perfect model would be. Only the oracle uses it.
+
+A state is what leads to it, a seed and actions, so any state can be had by replay. Environments that are
+``Restorable`` are put back instead, which is much faster. Everything happens in a simulator of its own, so that the
+one that is being controlled never feels it.
+
+What has been tried is remembered: where a step moves nothing but the agent, different sequences lead to the very
+same places, and most of what a plan looks at was known at the step before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from dmotion_bench.actions import ActionSpec, Continuous
+from dmotion_bench.environment import Environment, Restorable, Undrawn
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.planning.dynamics.base import Actions, Dynamics, Observation, State
+from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
+from dmotion_bench.planning.tasks import ActionTaken, Problem, World, as_actions, given, measure_of, start, take
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A state that the simulator has reached.
+
+    Attributes:
+        actions: What leads there from the problem's start.
+        snapshot: Of the environment, where it can be restored.
+        name: Where everything is, bit by bit: places of the same name are the same.
+        cost: Its true cost; NaN where it was not asked for.
+        picture: What is seen there, compressed; None where it was not asked for.
+    """
+
+    actions: tuple[ActionTaken, ...]
+    snapshot: Any
+    name: bytes
+    cost: float
+    picture: bytes | None
+
+
+class Simulation:
+    """A second simulator, in which the actions for one problem are tried out.
+
+    Args:
+        env: For this problem alone, as long as the problem lasts.
+        problem: Whose start it is brought to.
+        pictures: Whether what is seen is kept.
+
+    Attributes:
+        here: Where the problem's world is.
+        tried: How many steps were simulated.
+    """
+
+    def __init__(self, env: Environment, problem: Problem, *, pictures: bool = False) -> None:
+        self.env, self.problem, self.tried = env, problem, 0
+        self._measure, self._pictures = measure_of(env, problem), pictures
+        self._after: dict[tuple[bytes, ActionTaken], Place] = {}
+        self.here = self._now = self._place((), start(env, problem))
+
+    def follow(self, world: World) -> None:
+        """Move to the present state of the controlled simulator."""
+        actions = tuple(world.actions)
+        if actions == self.here.actions:
+            return
+        if isinstance(self.env, Restorable):  # a restored state may differ from the true one in its last bits
+            self.here = _seen_from(world.env, actions)
+        else:
+            for action in actions[len(self.here.actions) :]:
+                self.here = self.step(self.here, action)
+        if isinstance(self.env.facts.actions, Continuous):
+            self._after.clear()  # hardly any of it will be met again
+
+    def step(self, place: Place, action: ActionTaken) -> Place:
+        """The state that an action leads to."""
+        known = self._after.get((place.name, action))
+        if known is None:
+            self._go(place)
+            frame = None
+            if self._pictures or not isinstance(self.env, Undrawn):
+                frame = take(self.env, action)
+            else:
+                self.env.advance(given(action))
+            self.tried += 1
+            known = self._now = self._place((*place.actions, action), frame)
+            self._after[place.name, action] = known
+        if known.actions[:-1] != place.actions:  # the same place, reached on another way
+            known = replace(known, actions=(*place.actions, action))
+        return known
+
+    def picture(self, place: Place) -> UInt8[np.ndarray, "h w 3"]:
+        """What is seen at a place."""
+        if place.picture is None:
+            raise InvalidSetting("this simulation keeps no pictures.")
+        spec = self.env.facts
+        return np.frombuffer(zlib.decompress(place.picture), np.uint8).reshape(spec.height, spec.width, 3)
+
+    def _go(self, place: Place) -> None:
+        if self._now.name == place.name:
+            return
+        if isinstance(self.env, Restorable):
+            self.env.restore(place.snapshot)
+        else:
+            start(self.env, self.problem, place.actions)
+
+    def _place(self, actions: tuple[ActionTaken, ...], frame: UInt8[np.ndarray, "h w 3"] | None) -> Place:
+        picture = None
+        if self._pictures and frame is not None:
+            picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1)
+        return replace(_seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
+
+
+def _seen_from(env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
+    agent, objects = env.agent(), env.objects()
+    parts = (agent.position, objects.position, objects.orientation)
+    return Place(
+        actions=actions,
+        snapshot=env.snapshot() if isinstance(env, Restorable) else None,
+        name=b"".join(np.ascontiguousarray(part).tobytes() for part in parts),
+        cost=float("nan"),
+        picture=None,
+    )
+
+
+class SimulatorDynamics:
+    """The simulator's true outcomes; a state is the number of its task and of its place.
+
+    Args:
+        simulations: One per task, each where its task stands.
+        actions: What can be done.
+    """
+
+    at_once = 64
+    device = torch.device("cpu")
+
+    def __init__(self, simulations: Sequence[Simulation], actions: ActionSpec) -> None:
+        self._simulations, self.actions = simulations, actions
+        self._places = [simulation.here for simulation in simulations]
+
+    @contextlib.contextmanager
+    def computing(self, *, gradients: bool = False) -> Iterator[None]:
+        """Without gradients: a simulator has none."""
+        if gradients:
+            raise InvalidSetting("the true simulator has no gradients; plan with 'cem', 'icem' or 'mppi'.")
+        with torch.inference_mode():
+            yield
+
+    def start(self, observation: Observation) -> State:
+        """Where each task's simulation is."""
+        tasks = torch.arange(len(self._simulations))
+        return tasks, tasks
+
+    def step(self, state: State, action: Actions) -> State:
+        """The states that the actions truly lead to."""
+        task, number = state
+        first, spec = len(self._places), self.actions
+        given = spec.denormalise(action.double().numpy()) if isinstance(spec, Continuous) else action.numpy()
+        for own, place, taken in zip(task.tolist(), number.tolist(), as_actions(given), strict=True):
+            self._places.append(self._simulations[own].step(self._places[place], taken))
+        return task, torch.arange(first, len(self._places))
+
+    def frames(self, state: State) -> Float[Tensor, "n c h w"]:
+        """What is seen in the states; the simulations must keep pictures."""
+        shown = [self._simulations[own].picture(self._places[place]) for own, place in _pairs(state)]
+        return to_model(torch.from_numpy(np.stack(shown)))
+
+    def features(self, state: State) -> Float[Tensor, "n d"]:
+        """Not of a simulator.
+
+        Raises:
+            InvalidSetting: Always.
+        """
+        raise InvalidSetting("the oracle has no features; plan it with another '--objective'.")
+
+    def true_costs(self, state: State) -> Float[Tensor, " n"]:
+        """What the states cost by the simulator itself (``TaskMeasure.cost``)."""
+        return torch.tensor([self._places[place].cost for _, place in _pairs(state)], dtype=torch.float32)
+
+
+def _pairs(state: State) -> list[tuple[int, int]]:
+    return list(zip(state[0].tolist(), state[1].tolist(), strict=True))
+
+
+class TrueCost(Memoryless):
+    """The oracle's own objective: what the simulator's state costs, whatever is seen of it."""
+
+    def step(
+        self, dynamics: Dynamics, state: State, task: Int[Tensor, " n"], action: Tensor, cost_state: CostState
+    ) -> tuple[StepCost, CostState]:
+        """The states' true costs."""
+        assert isinstance(dynamics, SimulatorDynamics), "only the oracle's dynamics knows true costs"
+        return StepCost.of(dynamics.true_costs(state)), ()

@@ -1,0 +1,303 @@
+"""The control loop: observe, plan, act, a hundred times, for many tasks at once.
+
+Tasks are worked on in groups, side by side, so that a model predicts for all of them in one batch. What a task comes
+to depends on the data set, the weights, the solver, the objective and the seed; the groups only decide which numbers
+are rounded together.
+
+Interrupted and started again, the loop goes on: what it has to keep is the actions that were taken, since a state is
+a seed and actions.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.environment import Environment
+from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent, known_actions, was_taken
+from dmotion_bench.planning.dynamics.base import Observation
+from dmotion_bench.planning.journal import Journal, TaskRecord
+from dmotion_bench.planning.objectives.base import Taken
+from dmotion_bench.planning.solvers.base import PlanContext
+from dmotion_bench.planning.tasks import Problem, World, as_actions
+
+CONTROL_VERSION: Final = 1
+"""The version of control: of the loop, the solvers, the objectives, the references and the judged distance.
+
+Raise it when a change makes anybody take another action, or gives another distance, in any task with the same
+settings. ``tests/golden/control.json`` holds actions and distances to notice that by. Results of different versions
+are neither averaged nor compared. A solver or objective that is new and leaves the others as they are needs no new
+version.
+"""
+
+STEPS = 100
+GROUP = 4
+"""Tasks side by side on a CPU: a state of a model takes some 400 KB, and a plan holds hundreds of them per task."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlSettings:
+    """The settings that decide the result, besides the agent and the data.
+
+    Attributes:
+        steps: Actions a task.
+        seed: Of the solver's random numbers.
+        group: Tasks side by side.
+    """
+
+    steps: int = STEPS
+    seed: int = 0
+    group: int = GROUP
+
+    def __post_init__(self) -> None:
+        from dmotion_bench.errors import InvalidSetting
+
+        if self.steps < 1 or self.group < 1:
+            raise InvalidSetting(f"steps is {self.steps} and group {self.group}; both must be 1 or more.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlProgress:
+    """The progress of the control loop.
+
+    Attributes:
+        steps, total: Control steps done, of all tasks together.
+        distance: Mean normalised distance of the tasks that are done; NaN before the first.
+    """
+
+    steps: int
+    total: int
+    distance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """One control step as ``watch`` is given it, before the actions are taken."""
+
+    context: PlanContext
+    decision: Decision
+    worlds: Sequence[World]
+    distance: Float[np.ndarray, " b"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlResult:
+    """The results of all tasks.
+
+    Attributes:
+        tasks: Their numbers.
+        episodes, starts: The episodes they are cut out of, and the frame there that they start at.
+        distance: Normalised, at the start and after each step.
+        lost: Objects that are gone, likewise.
+        actions: Taken; ``NO_ACTION``, or of continuous actions NaN, where none was.
+        frames: Predicted in all.
+        seconds: Of planning alone; of this run of the program.
+        planned: Control steps that ``seconds`` went into.
+    """
+
+    tasks: tuple[int, ...]
+    episodes: tuple[int, ...]
+    starts: tuple[int, ...]
+    distance: Float[np.ndarray, "n moments"]
+    lost: Int[np.ndarray, "n moments"]
+    actions: Int[np.ndarray, "n t"] | Float[np.ndarray, "n t a"]
+    frames: int
+    seconds: float
+    planned: int
+
+
+@dataclass(kw_only=True)
+class _Loop:
+    """The state that all groups of tasks share."""
+
+    agent: Agent
+    settings: ControlSettings
+    actions: ActionSpec
+    journal: Journal
+    watch: Callable[[Scene], None]
+    on_progress: Callable[[], None]
+    envs: list[Environment]
+    seconds: float = 0.0
+    planned: int = 0
+    records: dict[int, TaskRecord] = field(default_factory=dict)
+
+
+def control(
+    agent: Agent,
+    problems: Sequence[Problem],
+    make_env: Callable[[], Environment],
+    settings: ControlSettings | None = None,
+    *,
+    journal: Journal | None = None,
+    watch: Callable[[Scene], None] = lambda _: None,
+    on_progress: Callable[[ControlProgress], None] = lambda _: None,
+) -> ControlResult:
+    """Solve the problems as well as the agent can.
+
+    Args:
+        agent: Chooses the actions.
+        problems: To be solved.
+        make_env: Makes a simulator; as many as tasks stand side by side.
+        settings: Steps, seed, tasks side by side.
+        journal: Where progress is kept, to go on from it; nowhere by default.
+        watch: Called at every control step.
+        on_progress: Called after every control step.
+    """
+    settings = settings or ControlSettings()
+    groups = [problems[first : first + settings.group] for first in range(0, len(problems), settings.group)]
+    envs = [make_env() for _ in range(min(settings.group, len(problems)))]
+    loop = _Loop(
+        agent=agent,
+        settings=settings,
+        actions=known_actions(envs[0].facts) if envs else Discrete.numbered(1),
+        journal=journal or Journal.nowhere(),
+        watch=watch,
+        on_progress=lambda: on_progress(_progress(loop.records, settings, len(problems))),
+        envs=envs,
+    )
+    try:
+        for group in groups:
+            _solve(loop, group)
+    finally:
+        for env in envs:
+            env.close()
+    records = [loop.records[problem.number] for problem in problems]
+    return ControlResult(
+        tasks=tuple(problem.number for problem in problems),
+        episodes=tuple(problem.task.episode for problem in problems),
+        starts=tuple(problem.task.start for problem in problems),
+        distance=np.array([record.distance for record in records]).reshape(len(records), -1),
+        lost=np.array([record.lost for record in records], np.int64).reshape(len(records), -1),
+        actions=_actions(loop.actions, [record.actions for record in records]),
+        frames=sum(record.frames for record in records),
+        seconds=loop.seconds,
+        planned=loop.planned,
+    )
+
+
+def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
+    """Solve one group of tasks, starting from the step that the journal has reached."""
+    records = loop.journal.records(problems)
+    loop.records.update(records)
+    if all(len(record.actions) >= loop.settings.steps for record in records.values()):
+        loop.on_progress()
+        return
+    worlds = [World(env, problem) for env, problem in zip(loop.envs, problems, strict=False)]
+    memory = loop.journal.memory(problems)
+    eyes = _Eyes(worlds, loop.actions)
+    loop.agent.reset(eyes.first, eyes.goals)
+    _show(loop.agent, worlds)
+    for past in _actions(loop.actions, [record.actions for record in records.values()]).swapaxes(0, 1):
+        _act(loop.agent, worlds, eyes, past)
+    for record, world in zip(records.values(), worlds, strict=True):
+        if not record.distance:
+            record.note(world)
+    for step in range(len(next(iter(records.values())).actions), loop.settings.steps):
+        generators = tuple(task_generator(loop.settings.seed, problem, step) for problem in problems)
+        context = PlanContext(
+            observation=eyes.observation(step), generators=generators, blocked=eyes.blocked.copy(), memory=memory
+        )
+        began = time.perf_counter()
+        decision = _decide(loop.agent, context, worlds)
+        loop.seconds += time.perf_counter() - began
+        loop.planned += len(worlds)
+        distance = np.array([world.distance for world in worlds])
+        loop.watch(Scene(context=context, decision=decision, worlds=worlds, distance=distance))
+        _act(loop.agent, worlds, eyes, decision.action)
+        memory = decision.plan.memory if decision.plan else None
+        frames = decision.plan.frames if decision.plan else 0
+        for place, (record, world) in enumerate(zip(records.values(), worlds, strict=True)):
+            record.actions.append(_plain(decision.action[place]))
+            record.frames += frames // len(worlds) + (place < frames % len(worlds))
+            record.note(world)
+        loop.journal.write(records, memory, last=step + 1 == loop.settings.steps)
+        loop.on_progress()
+
+
+def _decide(agent: Agent, context: PlanContext, worlds: Sequence[World]) -> Decision:
+    """Ask the agent for its actions; only references that declare it are given the simulator."""
+    return agent.act_in(context, worlds) if isinstance(agent, SimulatorAgent) else agent.act(context)
+
+
+def _show(agent: Agent, worlds: Sequence[World]) -> None:
+    if isinstance(agent, SimulatorAgent):
+        agent.watch(worlds)
+
+
+def _act(agent: Agent, worlds: Sequence[World], eyes: _Eyes, actions: Taken) -> None:
+    """Take actions, and let the agent see what they lead to."""
+    for world, action, taken in zip(worlds, as_actions(actions), was_taken(actions).tolist(), strict=True):
+        if taken:
+            world.step(action)
+    frames = eyes.after(worlds, actions)
+    agent.observe(actions, frames)
+    _show(agent, worlds)
+
+
+class _Eyes:
+    """What is seen of a group of tasks: images alone.
+
+    Attributes:
+        first, goals: The images at the start, and those that are wanted.
+        blocked: Actions that left the image as it is, since it last changed.
+    """
+
+    def __init__(self, worlds: Sequence[World], actions: ActionSpec) -> None:
+        count = len(actions) if isinstance(actions, Discrete) else 0
+        self.first: UInt8[np.ndarray, "b h w 3"] = np.stack([world.frame for world in worlds])
+        self.goals = np.stack([world.problem.goal_frame for world in worlds])
+        self.blocked: Bool[np.ndarray, "b a"] = np.zeros((len(worlds), count), np.bool_)
+        self._current = self._previous = self.first
+
+    def after(self, worlds: Sequence[World], actions: Taken) -> UInt8[np.ndarray, "b h w 3"]:
+        """Look at the images after some actions."""
+        frames = np.stack([world.frame for world in worlds])
+        changed = (frames != self._current).any(axis=(1, 2, 3))
+        self.blocked[changed] = False
+        if self.blocked.shape[1]:
+            for place in np.flatnonzero(~changed & was_taken(actions)).tolist():
+                self.blocked[place, actions[place]] = True
+        still = ~changed[:, None, None, None]
+        self._previous = np.where(still, self._previous, self._current)
+        self._current = frames
+        return frames
+
+    def observation(self, step: int) -> Observation:
+        """What an agent is given after ``step`` actions."""
+        return Observation(previous=self._previous, current=self._current, goals=self.goals, step=step)
+
+
+def _plain(action: Any) -> int | list[float] | None:
+    """An action as the journal keeps it."""
+    if not np.ndim(action):
+        return int(action)
+    return None if np.isnan(action).any() else [float(number) for number in action]
+
+
+def _actions(spec: ActionSpec, records: Sequence[Sequence[Any]]) -> Any:
+    """The actions of several tasks that the journal keeps, as an array: a row a task, a column a step."""
+    if isinstance(spec, Discrete):
+        return np.array(records, np.int64).reshape(len(records), -1)
+    none = [float("nan")] * spec.width
+    plain = [[none if action is None else action for action in own] for own in records]
+    return np.array(plain, np.float64).reshape(len(records), -1, spec.width)
+
+
+def task_generator(seed: int, problem: Problem, step: int) -> np.random.Generator:
+    """The random number generator of one task at one step; it does not depend on the other tasks."""
+    return np.random.default_rng([seed, problem.task.episode, problem.task.start, step])
+
+
+def _progress(records: Mapping[int, TaskRecord], settings: ControlSettings, tasks: int) -> ControlProgress:
+    done = [record.distance[-1] for record in records.values() if len(record.actions) >= settings.steps]
+    return ControlProgress(
+        steps=sum(len(record.actions) for record in records.values()),
+        total=tasks * settings.steps,
+        distance=float(np.mean(done)) if done else float("nan"),
+    )

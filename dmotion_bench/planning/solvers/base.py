@@ -1,0 +1,89 @@
+"""What a solver is: it searches for the actions of which a dynamics and an objective say that they lead to the goal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from dmotion_bench.planning.dynamics.base import Dynamics, Observation
+from dmotion_bench.planning.objectives.base import Evaluator
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanContext:
+    """The context of one planning step for some tasks.
+
+    Attributes:
+        observation: What is seen of them.
+        generators: Random numbers for each task, a function of the seed, the task and the step alone, so that tasks
+            may be planned together or one by one.
+        blocked: Actions that are not to be the first: they left the image as it is, since it last changed. None of
+            continuous ones, where it has no columns.
+        memory: What the solver wanted to remember at the step before, None at the first.
+    """
+
+    observation: Observation
+    generators: tuple[np.random.Generator, ...]
+    blocked: Bool[np.ndarray, "b discrete"]
+    memory: Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """The result of planning one step; continuous actions are in [-1, 1].
+
+    Attributes:
+        action: The action to take now.
+        candidates: The best sequences that were thought of, the best first.
+        costs: Theirs; infinite where fewer were thought of.
+        parts: The parts of each cost (``objectives.base.PARTS``), at the sequence's cheapest step.
+        progress: The lowest cost known after each of the solver's iterations.
+        frames: How many frames were predicted for all tasks together.
+        memory: To be given back at the next step; None for solvers that forget.
+    """
+
+    action: Int[np.ndarray, " b"] | Float[np.ndarray, "b a"]
+    candidates: Int[np.ndarray, "b m t"] | Float[np.ndarray, "b m t a"]
+    costs: Float[np.ndarray, "b m"]
+    progress: Float[np.ndarray, "b i"]
+    frames: int
+    memory: Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"] | None = None
+    parts: Mapping[str, Float[np.ndarray, "b m"]] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Solver(Protocol):
+    """Chooses actions for several tasks at once, each independently of the others.
+
+    A solver is a frozen dataclass, complete when constructed: its fields are its settings.
+    """
+
+    def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
+        """Plan one step."""
+
+
+SHOWN: Final = 5
+"""How many of the best sequences a plan holds."""
+
+
+def best_first(
+    sequences: Int[np.ndarray, "b s t"] | Float[np.ndarray, "b s t a"], costs: Float[np.ndarray, "b s"], count: int
+) -> tuple[Int[np.ndarray, "b m t"] | Float[np.ndarray, "b m t a"], Float[np.ndarray, "b m"]]:
+    """The ``count`` cheapest distinct sequences of each task; the best is repeated if there are too few."""
+    chosen, prices = [], []
+    for own, price in zip(sequences, costs, strict=True):
+        order, seen = [], set[bytes]()
+        for index in price.argsort(kind="stable").tolist():
+            if (name := own[index].tobytes()) not in seen:
+                seen.add(name)
+                order.append(index)
+            if len(order) == count:
+                break
+        lacking = count - len(order)
+        chosen.append(own[order + order[:1] * lacking])
+        prices.append(np.concatenate([price[order], np.full(lacking, np.inf)]))
+    return np.stack(chosen), np.stack(prices)

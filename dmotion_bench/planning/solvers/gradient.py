@@ -1,0 +1,87 @@
+"""Gradient descent on continuous actions, through a differentiable model and a differentiable objective.
+
+Some sequences are drawn, and Adam (Kingma & Ba 2015) moves each downhill; after every step the actions are clipped to
+their bounds. Objectives that look for objects in whole pixel values have no gradient: ``pixel`` and ``feature`` have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.planning.dynamics.base import Dynamics
+from dmotion_bench.planning.dynamics.rollouts import Rollouts
+from dmotion_bench.planning.objectives.base import Evaluator
+from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, best_first
+from dmotion_bench.planning.solvers.proposals import require_continuous, shifted
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradientDescent:
+    """Adam on several sequences of each task.
+
+    Attributes:
+        samples: Sequences that are moved.
+        horizon: Actions in a sequence.
+        iterations: Steps of Adam.
+        learning_rate: Of Adam, for actions in [-1, 1].
+    """
+
+    samples: int = 8
+    horizon: int = 5
+    iterations: int = 20
+    learning_rate: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("samples", "horizon", "iterations"):
+            if getattr(self, name) < 1:
+                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be 1 or more.")
+        if self.learning_rate <= 0:
+            raise InvalidSetting(f"learning_rate is {self.learning_rate}; it must be above zero.")
+
+    def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
+        """The first action of the cheapest sequence that was met on the way; it costs the minimum over its steps.
+
+        Raises:
+            InvalidSetting: The actions are discrete, or the model or the objective has no gradient.
+        """
+        tasks, width = len(context.generators), require_continuous(dynamics.actions, "gradient").width
+        rollouts = Rollouts(dynamics, evaluator, context.observation, gradients=True)
+        shape = (self.samples, self.horizon, width)
+        start = np.stack([generator.uniform(-1, 1, shape) for generator in context.generators])
+        if context.memory is not None:
+            start[:, :1] = shifted(context.memory)
+        rows = torch.arange(tasks).repeat_interleave(self.samples)
+        actions = torch.from_numpy(start).float().flatten(0, 1).to(dynamics.device).requires_grad_()
+        adam = torch.optim.Adam([actions], lr=self.learning_rate)
+        best, price = start[:, :0], np.zeros((tasks, 0))
+        progress = []
+        for step in range(self.iterations + 1):
+            with dynamics.computing(gradients=True):
+                lowest = rollouts.predict(rows, actions)[..., 0].amin(dim=1)
+            if not lowest.requires_grad:
+                raise InvalidSetting(
+                    "the planner 'gradient' needs a gradient of the cost, and this objective has none; "
+                    "plan with '--objective pixel' or '--objective feature'."
+                )
+            now = actions.detach().cpu().double().numpy().reshape(tasks, *shape)
+            costs = lowest.detach().cpu().double().numpy().reshape(tasks, self.samples)
+            best, price = best_first(np.concatenate([best, now], axis=1), np.concatenate([price, costs], axis=1), SHOWN)
+            progress.append(price[:, 0])
+            if step < self.iterations:
+                (actions.grad,) = torch.autograd.grad(lowest.sum(), [actions])
+                adam.step()
+                with torch.no_grad():
+                    actions.clamp_(-1, 1)
+        return Plan(
+            action=best[:, 0, 0],
+            candidates=best,
+            costs=price,
+            parts=rollouts.parts(best, rollouts.costs(best).argmin(axis=2)),
+            progress=np.stack(progress, axis=1),
+            frames=rollouts.frames,
+            memory=best[:, :1],
+        )

@@ -1,0 +1,247 @@
+"""Stored control tasks as problems: the start state, the goal image, and the distance from the goal.
+
+A start state is reached by replay: the environment is reset with the episode's seed and takes the recorded actions.
+The distance that control is judged by is the environment's to supply (``environment.Judging``): 1 at the start, 0 at
+the goal. Where it supplies none, it comes from the simulator's positions: the sum over objects of how far each is from
+its place at the goal, divided by the same at the start. An object that is lost on the way counts 1, as much as
+everything together at the start: a task that loses one cannot count as solved. The agent's own place does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from dmotion_bench.environment import Environment, Judging, TaskMeasure
+from dmotion_bench.errors import DatasetError, UnknownName
+from dmotion_bench.recording.rollout import make_environment
+from dmotion_bench.registry import environment_class
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectStates
+from dmotion_bench.storage.tasks import ControlTask
+from dmotion_bench.wording import command
+
+ActionTaken = int | tuple[float, ...]
+"""The number of a discrete action, or a continuous one in its units."""
+
+
+@runtime_checkable
+class TaskDataset(Protocol):
+    """What planning needs of a ``storage.dataset.Dataset``."""
+
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def spec(self) -> EnvSpec: ...
+
+    @property
+    def recipe(self) -> DatasetRecipe: ...
+
+    @property
+    def fingerprint(self) -> str: ...
+
+    @property
+    def rows(self) -> Sequence[Any]: ...
+
+    def tasks(self) -> list[ControlTask]: ...
+
+    def video(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]: ...
+
+    def states(self, episode: int) -> Any: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """One control task, with everything that is needed to start it and to judge it.
+
+    Attributes:
+        number: Its number among the data set's tasks.
+        task: Which frames of which episode it is.
+        seed: Of the episode.
+        vary: Factors of variation that the episode was recorded with.
+        opening: The recorded actions that lead to the start.
+        start_frame, goal_frame: What is seen there.
+        start_objects, goal_objects: The objects there.
+    """
+
+    number: int
+    task: ControlTask
+    seed: int
+    vary: tuple[str, ...]
+    opening: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]
+    start_frame: UInt8[np.ndarray, "h w 3"]
+    goal_frame: UInt8[np.ndarray, "h w 3"]
+    start_objects: ObjectStates
+    goal_objects: ObjectStates
+
+    @property
+    def start_positions(self) -> Float[np.ndarray, "k 3"]:
+        """Of the objects at the start [m], NaN for those that are not there."""
+        return self.start_objects.position
+
+    @property
+    def goal_positions(self) -> Float[np.ndarray, "k 3"]:
+        """Likewise at the goal."""
+        return self.goal_objects.position
+
+
+class ObjectDistances:
+    """The judged distance of environments that supply none: how far the objects are from their places at the goal.
+
+    Args:
+        start, goal: The objects at a task's start and goal.
+    """
+
+    def __init__(self, start: ObjectStates, goal: ObjectStates) -> None:
+        self._goal = goal.position
+        self._counted = ~np.isnan(start.position[:, 0]) & ~np.isnan(goal.position[:, 0])
+        self._initial = float(np.nansum(self._off(start.position)))
+
+    def distance(self, env: Environment) -> float:
+        """Summed over objects, divided by the same at the start; a lost object adds 1."""
+        positions = env.objects().position
+        off, present = self._off(positions), ~np.isnan(positions[:, 0])
+        return float(off[self._counted & present].sum() / self._initial) + self.lost(env)
+
+    def lost(self, env: Environment) -> int:
+        """The number of objects that were lost although the goal needs them."""
+        return int((self._counted & np.isnan(env.objects().position[:, 0])).sum())
+
+    def cost(self, env: Environment) -> float:
+        """Summed squared distances [m^2]; a lost object is as far away as all objects together at the start."""
+        positions = env.objects().position
+        off = np.where(np.isnan(positions[:, 0]), self._initial, self._off(positions))
+        return float(np.square(off[self._counted]).sum())
+
+    def _off(self, positions: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        off: Float[np.ndarray, " k"] = np.linalg.norm(positions - self._goal, axis=-1)
+        return off
+
+
+def measure_of(env: Environment, problem: Problem) -> TaskMeasure:
+    """How the environment, or in its stead ``ObjectDistances``, judges a problem."""
+    if isinstance(env, Judging):
+        return env.task_measure(problem.start_objects, problem.goal_objects)
+    return ObjectDistances(problem.start_objects, problem.goal_objects)
+
+
+def load_problems(dataset: TaskDataset, numbers: Sequence[int] | int | None = None) -> list[Problem]:
+    """The data set's tasks as problems, in the order asked for.
+
+    Args:
+        dataset: With labels.
+        numbers: Which tasks; a single number asks for the first so many, None for all.
+
+    Raises:
+        DatasetError: The data set stores no tasks.
+        UnknownName: There is no task of a number asked for.
+        LabelsNotAvailable: ``labels/`` is not there; the recorded actions are in it.
+    """
+    tasks = dataset.tasks()
+    if not tasks:
+        raise DatasetError(
+            f"{dataset.name!r} stores no control tasks; record a data set with some: "
+            f"{command('dmbench record', dataset.recipe.environment, '--tasks', '20')}."
+        )
+    if numbers is None or isinstance(numbers, int):
+        numbers = range(len(tasks) if numbers is None else min(numbers, len(tasks)))
+    for number in numbers:
+        if not 0 <= number < len(tasks):
+            raise UnknownName("task", str(number), [f"0 to {len(tasks) - 1}"])
+    return [_problem(dataset, number, tasks[number]) for number in numbers]
+
+
+def _problem(dataset: TaskDataset, number: int, task: ControlTask) -> Problem:
+    video, states = dataset.video(task.episode), dataset.states(task.episode)
+    return Problem(
+        number=number,
+        task=task,
+        seed=dataset.rows[task.episode].seed,
+        vary=tuple(dataset.recipe.vary),
+        opening=states.actions[: task.start],
+        start_frame=video[task.start],
+        goal_frame=video[task.goal],
+        start_objects=_at(states.objects, task.start),
+        goal_objects=_at(states.objects, task.goal),
+    )
+
+
+def _at(states: ObjectStates, step: int) -> ObjectStates:
+    """The states at one moment of an episode."""
+    return ObjectStates(**{one.name: getattr(states, one.name)[step].astype(np.float64) for one in fields(states)})
+
+
+def task_environment(recipe: DatasetRecipe) -> Environment:
+    """The environment that a data set was recorded in."""
+    return make_environment(environment_class(recipe.environment), recipe)
+
+
+class World:
+    """A simulator in which one problem is being solved.
+
+    Args:
+        env: For this problem alone, as long as the problem lasts.
+        problem: Started at once.
+
+    Attributes:
+        actions: Taken since the start.
+        frame: What is seen now.
+    """
+
+    def __init__(self, env: Environment, problem: Problem) -> None:
+        self.env, self.problem = env, problem
+        self.actions: list[ActionTaken] = []
+        self.frame = start(env, problem)
+        self._measure = measure_of(env, problem)
+        if not np.array_equal(self.frame, problem.start_frame):
+            raise DatasetError(
+                f"task {problem.number} starts at another picture than the recorded one: the simulator of this machine "
+                "does not reproduce the recording, perhaps because its package has another version. Record the data "
+                "set again with 'dmbench record'."
+            )
+
+    def step(self, action: ActionTaken) -> None:
+        """Take an action."""
+        self.frame = take(self.env, action)
+        self.actions.append(action)
+
+    @property
+    def distance(self) -> float:
+        """Normalised, 1 at the start."""
+        return self._measure.distance(self.env)
+
+    @property
+    def lost(self) -> int:
+        """Objects that are gone."""
+        return self._measure.lost(self.env)
+
+
+def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = ()) -> UInt8[np.ndarray, "h w 3"]:
+    """Bring an environment to a problem's start and take some more actions; returns the image there."""
+    frame = env.reset(seed=problem.seed, options={"vary": list(problem.vary)} if problem.vary else None)[0]
+    for action in (*as_actions(problem.opening), *actions):
+        frame = take(env, action)
+    return frame
+
+
+def take(env: Environment, action: ActionTaken) -> UInt8[np.ndarray, "h w 3"]:
+    """Take an action; returns the image after it."""
+    return env.step(given(action))[0]
+
+
+def given(action: ActionTaken) -> int | Float[np.ndarray, " a"]:
+    """An action as an environment takes it."""
+    return np.array(action) if isinstance(action, tuple) else action
+
+
+def as_actions(rows: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]) -> list[ActionTaken]:
+    """Actions one by one, in a form that can be compared: numbers, or of continuous ones tuples."""
+    return [tuple(row) if isinstance(row, list) else row for row in rows.tolist()]

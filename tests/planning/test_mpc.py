@@ -1,0 +1,381 @@
+"""The control loop in Grid World, where a model that knows the rules can be had without training."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from planning.worlds import PerfectGridModel
+
+from dmotion_bench.actions import Discrete
+from dmotion_bench.environment import Environment
+from dmotion_bench.errors import DatasetError, InvalidSetting, ModelContractBroken, UnknownName
+from dmotion_bench.planning.agents import (
+    NO_ACTION,
+    Decision,
+    IdleAgent,
+    ModelAgent,
+    OracleAgent,
+    RandomAgent,
+    make_reference,
+)
+from dmotion_bench.planning.journal import Journal, TaskRecord
+from dmotion_bench.planning.mpc import ControlProgress, ControlResult, ControlSettings, Scene, control
+from dmotion_bench.planning.objectives.tabletop.tracked import Tracked
+from dmotion_bench.planning.solvers.base import PlanContext
+from dmotion_bench.planning.solvers.cem import CrossEntropy
+from dmotion_bench.planning.solvers.exhaustive import Exhaustive
+from dmotion_bench.planning.tasks import ObjectDistances, Problem, World, load_problems, start, task_environment
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.control import ControlScoring, control_samples, score_control
+from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+from recorders.grid_world import FACTS, GridWorld
+
+pytestmark = pytest.mark.slow
+
+SMALL = CrossEntropy(samples=12, horizon=4, iterations=2, elites=4)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("data") / "grid"
+    record_dataset(folder, DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=6))
+    return Dataset.open(folder)
+
+
+@pytest.fixture(scope="module")
+def problems(dataset: Dataset) -> list[Problem]:
+    return load_problems(dataset)
+
+
+def tracking(solver: CrossEntropy) -> ModelAgent:
+    """The agent that knows the rules of Grid World."""
+    return ModelAgent(PerfectGridModel(), FACTS, solver, Tracked(), bf16=False)
+
+
+def solve(agent: Any, problems: list[Problem], **settings: Any) -> ControlResult:
+    return control(agent, problems, GridWorld, ControlSettings(**settings))
+
+
+class Still(GridWorld):
+    """Its objects are where they are put."""
+
+    positions: np.ndarray
+
+    def objects(self) -> Any:
+        return replace(super().objects(), position=self.positions)
+
+
+def measured(problem: Problem) -> ObjectDistances:
+    return ObjectDistances(problem.start_objects, problem.goal_objects)
+
+
+def test_a_problem_starts_where_it_was_recorded(dataset: Dataset, problems: list[Problem]) -> None:
+    assert len(problems) == 6
+    for problem in problems:
+        labels, video = dataset.labels(problem.task.episode), dataset.video(problem.task.episode)
+        env = GridWorld()
+        np.testing.assert_array_equal(start(env, problem), video[problem.task.start])
+        np.testing.assert_array_equal(env.objects().position, labels.objects.position[problem.task.start])
+        np.testing.assert_array_equal(problem.goal_frame, video[problem.task.goal])
+        recorded = labels.actions[problem.task.start : problem.task.goal].tolist()
+        np.testing.assert_array_equal(start(env, problem, recorded), problem.goal_frame)
+        assert World(env, problem).distance == pytest.approx(1)
+        start(env, problem, recorded)
+        assert measured(problem).distance(env) == 0
+
+
+def test_the_distance_is_a_share_of_the_initial_one_and_a_lost_object_costs_one(problems: list[Problem]) -> None:
+    problem = problems[0]
+    measure, env = measured(problem), Still()
+    for positions, distance in (
+        (problem.start_positions, 1),
+        (problem.goal_positions, 0),
+        ((problem.start_positions + problem.goal_positions) / 2, 0.5),
+    ):
+        env.positions = positions
+        assert measure.distance(env) == pytest.approx(distance)
+    assert measure.cost(env) > 0
+    there = int(np.flatnonzero(~np.isnan(problem.goal_positions[:, 0]))[0])
+    env.positions = problem.goal_positions.copy()
+    assert measure.cost(env) == 0
+    env.positions[there] = np.nan
+    assert (measure.distance(env), measure.lost(env)) == (1, 1)
+
+
+class Drawer(GridWorld):
+    """Judges its tasks itself: by the agent's column, whatever the objects do."""
+
+    def task_measure(self, start: Any, goal: Any) -> Any:
+        assert start.position.shape == goal.position.shape == (4, 3)
+        return self
+
+    def distance(self, env: Environment) -> float:
+        return float(env.agent().position[0, 0])
+
+    def lost(self, env: Environment) -> int:
+        return 7
+
+    def cost(self, env: Environment) -> float:
+        return self.distance(env) ** 2
+
+
+def test_an_environment_may_judge_its_tasks_itself(problems: list[Problem]) -> None:
+    oracle = OracleAgent(FACTS, Exhaustive(horizon=2), Drawer)
+    result = control(oracle, problems[:2], Drawer, ControlSettings(steps=5))
+    assert (result.lost == 7).all()
+    assert (result.distance[:, -1] == result.distance.min()).all()  # the oracle goes to the first column
+    assert result.distance.min() < result.distance[:, 0].max()
+
+
+def test_doing_nothing_stays_at_one(problems: list[Problem]) -> None:
+    result = solve(IdleAgent(), problems, steps=5)
+    np.testing.assert_array_equal(result.distance, 1)
+    np.testing.assert_array_equal(result.actions, NO_ACTION)
+    assert figures_of(control_samples("idle", result), "idle")["control_distance[5]"].mean == 1
+
+
+def test_a_perfect_model_solves_what_random_actions_do_not(problems: list[Problem]) -> None:
+    solver = CrossEntropy(samples=20, horizon=5, iterations=2, elites=5)
+    solved = solve(tracking(solver), problems, steps=15)
+    lucky = solve(RandomAgent(), problems, steps=15)
+    assert solved.distance.shape == (6, 16)
+    assert solved.distance[:, -1].mean() < 0.6 < lucky.distance[:, -1].mean()
+    assert solved.lost.sum() <= lucky.lost.sum()
+
+
+def test_a_perfect_model_and_the_oracle_do_the_same(problems: list[Problem]) -> None:
+    """The oracle looks into the simulator what the model draws: the same frames, so the same plans."""
+    imagined = solve(tracking(SMALL), problems[:3], steps=8)
+    true = solve(OracleAgent(FACTS, SMALL, GridWorld, objective=Tracked()), problems[:3], steps=8)
+    np.testing.assert_array_equal(imagined.actions, true.actions)
+    np.testing.assert_array_equal(imagined.distance, true.distance)
+    assert imagined.frames == true.frames
+
+
+@pytest.mark.parametrize("group", [1, 4])
+def test_tasks_side_by_side_are_the_same_as_one_by_one(problems: list[Problem], group: int) -> None:
+    together = solve(tracking(SMALL), problems, steps=6, group=6)
+    grouped = solve(tracking(SMALL), problems, steps=6, group=group)
+    np.testing.assert_array_equal(together.actions, grouped.actions)
+    np.testing.assert_array_equal(together.distance, grouped.distance)
+    assert together.frames == grouped.frames
+
+
+def test_the_seed_decides(problems: list[Problem]) -> None:
+    first, again, other = (solve(RandomAgent(), problems[:2], steps=10, seed=seed).actions for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+
+
+class OtherStateBehindTheSameImages(GridWorld):
+    """Grid World as always, until the task begins; then another state behind the very same pictures.
+
+    From then on the frames are those of a film, and everything that could be asked of the simulator is a lie.
+    """
+
+    def __init__(self, film: list[np.ndarray], opening: int) -> None:
+        super().__init__()
+        self.film, self.opening, self.taken = film, opening, 0
+
+    def reset(self, **options: Any) -> Any:
+        self.taken = 0
+        return super().reset(**options)
+
+    def step(self, action: int) -> Any:
+        self.taken += 1
+        result = super().step(action)
+        if self.taken <= self.opening:
+            return result
+        self._cells = np.roll(self._cells, 1, axis=0)  # not at all where the picture has them
+        return (self.film[self.taken - self.opening - 1], *result[1:])
+
+
+def test_a_model_agent_uses_images_only(problems: list[Problem]) -> None:
+    problem = problems[0]
+    agent = tracking(SMALL)
+    film: list[np.ndarray] = []
+    honest = control(
+        agent,
+        [problem],
+        GridWorld,
+        ControlSettings(steps=6),
+        watch=lambda scene: film.append(scene.worlds[0].frame) if scene.context.observation.step else None,
+    )
+    film.append(film[-1])
+    masked = control(
+        agent,
+        [problem],
+        lambda: OtherStateBehindTheSameImages(film, len(problem.opening)),
+        ControlSettings(steps=6),
+    )
+    np.testing.assert_array_equal(honest.actions, masked.actions)
+    assert (honest.distance[:, 1:] != masked.distance[:, 1:]).any()  # the simulator's state was another
+
+
+def test_the_first_image_is_given_twice_and_only_changes_count(problems: list[Problem]) -> None:
+    seen: list[PlanContext] = []
+
+    class Into(RandomAgent):
+        """Down, until the wall and on."""
+
+        def act(self, one: PlanContext) -> Decision:
+            seen.append(one)
+            return Decision(action=np.array([1]))
+
+    solve(Into(), problems[:1], steps=8)
+    first, last = seen[0].observation, seen[-1].observation
+    np.testing.assert_array_equal(first.previous, first.current)
+    np.testing.assert_array_equal(first.current[0], problems[0].start_frame)
+    assert seen[-1].blocked.tolist() == [[False, True, False, False]]  # at the wall
+    assert (last.previous != last.current).any()
+    for before, after in itertools.pairwise(seen):
+        if (before.observation.current != after.observation.current).any():
+            np.testing.assert_array_equal(after.observation.previous, before.observation.current)
+            assert not after.blocked.any()
+
+
+class Killed(Exception):
+    """The process is gone."""
+
+
+@pytest.mark.parametrize("dies_at", [1, 5, 8, 11])
+def test_a_killed_run_goes_on_with_the_same_result(
+    problems: list[Problem], tmp_path: Path, dies_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
+    solver = CrossEntropy(samples=8, horizon=4, iterations=1, elites=3, kept_elites=3)
+    settings = ControlSettings(steps=6, group=2)
+
+    def run(watch: Callable[[Scene], None] = lambda _: None) -> ControlResult:
+        agent = tracking(solver)
+        journal = Journal(tmp_path / "journal.json", {"who": "me"})
+        return control(agent, problems[:4], GridWorld, settings, journal=journal, watch=watch)
+
+    whole = control(tracking(solver), problems[:4], GridWorld, settings)
+    steps: Iterator[int] = iter(range(100))
+
+    def die(_: Scene) -> None:
+        if next(steps) == dies_at:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run(die)
+    begun = run()
+    for field in ("actions", "distance", "lost"):
+        np.testing.assert_array_equal(getattr(begun, field), getattr(whole, field))
+    assert begun.frames == whole.frames
+    assert begun.planned == 24 - 2 * dies_at
+    assert run().planned == 0
+
+
+def test_a_damaged_journal_is_begun_anew(problems: list[Problem], tmp_path: Path) -> None:
+    file, key = tmp_path / "journal.json", {"who": "me"}
+    record = TaskRecord(actions=[1], distance=[0.5, 0.25], lost=[0, 0], frames=4)
+    Journal(file, key).write({problems[0].number: record}, None, last=True)
+    sound = file.read_text()
+    file.with_name("journal.json.1234.part").touch()  # of a killed process
+    assert Journal(file, key).all_records(problems[:1]) == {problems[0].number: record}
+    for damaged in (sound.replace("0.25", "0.75"), sound[:-3], "[" * 100_000, "9" * 5000, "[]", "{}"):
+        file.write_text(damaged)
+        assert Journal(file, key).all_records(problems[:1]) == {problems[0].number: TaskRecord()}
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_progress_of_something_else_is_not_taken_up(dataset: Dataset, tmp_path: Path) -> None:
+    file = tmp_path / "control.json"
+    scoring = ControlScoring(tasks=2, steps=4, group=2)
+    first = score_control("random", dataset, scoring, checkpoint=file)
+    assert score_control("random", dataset, scoring, checkpoint=file).planned == 0
+    more = score_control("random", dataset, replace(scoring, tasks=6), checkpoint=file)
+    assert more.planned == 16  # the first two tasks are done
+    np.testing.assert_array_equal(more.actions[:2], first.actions)
+    assert score_control("random", dataset, replace(scoring, seed=1), checkpoint=file).planned == 8
+    for spoilt in ("", "[]", '{"format": "dmbench-control/2"}', file.read_text().replace("distance", "distant")):
+        file.write_text(spoilt)
+        again = score_control("random", dataset, scoring, checkpoint=file)
+        assert again.planned == 8
+        np.testing.assert_array_equal(again.actions, first.actions)
+
+
+def test_figures_are_means_over_tasks(dataset: Dataset) -> None:
+    reports: list[ControlProgress] = []
+    result = score_control("random", dataset, ControlScoring(steps=12), progress=reports.append)
+    figures = figures_of(control_samples("random", result), "random")
+    assert list(figures) == [
+        *(f"control_distance[{step}]" for step in range(1, 13)),
+        "control_success",
+        "control_success[0.1]",
+        "control_success[0.2]",
+        "control_success[0.5]",
+        "control_lost",
+    ]
+    assert figures["control_distance[12]"].mean == pytest.approx(result.distance[:, 12].mean())
+    assert figures["control_distance[12]"].std == pytest.approx(result.distance[:, 12].std())
+    assert figures["control_success[0.5]"].mean == (result.distance[:, 12] <= 0.5).mean()
+    assert all(figure.n == 6 for figure in figures.values())
+    assert reports[-1].steps == reports[-1].total == 72
+    assert reports[-1].distance == pytest.approx(result.distance[:, -1].mean())
+
+
+def test_mistakes_get_sentences(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(UnknownName, match=r"no reference named 'orakel'; did you mean 'oracle'\?"):
+        make_reference("orakel", FACTS, GridWorld, SMALL)
+    with pytest.raises(UnknownName, match="no task named '6'; known: 0 to 5"):
+        load_problems(dataset, [6])
+    with pytest.raises(UnknownName, match="no planner named 'cen'; did you mean 'cem'"):
+        ControlScoring(planner="cen")
+    with pytest.raises(InvalidSetting, match="tasks is 0"):
+        ControlScoring(tasks=0)
+    record_dataset(tmp_path / "none", DatasetRecipe(environment="grid_world", episodes=2, frames=4))
+    with pytest.raises(DatasetError, match="'dmbench record grid_world --tasks 20'"):
+        load_problems(Dataset.open(tmp_path / "none"))
+    model = PerfectGridModel()
+    model.inputs = type(model.inputs)(height=128, width=128, actions=Discrete.numbered(2))
+    with pytest.raises(ModelContractBroken, match="made for 2 actions, and 'grid_world' has 4"):
+        ModelAgent(model, FACTS, SMALL, Tracked())
+
+
+def test_a_simulator_that_does_not_repeat_the_recording_is_noticed(problems: list[Problem]) -> None:
+    class OtherVersion(GridWorld):
+        def reset(self, **options: Any) -> Any:
+            return super().reset(seed=options["seed"] + 1)
+
+    with pytest.raises(DatasetError, match="does not reproduce the recording"):
+        control(IdleAgent(), problems[:1], OtherVersion)
+
+
+def test_the_oracle_tries_things_out_in_a_simulator_of_its_own(problems: list[Problem]) -> None:
+    made: list[Environment] = []
+
+    def make() -> Environment:
+        made.append(GridWorld())
+        return made[-1]
+
+    agent = OracleAgent(FACTS, Exhaustive(horizon=2), make)
+    scenes: list[bytes] = []
+    control(
+        agent,
+        problems[:1],
+        make,
+        ControlSettings(steps=3),
+        watch=lambda scene: scenes.append(scene.worlds[0].frame.tobytes()),
+    )
+    assert len(made) == 2
+    replayed = [problems[0].start_frame.tobytes()]
+    assert scenes[0] == replayed[0]
+    assert torch.get_num_threads() >= 1
+
+
+def test_task_environment_is_the_recorded_one(dataset: Dataset) -> None:
+    assert isinstance(task_environment(dataset.recipe), GridWorld)
+    assert json.loads(json.dumps(dataset.recipe.parameters)) == {}

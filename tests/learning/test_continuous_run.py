@@ -123,7 +123,7 @@ def test_a_continuous_run_does_not_fit_discrete_data_and_the_other_way_round(wor
         "discrete": _trained(workspace, "dmotion", None, "discrete-tiny"),
     }
     for kind, other in (("continuous", "discrete"), ("discrete", "continuous")):
-        with pytest.raises(RunMismatch, match=f"'{other}-tiny' has"):
+        with pytest.raises(RunMismatch, match=f"the actions of '{other}-tiny' are"):
             score_run(runs[kind].path, data=workspace.data / f"{other}-tiny")
         assert not list((runs[kind].path / "report").glob("on/*"))
 

@@ -140,7 +140,8 @@ def vectors(samples: pa.Table, name: str) -> Shaped[np.ndarray, "n d"] | None:
 
 def write_samples(path: Path, samples: pa.Table) -> None:
     """Replace the file in one step."""
-    samples = samples.drop_columns([name for name in _OF_CONTINUOUS if samples[name].null_count == len(samples)])
+    there = (name for name in _OF_CONTINUOUS if name in samples.column_names)
+    samples = samples.drop_columns([name for name in there if samples[name].null_count == len(samples)])
     with atomic_file(path) as file:
         pq.write_table(samples, file, compression="zstd")
 

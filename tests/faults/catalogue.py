@@ -129,8 +129,8 @@ FAULTS = (
     Fault(
         name="the cross-entropy method fits itself to the worst sequences",
         file="dmotion_bench/planning/solvers/cem.py",
-        right='worth.argsort(axis=1, kind="stable")[:, : self.elites, None]',
-        wrong='(-worth).argsort(axis=1, kind="stable")[:, : self.elites, None]',
+        right='worth.argsort(axis=1, kind="stable")[:, : self.elites]',
+        wrong='(-worth).argsort(axis=1, kind="stable")[:, : self.elites]',
         tests=("tests/planning/test_solvers.py",),
     ),
     Fault(

@@ -164,9 +164,10 @@ def _rewritten(run: Path, change: Callable[[list[dict[str, Any]]], None]) -> Ent
     """A run whose samples were changed and whose report was made to agree, hash, figures and all."""
     from dmotion_bench.scoring.figures import figures_of
     from dmotion_bench.scoring.report import read_report
+    from dmotion_bench.scoring.samples import read_samples
 
     folder = run / "report"
-    table, report = pq.read_table(folder / "samples.parquet"), read_report(folder)
+    table, report = read_samples(folder / "samples.parquet"), read_report(folder)
     assert report is not None
     rows = table.to_pylist()
     change(rows)

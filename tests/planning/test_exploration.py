@@ -136,5 +136,5 @@ def test_tasks_do_not_know_of_each_other_and_other_sizes_are_fine() -> None:
         [0, SETTINGS.revisit_penalty, 0]
     )
     assert History.first(
-        torch.from_numpy(np.zeros((3, 40, 56, 3), np.uint8)), SETTINGS.history_side_px
+        torch.from_numpy(np.zeros((3, 40, 56, 3), np.uint8)), SETTINGS.history_side_px, SPEC.actions
     ).images.shape == (3, 1, 768)

@@ -38,7 +38,7 @@ from dmotion_bench.scoring.control import ControlScoring, control_samples, score
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
-from recorders.grid_world import FACTS, GridWorld
+from recorders.grid_world import ACTIONS, FACTS, GridWorld
 
 pytestmark = pytest.mark.slow
 
@@ -138,7 +138,7 @@ def test_an_environment_may_judge_its_tasks_itself(problems: list[Problem]) -> N
 
 
 def test_doing_nothing_stays_at_one(problems: list[Problem]) -> None:
-    result = solve(IdleAgent(), problems, steps=5)
+    result = solve(IdleAgent(ACTIONS), problems, steps=5)
     np.testing.assert_array_equal(result.distance, 1)
     np.testing.assert_array_equal(result.actions, NO_ACTION)
     assert figures_of(control_samples("idle", result), "idle")["control_distance[5]"].mean == 1
@@ -147,7 +147,7 @@ def test_doing_nothing_stays_at_one(problems: list[Problem]) -> None:
 def test_a_perfect_model_solves_what_random_actions_do_not(problems: list[Problem]) -> None:
     solver = CrossEntropy(samples=20, horizon=5, iterations=2, elites=5)
     solved = solve(tracking(solver), problems, steps=15)
-    lucky = solve(RandomAgent(), problems, steps=15)
+    lucky = solve(RandomAgent(ACTIONS), problems, steps=15)
     assert solved.distance.shape == (6, 16)
     assert solved.distance[:, -1].mean() < 0.6 < lucky.distance[:, -1].mean()
     assert solved.lost.sum() <= lucky.lost.sum()
@@ -172,7 +172,7 @@ def test_tasks_side_by_side_are_the_same_as_one_by_one(problems: list[Problem], 
 
 
 def test_the_seed_decides(problems: list[Problem]) -> None:
-    first, again, other = (solve(RandomAgent(), problems[:2], steps=10, seed=seed).actions for seed in (1, 1, 2))
+    first, again, other = (solve(RandomAgent(ACTIONS), problems[:2], steps=10, seed=seed).actions for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
 
@@ -232,7 +232,7 @@ def test_the_first_image_is_given_twice_and_only_changes_count(problems: list[Pr
             seen.append(one)
             return Decision(action=np.array([1]))
 
-    solve(Into(), problems[:1], steps=8)
+    solve(Into(ACTIONS), problems[:1], steps=8)
     first, last = seen[0].observation, seen[-1].observation
     np.testing.assert_array_equal(first.previous, first.current)
     np.testing.assert_array_equal(first.current[0], problems[0].start_frame)
@@ -351,7 +351,7 @@ def test_a_simulator_that_does_not_repeat_the_recording_is_noticed(problems: lis
             return super().reset(seed=options["seed"] + 1)
 
     with pytest.raises(DatasetError, match="does not reproduce the recording"):
-        control(IdleAgent(), problems[:1], OtherVersion)
+        control(IdleAgent(ACTIONS), problems[:1], OtherVersion)
 
 
 def test_the_oracle_tries_things_out_in_a_simulator_of_its_own(problems: list[Problem]) -> None:

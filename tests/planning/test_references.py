@@ -62,16 +62,21 @@ def test_rules_bring_the_objects_nearer_and_then_stand_still(dataset: Dataset, p
     np.testing.assert_array_equal(result.distance[stopped, -1], result.distance[stopped, -2])
 
 
-def test_an_environment_without_a_script_says_so(problems: list[Problem], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(GridWorld, "script")
-    env = GridWorld()
+class Scriptless(GridWorld):
+    """Grid World without the rules of the reference ``scripted``."""
+
+    script = None  # type: ignore[assignment]
+
+
+def test_an_environment_without_a_script_says_so(problems: list[Problem]) -> None:
+    env = Scriptless()
     frame, _ = env.reset(seed=0)
     problem = away_from(env, frame, problems[0].task, seed=0)
     with pytest.raises(InvalidSetting, match="'grid_world' comes with no scripted reference"):
         control(
-            make_reference("scripted", env.facts, GridWorld, CrossEntropy()),
+            make_reference("scripted", env.facts, Scriptless, CrossEntropy()),
             [problem],
-            GridWorld,
+            Scriptless,
             ControlSettings(steps=1),
         )
 

@@ -16,9 +16,10 @@ from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.dynamics.prefix_tree import PrefixTree
 from dmotion_bench.planning.objectives.centres import Centres, CentresEvaluator
 from dmotion_bench.planning.solvers.base import Plan, Solver
-from dmotion_bench.planning.solvers.cem import CrossEntropy, draw
+from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.solvers.exhaustive import Exhaustive, all_sequences
 from dmotion_bench.planning.solvers.icem import ImprovedCrossEntropy
+from dmotion_bench.planning.solvers.proposals import draw
 from recorders.grid_world import FACTS, GridWorld
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dmotion_bench.environment import Environment
-from dmotion_bench.planning.tasks import load_problems, task_environment
+from dmotion_bench.planning.tasks import load_problems, measure_of, task_environment
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.registry import environment_class, environment_names
@@ -35,12 +35,13 @@ def test_the_recorded_actions_reach_the_goal_exactly(dataset: Dataset) -> None:
             frame, *_ = env.step(action)
         np.testing.assert_array_equal(frame, problem.start_frame)
         np.testing.assert_array_equal(env.objects().position, problem.start_positions)
-        assert problem.distance(env.objects().position) == 1
+        measure = measure_of(env, problem)
+        assert measure.distance(env) == 1
         for action in dataset.states(task.episode).actions[task.start : task.goal].tolist():
             frame, *_ = env.step(action)
         np.testing.assert_array_equal(frame, problem.goal_frame)
         np.testing.assert_array_equal(env.objects().position, problem.goal_positions)
-        assert problem.distance(env.objects().position) == 0
+        assert measure.distance(env) == 0
     env.close()
 
 

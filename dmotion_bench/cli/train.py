@@ -88,7 +88,8 @@ def train(
         typer.Option(
             min=1,
             max=MOST_THREADS,
-            help="Threads that compute. The weights depend on their number. Default: the run's own, or torch's number.",
+            help="Threads that compute. The weights depend on their number. Default: the run's own; else torch's "
+            "number, or 1 where that is faster.",
             show_default=False,
         ),
     ] = None,

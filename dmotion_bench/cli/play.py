@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,8 +12,26 @@ import typer
 if TYPE_CHECKING:
     import numpy as np
 
-    from dmotion_bench.planning.driving import Drive
+    from dmotion_bench.actions import ActionSpec
+    from dmotion_bench.planning.tasks import ActionTaken
     from dmotion_bench.storage.dataset import Dataset
+
+ARROWS = ("up", "down", "left", "right")
+
+
+@dataclass(frozen=True)
+class Move:
+    """An action that keys stand for.
+
+    Attributes:
+        action: As an environment and a model take it.
+        name: By which the user is told of it.
+        arrow: The arrow key that takes it; empty for none.
+    """
+
+    action: ActionTaken
+    name: str
+    arrow: str = ""
 
 
 def register(app: typer.Typer) -> None:
@@ -33,7 +52,6 @@ def play(
     save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a Rerun file.")] = None,
 ) -> None:
     """Choose actions with the arrow keys and see what a model predicts, beside what truly happens."""
-    from dmotion_bench.actions import require_discrete
     from dmotion_bench.cli.keys import read_keys, require_terminal, single_keys
     from dmotion_bench.errors import LabelsNotAvailable, UsageError
     from dmotion_bench.workspace import Workspace
@@ -56,7 +74,7 @@ def play(
     dataset = Dataset.open(opened.dataset_path)
     if dataset.spec.actions is None:
         raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
-    names = require_discrete(dataset.spec.actions, "'dmbench play'").names
+    known = moves(dataset.spec.actions)
     chosen = int(dataset.split("test")[0]) if episode is None and len(dataset.split("test")) else episode or 0
 
     import torch
@@ -71,24 +89,47 @@ def play(
     blueprint = drive_blueprint(dataset.spec, truth is not None)
     title = f"{opened.name}, from episode {chosen}"
     with live_recording(title, blueprint, window=not web and save is None, web=web, save=save, linger=False) as log:
-        moment = 0
+        moment, taken = 0, list[str]()
         log_drive(log, moment, start, None if truth is None else truth(None))
-        typer.echo(_legend(names), err=True)
+        typer.echo(_legend(known), err=True)
         with single_keys(terminal):
-            for action in commands(read_keys(terminal), names):
+            for move in commands(read_keys(terminal), known):
                 moment += 1
-                if action is None:
+                if move is None:
                     drive.restart()
+                    taken.clear()
                 else:
-                    drive.step(action)
-                log_drive(log, moment, drive.frame.numpy(), None if truth is None else truth(action))
-                _tell(drive, names)
+                    drive.step(move.action)
+                    taken.append(move.name)
+                seen = None if truth is None else truth(None if move is None else move.action)
+                log_drive(log, moment, drive.frame.numpy(), seen)
+                _tell(taken)
     typer.echo("", err=True)
 
 
-def commands(keys: Iterator[str], actions: Sequence[str]) -> Iterator[int | None]:
-    """The actions that keys stand for, None for starting again; q and Escape end it, other keys are ignored."""
-    bound = bindings(actions)
+def moves(actions: ActionSpec) -> list[Move]:
+    """What a user can choose from: every discrete action, or each number of a continuous one at its two bounds.
+
+    An arrow key takes the discrete action of its name. Of a continuous action, left and right take the first number to
+    its lower and upper bound, down and up the second. The other numbers are 0 then, or the bound next to it.
+    """
+    from dmotion_bench.actions import Discrete
+
+    if isinstance(actions, Discrete):
+        return [Move(number, name, name if name in ARROWS else "") for number, name in enumerate(actions.names)]
+    idle = [min(max(0.0, low), high) for low, high in zip(actions.low, actions.high, strict=True)]
+    arrows = {(0, 0): "left", (0, 1): "right", (1, 0): "down", (1, 1): "up"}
+    found = []
+    for place, (name, unit) in enumerate(zip(actions.names, actions.units, strict=True)):
+        for upper, bound in enumerate((actions.low[place], actions.high[place])):
+            action = tuple(float(bound if other == place else number) for other, number in enumerate(idle))
+            found.append(Move(action, f"{name}={bound:.3g}{unit}", arrows.get((place, upper), "")))
+    return found
+
+
+def commands(keys: Iterator[str], known: Sequence[Move]) -> Iterator[Move | None]:
+    """The moves that keys stand for, None for starting again; q and Escape end it, other keys are ignored."""
+    bound = bindings(known)
     for key in keys:
         if key in ("q", "escape", "\x04"):
             return
@@ -98,27 +139,30 @@ def commands(keys: Iterator[str], actions: Sequence[str]) -> Iterator[int | None
             yield bound[key]
 
 
-def bindings(actions: Sequence[str]) -> Mapping[str, int]:
-    """The action of each key: an arrow takes the action of the same name, the digits 1 to 9 take the first nine."""
-    arrows = {name: number for number, name in enumerate(actions) if name in ("up", "down", "left", "right")}
-    return arrows | {str(number + 1): number for number in range(min(len(actions), 9))}
+def bindings(known: Sequence[Move]) -> Mapping[str, Move]:
+    """The move of each key: the arrows take those that name them, the digits 1 to 9 take the first nine."""
+    arrows = {move.arrow: move for move in known if move.arrow}
+    return arrows | {str(number): move for number, move in enumerate(known[:9], start=1)}
 
 
-def _legend(actions: Sequence[str]) -> str:
-    arrows = {"up", "down", "left", "right"} <= set(actions)
-    digits = ", ".join(f"{number + 1} {name}" for number, name in enumerate(actions[:9]))
-    return f"{'arrow keys, or ' if arrows else ''}{digits}; r starts over, q ends."
+def _legend(known: Sequence[Move]) -> str:
+    arrows = set(ARROWS) <= {move.name for move in known}
+    keys = ", ".join(
+        f"{move.arrow} or {number} {move.name}" if move.arrow not in ("", move.name) else f"{number} {move.name}"
+        for number, move in enumerate(known[:9], start=1)
+    )
+    return f"{'arrow keys, or ' if arrows else ''}{keys}; r starts over, q ends."
 
 
-def _tell(drive: Drive, actions: Sequence[str]) -> None:
-    last = " ".join(actions[action] for action in drive.actions[-8:]) or "at the start"
-    typer.echo(f"\r\x1b[K{len(drive.actions)}: {last}", nl=False, err=True)
+def _tell(taken: Sequence[str]) -> None:
+    last = " ".join(taken[-8:]) or "at the start"
+    typer.echo(f"\r\x1b[K{len(taken)}: {last}", nl=False, err=True)
 
 
-def _simulator(dataset: Dataset, episode: int) -> Callable[[int | None], np.ndarray[Any, Any]] | None:
+def _simulator(dataset: Dataset, episode: int) -> Callable[[ActionTaken | None], np.ndarray[Any, Any]] | None:
     """A function that takes an action in the simulator (None: start again); None without that environment."""
     from dmotion_bench.errors import DmbenchError
-    from dmotion_bench.planning.tasks import task_environment
+    from dmotion_bench.planning.tasks import take, task_environment
     from dmotion_bench.specs import IMPORTED
 
     if dataset.recipe.environment == IMPORTED:
@@ -128,10 +172,10 @@ def _simulator(dataset: Dataset, episode: int) -> Callable[[int | None], np.ndar
     except DmbenchError:
         return None
 
-    def follow(action: int | None) -> np.ndarray[Any, Any]:
+    def follow(action: ActionTaken | None) -> np.ndarray[Any, Any]:
         if action is None:
             vary = list(dataset.recipe.vary)
             return env.reset(seed=dataset.rows[episode].seed, options={"vary": vary} if vary else None)[0]
-        return env.step(action)[0]
+        return take(env, action)
 
     return follow

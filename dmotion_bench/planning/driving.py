@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.planning.tasks import ActionTaken
 
 
 class Drive:
@@ -29,16 +32,16 @@ class Drive:
 
     def restart(self) -> None:
         """Back to the first picture."""
-        self.actions: list[int] = []
+        self.actions: list[ActionTaken] = []
         self.frame = self._start
         image = to_model(self._start[None])
         with torch.inference_mode():
             self._state = self._model.begin(image, image)
 
-    def step(self, action: int) -> UInt8[Tensor, "h w 3"]:
+    def step(self, action: ActionTaken) -> UInt8[Tensor, "h w 3"]:
         """Take an action; returns the predicted frame."""
         with torch.inference_mode():
-            self._state = self._model.advance(self._state, torch.tensor([action]))
+            self._state = self._model.advance(self._state, as_tensor(np.array([action])))
             self.frame = to_pixels(self._model.frame(self._state))[0]
         self.actions.append(action)
         return self.frame

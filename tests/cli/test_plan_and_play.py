@@ -8,15 +8,18 @@ import pty
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
-from dmbench_command import dmbench
+from dmbench_command import Outcome, dmbench
 from known_model import result_of
 from rrd_contents import curve, read
 
+from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.cli.keys import read_keys, single_keys
-from dmotion_bench.cli.play import bindings, commands
+from dmotion_bench.cli.play import bindings, commands, moves
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.start import TrainingRequest, open_run
+from dmotion_bench.planning.tasks import task_environment
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
@@ -29,11 +32,29 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     workspace = Workspace(tmp_path_factory.mktemp("workspace"))
     folder = workspace.data / "grid"
     record_dataset(folder, DatasetRecipe(environment="grid_world", policy="random", episodes=30, frames=32, tasks=3))
-    run = open_run(TrainingRequest(model="dmotion", preset=Preset.TINY), Dataset.open(folder), None, workspace)
+    _unlearned(TrainingRequest(model="dmotion", preset=Preset.TINY), Dataset.open(folder), workspace)
+    return workspace
+
+
+def _unlearned(request: TrainingRequest, dataset: Dataset, workspace: Workspace) -> None:
+    """A finished run whose model has learned nothing."""
+    run = open_run(request, dataset, None, workspace)
     weights = run.spec.build().state_dict()
     checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
     run.finish(result_of(weights))
-    return workspace
+
+
+def _play(
+    words: list[str], keys: bytes, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Outcome:
+    """What ``dmbench play`` says to somebody who presses these keys."""
+    controller, terminal = pty.openpty()
+    os.write(controller, keys)
+    with os.fdopen(terminal, "r+b", buffering=0) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        said = dmbench(["play", *words], capsys, monkeypatch)
+    os.close(controller)
+    return said
 
 
 @pytest.fixture(autouse=True)
@@ -129,13 +150,8 @@ def test_playing_needs_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatc
 def test_keys_drive_the_model(
     run: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    controller, terminal = pty.openpty()
     file = tmp_path / "play.rrd"
-    os.write(controller, b"\x1b[A\x1b[Cx4r\x1bOBq")
-    with os.fdopen(terminal, "r+b", buffering=0) as stdin:
-        monkeypatch.setattr(sys, "stdin", stdin)
-        said = dmbench(["play", run, "--save", str(file)], capsys, monkeypatch)
-    os.close(controller)
+    said = _play([run, "--save", str(file)], b"\x1b[A\x1b[Cx4r\x1bOBq", capsys, monkeypatch)
     assert said.code == 0, said.err
     assert "3: up right right" in said.err
     assert said.err.rstrip().endswith("1: down")
@@ -144,6 +160,32 @@ def test_keys_drive_the_model(
         assert [place for place, _ in contents[entity]["Image:buffer"]] == list(range(6)), entity
     frames = [frame for _, frame in contents["/simulator"]["Image:buffer"]]
     assert frames[4] == frames[0]  # started over
+
+
+def test_keys_drive_a_model_of_continuous_actions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workspace = Workspace(tmp_path / "workspace")
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(workspace.root))
+    folder = workspace.data / "planar"
+    recipe = DatasetRecipe(
+        environment="planar_push", parameters={"actions": "continuous"}, policy="push", episodes=10, frames=6
+    )
+    record_dataset(folder, recipe)
+    dataset = Dataset.open(folder)
+    _unlearned(TrainingRequest(model="dmotion", preset=Preset.TINY, labels="8"), dataset, workspace)
+    file = tmp_path / "play.rrd"
+    said = _play(["--save", str(file)], b"\x1b[A\x1b[C4r\x1b[Dq", capsys, monkeypatch)
+    assert said.code == 0, said.err
+    assert "left or 1 dx=-0.04m, right or 2 dx=0.04m, down or 3 dy=-0.04m, up or 4 dy=0.04m; r starts" in said.err
+    assert "3: dy=0.04m dx=0.04m dy=0.04m" in said.err
+    assert said.err.rstrip().endswith("1: dx=-0.04m")
+    shown = [bytes(frame) for _, (frame,) in read(file)["/simulator"]["Image:buffer"]]
+    env = task_environment(dataset.recipe)
+    start = env.reset(seed=dataset.rows[int(dataset.split("test")[0])].seed)[0]
+    there = [env.step(np.array(action))[0] for action in ((0.0, 0.04), (0.04, 0.0), (0.0, 0.04))]
+    assert shown[:5] == [frame.tobytes() for frame in (start, *there, start)]
+    assert len(read(file)["/imagined"]["Image:buffer"]) == 6
 
 
 def test_the_terminal_is_left_as_it_was() -> None:
@@ -173,6 +215,37 @@ def test_keys_are_read_one_by_one() -> None:
 
 
 def test_arrows_take_the_actions_of_their_names_and_digits_any() -> None:
-    assert bindings(("up", "down", "left", "right"))["left"] == bindings(("up", "down", "left", "right"))["3"] == 2
-    assert bindings(("grip", "up")) == {"up": 1, "1": 0, "2": 1}
-    assert list(commands(iter(["1", "x", "up", "r", "q", "1"]), ("grip", "up"))) == [0, 1, None]
+    four = bindings(moves(Discrete(("up", "down", "left", "right"))))
+    assert four["left"].action == four["3"].action == 2
+    two = moves(Discrete(("grip", "up")))
+    assert {key: move.action for key, move in bindings(two).items()} == {"up": 1, "1": 0, "2": 1}
+    taken = commands(iter(["1", "x", "up", "r", "q", "1"]), two)
+    assert [None if move is None else move.action for move in taken] == [0, 1, None]
+
+
+def test_arrows_take_the_first_two_numbers_to_their_bounds_and_digits_any() -> None:
+    spec = Continuous(
+        names=("dx", "lift", "turn"), low=(-0.04, 0.01, -1.0), high=(0.03, 0.06, 2.0), units=("m", "m", "rad")
+    )
+    bound = bindings(moves(spec))
+    assert {key: move.action for key, move in bound.items() if not key.isdigit()} == {
+        "left": (-0.04, 0.01, 0.0),  # 0 is below what lift can be
+        "right": (0.03, 0.01, 0.0),
+        "down": (0.0, 0.01, 0.0),
+        "up": (0.0, 0.06, 0.0),
+    }
+    assert [bound[digit].name for digit in "123456"] == [
+        "dx=-0.04m",
+        "dx=0.03m",
+        "lift=0.01m",
+        "lift=0.06m",
+        "turn=-1rad",
+        "turn=2rad",
+    ]
+    assert bound["6"].action == (0.0, 0.01, 2.0)
+    assert set(bindings(moves(Continuous(names=("v",), low=(0.0,), high=(1.0,), units=("",))))) == {
+        "left",
+        "right",
+        "1",
+        "2",
+    }

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectSpec, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
@@ -24,9 +25,11 @@ SPEC = EnvSpec(
     width=SIZE,
     agent_has_color=True,
 )
+MOVED = replace(SPEC, actions=Continuous(names=("dx", "dy"), low=(-3.0, -3.0), high=(3.0, 3.0), units=("px", "px")))
+"""The same with the agent's displacement as its action."""
 
 
-def squares_episode(seed: int, frames: int = 12) -> Episode:
+def squares_episode(seed: int, frames: int = 12, spec: EnvSpec = SPEC) -> Episode:
     """The agent walks at random; the red square is swept along from the middle on, the blue one then vanishes."""
     generator = np.random.default_rng(seed)
     actions = generator.integers(4, size=frames - 1)
@@ -46,7 +49,8 @@ def squares_episode(seed: int, frames: int = 12) -> Episode:
                 rows, columns = (slice(max(0, first), max(0, first + SIDE)) for first in (top, left))
                 masks[frame, rows, columns] = value
     moved = np.abs(np.diff(np.nan_to_num(objects, nan=-1), axis=0)).max((1, 2)) > 0
-    labels = EpisodeLabels(actions=actions, pushed=moved, agent=_states(agent), objects=_states(objects), masks=masks)
+    taken = step.astype(float) if isinstance(spec.actions, Continuous) else actions
+    labels = EpisodeLabels(actions=taken, pushed=moved, agent=_states(agent), objects=_states(objects), masks=masks)
     return Episode(frames=palette[masks], labels=labels, seed=seed, ended="truncated")
 
 
@@ -61,11 +65,11 @@ def _states(pixel: np.ndarray) -> ObjectStates:
     )
 
 
-def write_squares(path: Path, episodes: int = 10, frames: int = 8) -> Dataset:
+def write_squares(path: Path, episodes: int = 10, frames: int = 8, spec: EnvSpec = SPEC) -> Dataset:
     """A complete data set of squares on disk."""
     recipe = DatasetRecipe(environment="squares", episodes=episodes, frames=frames)
-    with DatasetWriter.create_or_resume(path, recipe, SPEC) as writer:
+    with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
         for index in writer.missing:
-            writer.write_shard(index, (squares_episode(one, frames) for one in writer.episodes_of(index)))
+            writer.write_shard(index, (squares_episode(one, frames, spec) for one in writer.episodes_of(index)))
         writer.finish()
     return Dataset.open(path)

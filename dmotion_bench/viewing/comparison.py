@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import behind, standing_words
@@ -17,7 +18,7 @@ from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, rea
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart
 from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
-from dmotion_bench.viewing.labels import ACTION_COLORS, events_view, log_events, log_legend, plain
+from dmotion_bench.viewing.labels import ACTION_COLORS, log_events, log_legend, plain, what_happens
 from dmotion_bench.viewing.report import episode_means, figure_text, interval_text, rollout_curves
 from dmotion_bench.viewing.run import AMPLIFIED, COPIED, log_prediction
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
@@ -182,13 +183,13 @@ def _layout(title: str, root: str, dataset: ViewableDataset, seen: Mapping[str, 
             for kind, part, words in ROWS
         ]
         columns.append(rrb.Grid(*views, grid_columns=2) if len(seen) <= WIDE else rrb.Vertical(*views))
-    lanes = ("action", "moved") if dataset.spec.objects else ("action",)
-    events = [] if first.by_motion else [events_view(root, lanes, len(first.frames))]
+    lanes = ("moved",) if dataset.spec.objects else ()
+    events = [] if first.by_motion else [what_happens(root, dataset.spec, lanes, len(first.frames))]
     truth = rrb.Vertical(
         picture_view(f"{root}/camera", "What really happens", width, height),
         rrb.TextDocumentView(origin=f"{root}/about", name="What you see"),
         *events,
-        row_shares=[1.2, 1.6, 0.8][: 2 + len(events)],
+        row_shares=[1.2, 1.6, 1.2 if isinstance(dataset.spec.actions, Continuous) else 0.8][: 2 + len(events)],
     )
     plots = [
         rrb.TimeSeriesView(origin=f"{root}/mse_one_step", name="MSE, one step ahead", plot_legend=rrb.Corner2D.LeftTop),

@@ -10,11 +10,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Int, UInt8
 
-from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
 from dmotion_bench.viewing.eye import eye_of_camera
-from dmotion_bench.viewing.labels import action_curves, events_view, log_labels, log_legend, places_known, plain
+from dmotion_bench.viewing.labels import log_labels, log_legend, places_known, plain, what_happens
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import log_images
 
@@ -88,17 +87,14 @@ def _layout(spec: EnvSpec, episode: int, labels: EpisodeLabels | None) -> rrb.Co
     about = rrb.TextDocumentView(origin=f"{root}/about", name="What you see")
     camera = picture_view(f"{root}/camera", "Camera", spec.width, spec.height)
     name = f"Episode {episode}"
-    curves = isinstance(spec.actions, Continuous)
     if labels is None:
         return rrb.Horizontal(camera, about, column_shares=[3, 1], name=name)
     if not places_known(labels):
-        events = action_curves(root) if curves else events_view(root, ("action",), len(labels.masks))
-        seen = rrb.Vertical(camera, events, row_shares=[4, 1])
+        seen = rrb.Vertical(camera, what_happens(root, spec, (), len(labels.masks)), row_shares=[4, 1])
         return rrb.Horizontal(seen, about, column_shares=[3, 1], name=name)
     masks = picture_view(f"{root}/masks", "Which pixel shows what", spec.width, spec.height)
     world = rrb.Spatial3DView(origin=f"{root}/world", name="Where things are [m]", eye_controls=_eye(labels))
-    events = events_view(root, ("pushed/**",) if curves else ("action", "pushed/**"), len(labels.masks))
-    happens = rrb.Vertical(action_curves(root), events) if curves else events
+    happens = what_happens(root, spec, ("pushed/**",), len(labels.masks))
     return rrb.Horizontal(
         rrb.Vertical(rrb.Horizontal(camera, masks), happens, row_shares=[1.6, 1]),
         rrb.Vertical(world, about),

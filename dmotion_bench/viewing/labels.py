@@ -132,6 +132,15 @@ def events_view(root: str, lanes: Sequence[str], frames: int) -> rrb.StateTimeli
     )
 
 
+def what_happens(root: str, spec: EnvSpec, lanes: Sequence[str], frames: int) -> rrb.View | rrb.Container:
+    """The actions of an episode and some lanes of ``log_events``: continuous actions as curves, above the lanes."""
+    if not isinstance(spec.actions, Continuous):
+        return events_view(root, ("action", *lanes), frames)
+    if not lanes:
+        return action_curves(root)
+    return rrb.Vertical(action_curves(root), events_view(root, lanes, frames))
+
+
 def _named(spec: EnvSpec, moved: Bool[np.ndarray, " k"]) -> str | None:
     """The objects that are moved in a step; None where none is."""
     return " + ".join(plain(it.name) for it, now in zip(spec.objects, moved, strict=True) if now) or None

@@ -16,7 +16,7 @@ from dmotion_bench.specs import EpisodeLabels
 from dmotion_bench.viewing.curves import read_curves, training_tab
 from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
-from dmotion_bench.viewing.labels import events_view, log_events, log_legend, plain
+from dmotion_bench.viewing.labels import log_events, log_legend, plain, what_happens
 from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
 from dmotion_bench.viewing.report import report_tab
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
@@ -113,8 +113,8 @@ def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -
     def picture(path: str, title: str) -> rrb.Spatial2DView:
         return picture_view(f"{root}/{path}", title, width, height)
 
-    lanes = ("action", "moved") if dataset.spec.objects else ("action",)
-    events = None if seen.by_motion else events_view(root, lanes, len(seen.frames))
+    lanes = ("moved",) if dataset.spec.objects else ()
+    events = None if seen.by_motion else what_happens(root, dataset.spec, lanes, len(seen.frames))
     beside_imagined: rrb.Container | rrb.View | None = events
     if seen.maps is not None:
         sheet_height, sheet_width = tiles(seen.maps[:1], brightest(seen.maps[:1])).shape[1:]
@@ -122,7 +122,7 @@ def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -
             picture_view(f"{root}/maps", "Feature maps of this frame", sheet_width, sheet_height),
             picture_view(f"{root}/moved_maps", "The same, each moved by its motion", sheet_width, sheet_height),
         )
-    plots: list[rrb.View] = [_plot(f"{root}/mse", "MSE of each frame [0-255 squared]")]
+    plots: list[rrb.View | rrb.Container] = [_plot(f"{root}/mse", "MSE of each frame [0-255 squared]")]
     if seen.places is not None:
         plots.append(_plot(f"{root}/position_error", "Position error of each frame [px]"))
     if seen.maps is not None and events is not None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 from known_model import result_of
-from pushed_squares import write_squares
+from pushed_squares import MOVED, write_squares
 
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.run import Run
@@ -67,8 +67,19 @@ def other_run(workspace: Workspace, dataset: Dataset) -> Run:
     return _untrained(workspace, dataset, seed=1)
 
 
-def _untrained(workspace: Workspace, dataset: Dataset, seed: int) -> Run:
-    request = TrainingRequest(model="dmotion", preset=Preset.TINY, seed=seed)
+@pytest.fixture(scope="session")
+def moved(workspace: Workspace) -> Dataset:
+    """Squares with continuous actions."""
+    return write_squares(workspace.data / "squares-moved", spec=MOVED)
+
+
+@pytest.fixture(scope="session")
+def moved_runs(workspace: Workspace, moved: Dataset) -> list[Run]:
+    return [_untrained(workspace, moved, seed, labels="8") for seed in (0, 1)]
+
+
+def _untrained(workspace: Workspace, dataset: Dataset, seed: int, labels: str | None = None) -> Run:
+    request = TrainingRequest(model="dmotion", preset=Preset.TINY, seed=seed, labels=labels)
     run = open_run(request, dataset, None, workspace)
     torch.manual_seed(seed)
     weights = run.spec.build().state_dict()

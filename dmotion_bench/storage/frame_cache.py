@@ -1,6 +1,6 @@
 """All frames of a data set, decoded once into an Arrow file that is memory-mapped.
 
-Random triplets straight out of MCAP come at about 1,000 a second, out of this file at 100,000 (facts.md, 5).
+Random triplets straight out of MCAP come at about 1,000 a second, out of this file at 100,000 (decision 008).
 The file is derived: it is named after the data set's fingerprint, made anew when that changes or when it is damaged,
 and safe to delete. It is one record batch with the columns ``frame`` and ``crc32``, so any Arrow reader opens it.
 

@@ -30,7 +30,7 @@ from tests.fuzz.targets import Target
 MEMORY = 1 << 30  # bytes that a case may add to the resident set
 ADDRESSES = 6 << 30  # bytes of address space beyond what the parent has; a guard for this machine
 CPU_S = 20
-WALL_S = 180  # far beyond CPU_S: the machine may be busy
+WALL_S = 600  # far beyond CPU_S: the machine may be busy
 FAILED = 77
 """Exit code of a child in which the fuzzer itself is at fault."""
 

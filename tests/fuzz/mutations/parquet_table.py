@@ -89,7 +89,7 @@ def _add(rng: np.random.Generator, table: pa.Table) -> pa.Table:
 
 
 def _order(rng: np.random.Generator, table: pa.Table) -> pa.Table:
-    return table.select([table.column_names[place] for place in rng.permutation(table.num_columns)])
+    return table.select(rng.permutation(table.num_columns).tolist())  # by places: two columns may have one name
 
 
 def _kind(rng: np.random.Generator, table: pa.Table) -> pa.Table:

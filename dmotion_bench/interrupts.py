@@ -13,8 +13,8 @@ from types import FrameType
 from typing import Any, Final
 
 INTERRUPTED: Final = "interrupted; run the same command again to go on where it stopped."
-ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
-"""What a process is asked to end by, beside Ctrl-C."""
+ENDING: Final = tuple(one for one in signal.Signals if one.name in ("SIGTERM", "SIGHUP"))
+"""What a process is asked to end by, beside Ctrl-C; Windows has no SIGHUP."""
 
 
 class _Received:

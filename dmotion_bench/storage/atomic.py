@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
 import secrets
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from dmotion_bench.errors import StorageFull
+from dmotion_bench.storage.lock import OPENS_FOLDERS, try_lock
 
 TEMPORARY_SUFFIX = ".part"
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -19,7 +19,9 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync a folder, so that its file names survive a power cut."""
+    """Sync a folder, so that its file names survive a power cut; Windows has no way to ask for that."""
+    if not OPENS_FOLDERS:
+        return
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -65,7 +67,10 @@ def _written(path: Path, make_folders: bool) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-            temporary.replace(path)  # still locked
+            if OPENS_FOLDERS:
+                temporary.replace(path)  # still locked
+        if not OPENS_FOLDERS:  # Windows renames no open file
+            temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
@@ -77,20 +82,9 @@ def _temporary(path: Path) -> tuple[Path, BinaryIO]:
     while True:
         temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}{TEMPORARY_SUFFIX}")
         file = temporary.open("xb")
-        if _lock(file.fileno()) is not False and os.fstat(file.fileno()).st_nlink:
+        if try_lock(file.fileno()) is not False and os.fstat(file.fileno()).st_nlink:
             return temporary, file
         file.close()  # it was taken for a leftover before it was locked
-
-
-def _lock(handle: int) -> bool | None:
-    """Whether a file is ours now; None on a file system without locks."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return None
-    return True
 
 
 def write_atomically(path: Path, data: bytes, *, make_folders: bool = True) -> None:
@@ -106,9 +100,12 @@ def remove_leftovers(folder: Path) -> None:
     """
     for leftover in folder.glob(f"*{TEMPORARY_SUFFIX}"):
         with contextlib.suppress(OSError):  # gone meanwhile, or not ours to delete
+            if not OPENS_FOLDERS:
+                leftover.unlink()  # Windows refuses while anybody has it open
+                continue
             handle = os.open(leftover, os.O_RDONLY | os.O_NONBLOCK)
             try:
-                if _lock(handle):
+                if try_lock(handle):
                     leftover.unlink()
             finally:
                 os.close(handle)

@@ -19,7 +19,7 @@ from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable
 from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.limits import MOST_SHARD_EPISODES
-from dmotion_bench.storage.lock import held, lock_folder
+from dmotion_bench.storage.lock import FolderLock, held
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections
 from dmotion_bench.storage.shard import (
@@ -63,7 +63,7 @@ def rebuild_tables(path: Path, manifest: Manifest) -> None:
         DamagedFile: A shard is not.
     """
     receipts = [scan_shard(path, manifest.spec, index) for index in range(len(manifest.shards))]
-    with DatasetWriter(path, manifest.recipe, manifest.spec, receipts, lock_folder(path)) as writer:
+    with DatasetWriter(path, manifest.recipe, manifest.spec, receipts, FolderLock(path)) as writer:
         writer.finish(salvaged=manifest.salvaged, made_with=manifest.versions)
 
 

@@ -8,7 +8,6 @@ still filling; only the former is deleted, by the next that wants the name.
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Final
 
 from dmotion_bench.errors import StorageFull, UsageError
 from dmotion_bench.storage.atomic import FULL
-from dmotion_bench.storage.lock import ANOTHER_FOLDER, lock_folder
+from dmotion_bench.storage.lock import ANOTHER_FOLDER, FolderLock
 
 MARKER: Final = "unfinished.txt"
 CONTENT: Final = "content"
@@ -56,7 +55,7 @@ def staged(out: Path, suffix: str) -> Iterator[Path]:
         ) from None
     finally:
         _delete(outer)
-        os.close(lock)
+        lock.release()
 
 
 def sweep(out: Path, suffix: str) -> None:
@@ -65,7 +64,7 @@ def sweep(out: Path, suffix: str) -> None:
     if outer.is_dir() and not outer.is_symlink() and (outer / MARKER).is_file():
         lock = _claim(outer)
         _delete(outer)
-        os.close(lock)
+        lock.release()
 
 
 def _beside(out: Path, suffix: str) -> Path:
@@ -76,7 +75,7 @@ def _beside(out: Path, suffix: str) -> Path:
     return whole.with_name(f"{whole.name}{suffix}")
 
 
-def _claim(outer: Path) -> int:
+def _claim(outer: Path) -> FolderLock:
     """The lock on a folder that is there and empty."""
     while True:
         try:
@@ -88,15 +87,15 @@ def _claim(outer: Path) -> int:
             raise _in_the_way(outer) from None
         if outer.is_symlink():
             raise _in_the_way(outer)
-        lock = lock_folder(outer, ANOTHER_FOLDER)
+        lock = FolderLock(outer, ANOTHER_FOLDER)
         try:
-            if outer.exists() and os.path.samestat(outer.stat(), os.fstat(lock)):  # else its owner has just finished
+            if outer.exists() and lock.is_on(outer):  # else its owner has just finished
                 _empty(outer)
                 return lock
         except BaseException:
-            os.close(lock)
+            lock.release()
             raise
-        os.close(lock)
+        lock.release()
 
 
 def _empty(outer: Path) -> None:

@@ -7,7 +7,6 @@ and describes itself, so a killed recording goes on from what it finds.
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +14,7 @@ from types import TracebackType
 from dmotion_bench.errors import DatasetError, RecipeMismatch, UsageError
 from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode
 from dmotion_bench.storage.atomic import remove_leftovers
-from dmotion_bench.storage.lock import ANOTHER_FOLDER, lock_folder
+from dmotion_bench.storage.lock import ANOTHER_FOLDER, FolderLock
 from dmotion_bench.storage.manifest import Manifest, ShardEntry, record_words
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.shard import (
@@ -51,11 +50,11 @@ class DatasetWriter:
     """
 
     def __init__(
-        self, path: Path, recipe: DatasetRecipe, spec: EnvSpec, receipts: Iterable[ShardReceipt], lock: int
+        self, path: Path, recipe: DatasetRecipe, spec: EnvSpec, receipts: Iterable[ShardReceipt], lock: FolderLock
     ) -> None:
         self.path, self.recipe, self.spec = path, recipe, spec
         self._receipts = {receipt.index: receipt for receipt in receipts}
-        self._lock = lock
+        self._lock: FolderLock | None = lock
         self._standing: Manifest | None = None
 
     @classmethod
@@ -78,7 +77,7 @@ class DatasetWriter:
             raise UsageError(
                 f"{str(path)!r} cannot be a folder, a file is in the way; name another folder with '--out DIR'."
             ) from None
-        lock = lock_folder(path, ANOTHER_FOLDER)
+        lock = FolderLock(path, ANOTHER_FOLDER)
         try:
             receipts: list[ShardReceipt] = []
             standing: Manifest | None = None
@@ -93,7 +92,7 @@ class DatasetWriter:
             else:
                 begun.write(path)
         except BaseException:
-            os.close(lock)
+            lock.release()
             raise
         return writer
 
@@ -134,7 +133,7 @@ class DatasetWriter:
 
     def _require_there(self) -> None:
         try:
-            if self._lock < 0 or os.path.samestat(self.path.stat(), os.fstat(self._lock)):
+            if self._lock is None or self._lock.is_on(self.path):
                 return
         except OSError:
             pass
@@ -181,9 +180,9 @@ class DatasetWriter:
 
     def close(self) -> None:
         """Release the folder's lock."""
-        if self._lock >= 0:
-            os.close(self._lock)
-            self._lock = -1
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
 
     def __enter__(self) -> DatasetWriter:
         return self

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 from pathlib import Path
 
 import pytest
 
-from dmotion_bench.storage import atomic
+from dmotion_bench.storage import atomic, lock
 from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, atomic_file, remove_leftovers
+
+
+def no_locks(_handle: int, *, blocking: bool) -> bool:
+    raise OSError(38, "Function not implemented")
 
 
 def _killed_while_writing(path: Path) -> None:
@@ -40,15 +43,15 @@ def test_only_what_nobody_writes_any_more_is_deleted(tmp_path: Path) -> None:
 def test_a_file_that_is_taken_for_a_leftover_before_it_is_locked_is_begun_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lock, taken = fcntl.flock, []
+    try_lock, taken = atomic.try_lock, []
 
-    def flock(handle: int, how: int) -> None:
+    def late(handle: int) -> bool | None:
         if not taken:
             taken.extend(tmp_path.glob("*.part"))
             taken[0].unlink()
-        lock(handle, how)
+        return try_lock(handle)
 
-    monkeypatch.setattr(fcntl, "flock", flock)
+    monkeypatch.setattr(atomic, "try_lock", late)
     with atomic_file(tmp_path / "x") as file:
         file.write(b"whole")
     assert len(taken) == 1
@@ -58,12 +61,28 @@ def test_a_file_that_is_taken_for_a_leftover_before_it_is_locked_is_begun_again(
 def test_without_locks_files_are_written_and_leftovers_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As on some network file systems, where nobody can tell a leftover from a file that is being written."""
 
-    def flock(_handle: int, _how: int) -> None:
-        raise OSError(38, "Function not implemented")
-
-    monkeypatch.setattr(atomic.fcntl, "flock", flock)
+    monkeypatch.setattr(lock, "lock_descriptor", no_locks)
     (tmp_path / f"x.1{TEMPORARY_SUFFIX}").touch()
     with atomic_file(tmp_path / "x") as file:
         file.write(b"whole")
     remove_leftovers(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x", f"x.1{TEMPORARY_SUFFIX}"]
+
+
+def test_where_folders_cannot_be_opened_files_are_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Windows, which also renames and deletes no file that is open."""
+    monkeypatch.setattr(atomic, "OPENS_FOLDERS", False)
+    rename = Path.replace
+
+    def closed_only(source: Path, target: Path) -> Path:
+        assert source not in [open_file.resolve() for open_file in Path("/proc/self/fd").iterdir()]
+        return rename(source, target)
+
+    monkeypatch.setattr(Path, "replace", closed_only)
+    (tmp_path / f"x.1{TEMPORARY_SUFFIX}").touch()
+    with atomic_file(tmp_path / "x") as file:
+        file.write(b"whole")
+    remove_leftovers(tmp_path)
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("x", b"whole")]

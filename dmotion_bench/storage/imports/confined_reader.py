@@ -7,7 +7,6 @@ a single picture than any takes. It answers requests from its standard input unt
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import sys
 import time
@@ -107,6 +106,8 @@ def peak_bytes() -> int:
 
 def confine(limits: ImportLimits) -> None:
     """Limit what this process can do: memory as far as reading needs it, no file writing, no core dump."""
+    import resource  # not on Windows, where confinement starts no reader
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the import, which ends this process
     resource.setrlimit(resource.RLIMIT_DATA, (limits.reader_bytes, limits.reader_bytes))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))

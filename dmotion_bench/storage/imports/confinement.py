@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib.util
 import os
 import signal
 import subprocess
@@ -73,9 +74,13 @@ class Confinement:
         return self.answer(path)[0]
 
     def request(self, path: Path, request: dict[str, Any], body: bytes | memoryview = b"") -> None:
-        """Send a request whose answers are fetched one by one."""
+        """Send a request whose answers are fetched one by one.
+
+        Raises:
+            RecordingImportError: The reader is gone, or cannot be started here.
+        """
         if self._process is None:
-            self._process = self._start()
+            self._process = self._start(path)
         try:
             send(_pipe(self._process.stdin), request, body)
         except OSError:
@@ -115,7 +120,12 @@ class Confinement:
     ) -> None:
         self.close()
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _start(self, path: Path) -> subprocess.Popen[bytes]:
+        if importlib.util.find_spec("resource") is None:
+            raise RecordingImportError(
+                f"{str(path)!r} would be decoded in a process whose memory the system limits, and Windows has no such "
+                "limit; import it on Linux or macOS, or in the Windows Subsystem for Linux."
+            )
         source = str(Path(dmotion_bench.__file__).parents[1])  # found there even if it was never installed
         paths = [source, *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "ARROW_DEFAULT_MEMORY_POOL": "system"}

@@ -107,7 +107,8 @@ def record(
     as_json: AsJson = False,
 ) -> None:
     """Record a data set. Run the same command again to continue an interrupted recording."""
-    from dmotion_bench.recording.executor import available_workers, make_executor
+    from dmotion_bench.recording.executors import make_executor
+    from dmotion_bench.recording.local_executor import available_workers
     from dmotion_bench.recording.preset import recipe_for
     from dmotion_bench.storage.shard import shard_count
     from dmotion_bench.workspace import Workspace

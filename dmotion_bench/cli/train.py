@@ -253,7 +253,7 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
     from dmotion_bench.learning.threads import shortage
     from dmotion_bench.learning.training import Report, train
     from dmotion_bench.learning.twins import take_over
-    from dmotion_bench.recording.executor import available_workers
+    from dmotion_bench.recording.local_executor import available_workers
 
     if run.result is not None:
         try:

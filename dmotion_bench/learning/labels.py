@@ -13,7 +13,7 @@ import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
@@ -21,7 +21,8 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete, require_discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
 from dmotion_bench.learning.triplets import TripletSet
-from dmotion_bench.specs import EnvSpec, EpisodeLabels, Supervision
+from dmotion_bench.specs import EpisodeLabels, Supervision
+from dmotion_bench.storage.readable import ReadableDataset
 
 ALLOWED = "none, a number of labelled transitions such as 64, all, a share such as 10%, one-shot or K-shot (5-shot)"
 MOST_DEMONSTRATIONS = 4096
@@ -117,16 +118,6 @@ def first_budget(actions: ActionSpec | None) -> str:
     return str(LabelRequest.for_model("", Supervision.NONE, None, actions))
 
 
-@runtime_checkable
-class LabelledDataset(Protocol):
-    """What the budget needs of a ``storage.dataset.Dataset``."""
-
-    @property
-    def spec(self) -> EnvSpec: ...
-
-    def labels(self, episode: int) -> EpisodeLabels: ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class LabelledTriplets:
     """Triplets with labels from the budget; row i of ``triplets`` has ``actions[i]``."""
@@ -150,7 +141,7 @@ class LabelBudget:
         given: Number of labels handed out so far, by purpose.
     """
 
-    def __init__(self, dataset: LabelledDataset, request: LabelRequest, seed: int) -> None:
+    def __init__(self, dataset: ReadableDataset, request: LabelRequest, seed: int) -> None:
         self.request, self.given = request, dict[str, int]()
         self._dataset, self._seed = dataset, seed
 

@@ -8,42 +8,16 @@ copies: no worker processes, nothing is decoded (decision 008).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.readable import Frames, ReadableDataset
 
 SplitProtocol = Literal["episode", "paper"]
 """``episode`` keeps whole episodes apart; ``paper`` shuffles triplets, as the paper does, and leaks."""
-
-
-@runtime_checkable
-class Frames(Protocol):
-    """All frames of a data set, one episode after the other (``storage.frame_cache.FrameCache``)."""
-
-    @property
-    def offsets(self) -> Int[np.ndarray, " e"]: ...
-
-    @property
-    def nbytes(self) -> int: ...
-
-    def checked(self, first: Int[np.ndarray, " b"], length: int) -> UInt8[np.ndarray, "n h w 3"]: ...
-
-    @property
-    def frames(self) -> UInt8[np.ndarray, "n h w 3"]: ...
-
-
-@runtime_checkable
-class SplittableDataset(Protocol):
-    """What splitting needs of a ``storage.dataset.Dataset``."""
-
-    def cache(self) -> Frames: ...
-
-    def split(self, name: SplitName) -> Int[np.ndarray, " n"]: ...
-
-    def __len__(self) -> int: ...
 
 
 class TripletSet:
@@ -73,7 +47,7 @@ class TripletSet:
         )
 
     @classmethod
-    def of_split(cls, dataset: SplittableDataset, name: SplitName, protocol: SplitProtocol = "episode") -> TripletSet:
+    def of_split(cls, dataset: ReadableDataset, name: SplitName, protocol: SplitProtocol = "episode") -> TripletSet:
         """The triplets of one part of a data set.
 
         ``paper`` reproduces the paper's way: all triplets shuffled, a tenth for the test, of the rest a tenth for

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -21,41 +19,13 @@ from dmotion_bench.environment import Environment, Judging, TaskMeasure
 from dmotion_bench.errors import DatasetError, UnknownName
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectStates
+from dmotion_bench.specs import DatasetRecipe, ObjectStates
+from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command
 
 ActionTaken = int | tuple[float, ...]
 """The number of a discrete action, or a continuous one in its units."""
-
-
-@runtime_checkable
-class TaskDataset(Protocol):
-    """What planning needs of a ``storage.dataset.Dataset``."""
-
-    @property
-    def path(self) -> Path: ...
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def spec(self) -> EnvSpec: ...
-
-    @property
-    def recipe(self) -> DatasetRecipe: ...
-
-    @property
-    def fingerprint(self) -> str: ...
-
-    @property
-    def rows(self) -> Sequence[Any]: ...
-
-    def tasks(self) -> list[ControlTask]: ...
-
-    def video(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]: ...
-
-    def states(self, episode: int) -> Any: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +103,7 @@ def measure_of(env: Environment, problem: Problem) -> TaskMeasure:
     return ObjectDistances(problem.start_objects, problem.goal_objects)
 
 
-def load_problems(dataset: TaskDataset, numbers: Sequence[int] | int | None = None) -> list[Problem]:
+def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None = None) -> list[Problem]:
     """The data set's tasks as problems, in the order asked for.
 
     Args:
@@ -159,7 +129,7 @@ def load_problems(dataset: TaskDataset, numbers: Sequence[int] | int | None = No
     return [_problem(dataset, number, tasks[number]) for number in numbers]
 
 
-def _problem(dataset: TaskDataset, number: int, task: ControlTask) -> Problem:
+def _problem(dataset: ReadableDataset, number: int, task: ControlTask) -> Problem:
     video, states = dataset.video(task.episode), dataset.states(task.episode)
     return Problem(
         number=number,

@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
-from dmotion_bench.recording.executor import ATTEMPTS, Job, Result, available_workers, killed_too_often
+from dmotion_bench.recording.executor import ATTEMPTS, Job, Result, killed_too_often
+from dmotion_bench.recording.local_executor import available_workers
 
 _USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
 _MORE_MACHINES: Final = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"

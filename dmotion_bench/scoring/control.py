@@ -48,10 +48,11 @@ from dmotion_bench.planning.mpc import (
     control,
 )
 from dmotion_bench.planning.objectives.base import Objective
-from dmotion_bench.planning.tasks import TaskDataset, load_problems, task_environment
+from dmotion_bench.planning.tasks import load_problems, task_environment
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import CONTROL_OF_CODE
 from dmotion_bench.scoring.samples import SampleRows
+from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.workspace import cache_folder
 
 METRIC: Final = "control"
@@ -102,7 +103,7 @@ class ControlScoring:
         own = asdict(self) | {"version": CONTROL_VERSION}
         return {f"{METRIC}_{name}": list(one) if isinstance(one, tuple) else one for name, one in own.items()}
 
-    def planned_with(self, dataset: TaskDataset, *, needs_pixels: bool | None) -> tuple[str, Objective | None]:
+    def planned_with(self, dataset: ReadableDataset, *, needs_pixels: bool | None) -> tuple[str, Objective | None]:
         """The objective's name, and the objective.
 
         Args:
@@ -116,7 +117,7 @@ class ControlScoring:
             name = default_objective(dataset.recipe.environment, dataset.spec, needs_pixels=bool(needs_pixels))
         return name, make_objective(name, self.objective_set)
 
-    def planning(self, dataset: TaskDataset, *, needs_pixels: bool | None) -> dict[str, Any]:
+    def planning(self, dataset: ReadableDataset, *, needs_pixels: bool | None) -> dict[str, Any]:
         """The solver and the objective in full, see ``planning_configuration``."""
         solver = make_solver(self.planner, self.planner_set)
         return planning_configuration(self.planner, solver, *self.planned_with(dataset, needs_pixels=needs_pixels))
@@ -133,7 +134,7 @@ class ControlScoring:
 
 def score_control(
     model: ForwardModel[Any] | str,
-    dataset: TaskDataset,
+    dataset: ReadableDataset,
     scoring: ControlScoring | None = None,
     *,
     device: torch.device | None = None,
@@ -171,7 +172,7 @@ def score_control(
 
 
 def score_reference(
-    name: str, dataset: TaskDataset, scoring: ControlScoring | None = None, *, progress: Advance = lambda _: None
+    name: str, dataset: ReadableDataset, scoring: ControlScoring | None = None, *, progress: Advance = lambda _: None
 ) -> ControlResult:
     """The results of a reference; they are kept in the data set's cache, also when the work is interrupted.
 
@@ -182,7 +183,7 @@ def score_reference(
     return score_control(name, dataset, scoring, progress=progress, checkpoint=_kept(name, dataset, scoring))
 
 
-def require_tasks(dataset: TaskDataset) -> None:
+def require_tasks(dataset: ReadableDataset) -> None:
     """Raise an error if control cannot be scored on a data set.
 
     Raises:
@@ -199,7 +200,7 @@ def require_tasks(dataset: TaskDataset) -> None:
 
 
 def control_tables(
-    model: ForwardModel[Any], dataset: TaskDataset, scoring: ControlScoring, how: Execution, journal: Path | None
+    model: ForwardModel[Any], dataset: ReadableDataset, scoring: ControlScoring, how: Execution, journal: Path | None
 ) -> list[pa.Table]:
     """The samples of a model's control and of the references beside it."""
 
@@ -220,7 +221,7 @@ def control_tables(
     return [*tables, control_samples(MODEL, result)]
 
 
-def known_references(dataset: TaskDataset, scoring: ControlScoring) -> tuple[str, ...]:
+def known_references(dataset: ReadableDataset, scoring: ControlScoring) -> tuple[str, ...]:
     """The references that can be shown beside a model without delay: quick ones, and ones scored before."""
     problems = load_problems(dataset, scoring.tasks)
 
@@ -253,7 +254,10 @@ def control_samples(predictor: str, result: ControlResult) -> pa.Table:
 
 
 def agent_of(
-    model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None = None
+    model: ForwardModel[Any] | str,
+    dataset: ReadableDataset,
+    scoring: ControlScoring,
+    device: torch.device | None = None,
 ) -> Agent:
     """Whoever acts: a model with its solver and objective, or a reference by its name."""
     solver = make_solver(scoring.planner, scoring.planner_set)
@@ -268,7 +272,7 @@ def agent_of(
 def _journal(
     path: Path | None,
     model: ForwardModel[Any] | str,
-    dataset: TaskDataset,
+    dataset: ReadableDataset,
     scoring: ControlScoring,
     device: torch.device | None,
 ) -> Journal:
@@ -278,7 +282,7 @@ def _journal(
 
 
 def _key(
-    model: ForwardModel[Any] | str, dataset: TaskDataset, scoring: ControlScoring, device: torch.device | None
+    model: ForwardModel[Any] | str, dataset: ReadableDataset, scoring: ControlScoring, device: torch.device | None
 ) -> dict[str, Any]:
     """Everything that decides the result of a task."""
     needs_pixels = None if isinstance(model, str) else model.needs_pixels
@@ -294,14 +298,14 @@ def _key(
     }
 
 
-def _kept(name: str, dataset: TaskDataset, scoring: ControlScoring) -> Path:
+def _kept(name: str, dataset: ReadableDataset, scoring: ControlScoring) -> Path:
     """Where a reference's results are kept: in the file of an earlier key, if there is one, or in that of the key."""
     key = _key(name, dataset, scoring, None)
     earlier = (_place(name, dataset, one) for one in _earlier_keys(key, scoring))
     return next((path for path in earlier if path.is_file()), _place(name, dataset, key))
 
 
-def _place(name: str, dataset: TaskDataset, key: Mapping[str, Any]) -> Path:
+def _place(name: str, dataset: ReadableDataset, key: Mapping[str, Any]) -> Path:
     text = json.dumps(key, sort_keys=True)
     return cache_folder(dataset.path) / f"control-{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Int
@@ -30,23 +30,13 @@ from dmotion_bench.scoring.overlap import copied_episodes
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
 from dmotion_bench.specs import IMPORTED, SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.wording import command, shortened, shown
 
 _SHOWN: Final = 5
 
 
-@runtime_checkable
-class Identified(Protocol):
-    """What finding a report needs to know of a data set."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def fingerprint(self) -> str: ...
-
-
-def report_folder(run: Path, trained_on: str, dataset: Identified) -> Path:
+def report_folder(run: Path, trained_on: str, dataset: ReadableDataset) -> Path:
     """The folder of a run's report on a data set.
 
     Args:

@@ -18,7 +18,8 @@ from PIL import Image, ImageDraw, ImageFont
 from dmotion_bench.errors import LabelsNotAvailable, UsageError, ViewerError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.storage.atomic import atomic_file
-from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
+from dmotion_bench.storage.readable import ReadableDataset
+from dmotion_bench.viewing.dataset import labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, can_imagine, imagine
 from dmotion_bench.viewing.tracks import Color
 
@@ -39,7 +40,7 @@ FAINT: Final[Color] = (165, 165, 172)
 
 def animate(
     runs: Mapping[str, Run],
-    dataset: ViewableDataset,
+    dataset: ReadableDataset,
     episodes: Sequence[int],
     why: Mapping[int, str] | None = None,
     *,
@@ -74,7 +75,7 @@ class _Column:
     films: list[UInt8[np.ndarray, "t h w 3"]]
 
 
-def _column(runs: Mapping[str, Run], dataset: ViewableDataset, episode: int, note: str, steps: int) -> _Column:
+def _column(runs: Mapping[str, Run], dataset: ReadableDataset, episode: int, note: str, steps: int) -> _Column:
     frames, labels = dataset.video(episode), labels_if_any(dataset, episode)
     films = [frames[: GIVEN + steps]]
     for name, run in runs.items():

@@ -15,8 +15,9 @@ from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import behind, standing_words
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, read_report_samples
+from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart
-from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
+from dmotion_bench.viewing.dataset import labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
 from dmotion_bench.viewing.labels import ACTION_COLORS, log_events, log_legend, plain, what_happens
 from dmotion_bench.viewing.report import episode_means, figure_text, interval_text, rollout_curves
@@ -43,7 +44,7 @@ ROWS = (
 
 
 def comparison_scene(
-    runs: Sequence[Run], dataset: ViewableDataset, episodes: Sequence[int], why: Mapping[int, str] | None = None
+    runs: Sequence[Run], dataset: ReadableDataset, episodes: Sequence[int], why: Mapping[int, str] | None = None
 ) -> Scene:
     """One tab an episode with all models side by side, and one with their figures.
 
@@ -141,7 +142,7 @@ def _beside_data_and_seed(run: Run, with_seed: bool) -> str:
     return " ".join(part.strip("-").replace("_", " ") for part in parts if part.strip("-"))
 
 
-def _tab(names: Mapping[str, Run], dataset: ViewableDataset, episode: int, note: str) -> Tab:
+def _tab(names: Mapping[str, Run], dataset: ReadableDataset, episode: int, note: str) -> Tab:
     root, title = f"/episode_{episode}", f"Episode {episode}" + (f" ({note})" if note else "")
     labels = labels_if_any(dataset, episode)
     frames = dataset.video(episode)
@@ -173,7 +174,7 @@ def _tab(names: Mapping[str, Run], dataset: ViewableDataset, episode: int, note:
     return Tab(name=title, layout=_layout(title, root, dataset, seen), log=log)
 
 
-def _layout(title: str, root: str, dataset: ViewableDataset, seen: Mapping[str, Imagination]) -> rrb.Container:
+def _layout(title: str, root: str, dataset: ReadableDataset, seen: Mapping[str, Imagination]) -> rrb.Container:
     width, height = dataset.spec.width, dataset.spec.height
     first = next(iter(seen.values()))
     columns = []
@@ -231,7 +232,7 @@ def _mark_worst(recording: rr.RecordingStream, path: str, predictions: Mapping[s
     log_mark(recording, path, GIVEN + frame, float(mse[frame]), name=f"worst: {name}", color=WORST)
 
 
-def _about(dataset: ViewableDataset, episode: int, note: str, seen: Mapping[str, Imagination]) -> str:
+def _about(dataset: ReadableDataset, episode: int, note: str, seen: Mapping[str, Imagination]) -> str:
     part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
     means = {name: (float(one.one_step.mse.mean()), float(one.imagined.mse.mean())) for name, one in seen.items()}
     best = [min(means, key=lambda name: means[name][place]) for place in (0, 1)]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from jaxtyping import Int, UInt8
 
 from dmotion_bench.errors import LabelsNotAvailable
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
+from dmotion_bench.specs import EnvSpec, EpisodeLabels
+from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.eye import eye_of_camera
 from dmotion_bench.viewing.labels import log_labels, log_legend, places_known, plain, what_happens
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
@@ -20,32 +19,7 @@ from dmotion_bench.viewing.tracks import log_images
 _KEYS = ("", "*Space* plays and pauses; drag a view to pan it, scroll to zoom, double-click to reset.")
 
 
-@runtime_checkable
-class ViewableDataset(Protocol):
-    """What viewing needs of a ``storage.dataset.Dataset``."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def fingerprint(self) -> str: ...
-
-    @property
-    def recipe(self) -> DatasetRecipe: ...
-
-    @property
-    def spec(self) -> EnvSpec: ...
-
-    def __len__(self) -> int: ...
-
-    def video(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]: ...
-
-    def labels(self, episode: int) -> EpisodeLabels: ...
-
-    def split(self, name: SplitName) -> Int[np.ndarray, " n"]: ...
-
-
-def dataset_scene(dataset: ViewableDataset, episodes: Sequence[int]) -> Scene:
+def dataset_scene(dataset: ReadableDataset, episodes: Sequence[int]) -> Scene:
     """One tab an episode.
 
     Args:
@@ -60,7 +34,7 @@ def dataset_scene(dataset: ViewableDataset, episodes: Sequence[int]) -> Scene:
     )
 
 
-def labels_if_any(dataset: ViewableDataset, episode: int) -> EpisodeLabels | None:
+def labels_if_any(dataset: ReadableDataset, episode: int) -> EpisodeLabels | None:
     """An episode's labels; None where there are none."""
     try:
         return dataset.labels(episode)
@@ -68,7 +42,7 @@ def labels_if_any(dataset: ViewableDataset, episode: int) -> EpisodeLabels | Non
         return None
 
 
-def _tab(dataset: ViewableDataset, episode: int) -> Tab:
+def _tab(dataset: ReadableDataset, episode: int) -> Tab:
     root = f"/episode_{episode}"
     frames, labels = dataset.video(episode), labels_if_any(dataset, episode)
 
@@ -112,7 +86,7 @@ def _eye(labels: EpisodeLabels) -> rrb.EyeControls3D | None:
     return rrb.EyeControls3D(position=eye.position, look_target=eye.target, eye_up=eye.up)
 
 
-def _explanation(dataset: ViewableDataset, episode: int, frames: int, labels: EpisodeLabels | None) -> str:
+def _explanation(dataset: ReadableDataset, episode: int, frames: int, labels: EpisodeLabels | None) -> str:
     recipe, spec = dataset.recipe, dataset.spec
     seconds = frames * spec.step_ns / 1e9
     part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")

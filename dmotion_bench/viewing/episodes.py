@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from dmotion_bench.errors import UsageError
 from dmotion_bench.specs import SplitName
-from dmotion_bench.viewing.dataset import ViewableDataset
+from dmotion_bench.storage.readable import ReadableDataset
 
 FEW = 3
 """About 4 MB each of a run on Robot Push."""
 
 
-def choose_episodes(dataset: ViewableDataset, asked: Sequence[int], split: SplitName | None) -> list[int]:
+def choose_episodes(dataset: ReadableDataset, asked: Sequence[int], split: SplitName | None) -> list[int]:
     """The episodes asked for, each once, or the first few of the split, or of all.
 
     Raises:

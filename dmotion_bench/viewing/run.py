@@ -13,8 +13,9 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.samples import samples_of
 from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import EpisodeLabels
+from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.curves import read_curves, training_tab
-from dmotion_bench.viewing.dataset import ViewableDataset, labels_if_any
+from dmotion_bench.viewing.dataset import labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
 from dmotion_bench.viewing.labels import log_events, log_legend, plain, what_happens
 from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
@@ -41,7 +42,7 @@ TRUE_MOTION: Color = (255, 255, 255)
 
 
 def run_scene(
-    run: Run, dataset: ViewableDataset, episodes: Sequence[int], why: Mapping[int, str] | None = None
+    run: Run, dataset: ReadableDataset, episodes: Sequence[int], why: Mapping[int, str] | None = None
 ) -> Scene:
     """One tab an episode, one for the report if there is one, and one for the training.
 
@@ -67,7 +68,7 @@ def run_scene(
     )
 
 
-def _tab(run: Run, dataset: ViewableDataset, episode: int, note: str) -> Tab:
+def _tab(run: Run, dataset: ReadableDataset, episode: int, note: str) -> Tab:
     root, name = f"/episode_{episode}", f"Episode {episode}" + (f" ({note})" if note else "")
     labels = labels_if_any(dataset, episode)
     if not can_imagine(run.model, labels):
@@ -88,7 +89,7 @@ def _tab(run: Run, dataset: ViewableDataset, episode: int, note: str) -> Tab:
     return Tab(name=name, layout=_layout(name, root, dataset, seen), log=log)
 
 
-def _video_alone(run: Run, dataset: ViewableDataset, episode: int, name: str) -> Tab:
+def _video_alone(run: Run, dataset: ReadableDataset, episode: int, name: str) -> Tab:
     """The scene of a model that cannot predict the episodes, because their actions are unknown: the video alone."""
     root = f"/episode_{episode}"
     text = (
@@ -107,7 +108,7 @@ def _video_alone(run: Run, dataset: ViewableDataset, episode: int, name: str) ->
     return Tab(name=name, layout=rrb.Horizontal(camera, about, column_shares=[2.2, 1], name=name), log=log)
 
 
-def _layout(name: str, root: str, dataset: ViewableDataset, seen: Imagination) -> rrb.Container:
+def _layout(name: str, root: str, dataset: ReadableDataset, seen: Imagination) -> rrb.Container:
     width, height = dataset.spec.width, dataset.spec.height
 
     def picture(path: str, title: str) -> rrb.Spatial2DView:
@@ -205,7 +206,7 @@ def _log_maps(recording: rr.RecordingStream, root: str, seen: Imagination) -> No
         log_words(recording, f"{path}/names", middles, names)
 
 
-def _headline(run: Run, dataset: ViewableDataset, episode: int) -> str:
+def _headline(run: Run, dataset: ReadableDataset, episode: int) -> str:
     spec = run.spec
     part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
     elsewhere = dataset.fingerprint != spec.fingerprint
@@ -217,7 +218,7 @@ def _headline(run: Run, dataset: ViewableDataset, episode: int) -> str:
     )
 
 
-def _of_episode(run: Run, dataset: ViewableDataset, episode: int, seen: Imagination) -> str:
+def _of_episode(run: Run, dataset: ReadableDataset, episode: int, seen: Imagination) -> str:
     told = (
         "The actions of this recording are not known: the model is told the motion that it reads off the true frames"
         if seen.by_motion

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, SplitName
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, SplitName
+from dmotion_bench.storage.tables import EpisodeTable
 
 SIZE = 16
 LENGTHS = (6, 9, 3, 7, 5, 8, 6, 6, 4, 7)
@@ -29,6 +32,10 @@ class FramesInMemory:
 
 class DatasetInMemory:
     """Ten short episodes of noise with known actions; ``opened`` records whose labels were read."""
+
+    path, name, fingerprint = Path("noise"), "noise", "0" * 64
+    recipe = DatasetRecipe(environment="noise", episodes=len(LENGTHS), frames=max(LENGTHS))
+    rows = EpisodeTable.of([])
 
     def __init__(self) -> None:
         generator = np.random.default_rng(7)
@@ -54,6 +61,15 @@ class DatasetInMemory:
 
     def split(self, name: SplitName) -> np.ndarray:
         return {"train": np.arange(0, 7), "validation": np.array([7]), "test": np.array([8, 9])}[name]
+
+    def tasks(self) -> NoReturn:
+        raise AssertionError("learning asks for no tasks")
+
+    def video(self, episode: int) -> NoReturn:
+        raise AssertionError("learning reads frames from the cache")
+
+    def states(self, episode: int) -> NoReturn:
+        raise AssertionError("learning reads labels through the budget")
 
     def labels(self, episode: int) -> EpisodeLabels:
         self.opened.append(episode)

@@ -128,6 +128,12 @@ class Moving:
         self._noise = dataset
         self.spec = dataclasses.replace(dataset.spec, actions=MOVES)
 
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._noise, name)
+
+    def __len__(self) -> int:
+        return len(self._noise)
+
     def labels(self, episode: int) -> EpisodeLabels:
         labels = self._noise.labels(episode)
         steps = np.arange(len(labels.actions))

@@ -24,9 +24,9 @@ from dmotion_bench.recording.executor import (
     ATTEMPTS,
     Executor,
     JobQueue,
-    LocalExecutor,
-    make_executor,
 )
+from dmotion_bench.recording.executors import make_executor
+from dmotion_bench.recording.local_executor import LocalExecutor
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.recording.slurm_executor import SlurmExecutor
 from dmotion_bench.specs import DatasetRecipe

@@ -247,7 +247,8 @@ def score_run(
         true: tuple[str, ...] = ()
         if report is not None:
             settings = _with_stored(settings, report, metrics)
-            planning = _planning(run, dataset, settings)
+            planned = "control" in report.settings["metrics"]
+            planning = _planning(run, dataset, settings) if planned else {}  # asks the environment, which may be absent
             true = tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
             if not renew and set(metrics) <= set(true):
                 return report

@@ -123,6 +123,16 @@ class Work:
             self.done.append(what)
 
 
+def test_a_report_without_control_is_kept_where_the_environment_is_not_installed(
+    make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = make_run(tmp_path / "run")
+    first = score_run(run.path, settings=QUICK)
+    monkeypatch.setattr("dmotion_bench.registry.entry_points", lambda **_: [])
+
+    assert score_run(run.path, settings=QUICK) == first
+
+
 def test_what_is_up_to_date_is_kept_and_what_is_not_is_scored_again(make_run: MakeRun, tmp_path: Path) -> None:
     path = make_run(tmp_path / "run").path
 

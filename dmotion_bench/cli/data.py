@@ -121,7 +121,7 @@ def repair(
     as_json: AsJson = False,
 ) -> None:
     """Repair a data set: record damaged files again, or keep what can be read where that is not possible."""
-    from dmotion_bench.recording.local_executor import local_executor
+    from dmotion_bench.execution.local_executor import local_executor
     from dmotion_bench.recording.restore import repair_dataset
     from dmotion_bench.workspace import Workspace
 

@@ -35,9 +35,9 @@ def demo(
     from dmotion_bench.cli.score import score_runs
     from dmotion_bench.cli.train import train_run
     from dmotion_bench.cli.view import scene_of
+    from dmotion_bench.execution.executors import make_executor
+    from dmotion_bench.execution.local_executor import available_workers
     from dmotion_bench.learning.start import TrainingRequest, open_run
-    from dmotion_bench.recording.executors import make_executor
-    from dmotion_bench.recording.local_executor import available_workers
     from dmotion_bench.recording.preset import recipe_for
     from dmotion_bench.scoring.score import ScoreSettings
     from dmotion_bench.specs import Preset

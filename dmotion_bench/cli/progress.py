@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 from rich.progress import (
@@ -20,6 +20,9 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+
+if TYPE_CHECKING:
+    from dmotion_bench.execution.job_progress import JobProgress
 
 QUIET: Final = "DMBENCH_QUIET"
 """Where this environment variable is set, no line of progress is written to a file or a pipe."""
@@ -54,7 +57,24 @@ class ProgressDisplay:
         )
         self._clock, self._lines = clock, not (terminal or os.environ.get(QUIET))
         self._began: dict[TaskID, tuple[float, float]] = {}  # when, and how much was done already
+        self._jobs: dict[str, TaskID] = {}
         self._due = clock() + FIRST_SECONDS
+
+    def show_jobs(self, task: TaskID, jobs: Mapping[str, JobProgress]) -> None:
+        """Say how far the jobs of an executor are: a bar each on a terminal, their shares beside ``task`` elsewhere.
+
+        Args:
+            task: All of them together.
+            jobs: Those that are running, by their names.
+        """
+        for name in set(self._jobs) - set(jobs):
+            self._bar.remove_task(self._jobs.pop(name))
+        for name, job in jobs.items():
+            if name not in self._jobs:
+                self._jobs[name] = self._bar.add_task(job.what, total=job.total, status=job.status)
+            shown = {"description": job.what, "completed": job.done, "total": job.total, "status": job.status}
+            self._bar.update(self._jobs[name], **shown)
+        self.update(task, status="; ".join(f"{job.what} {_share(job)}" for job in jobs.values()))
 
     def add_task(self, description: str, *, total: float | None = None, status: str = "") -> TaskID:
         """A piece of work.
@@ -106,6 +126,10 @@ class ProgressDisplay:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bar.stop()
+
+
+def _share(job: JobProgress) -> str:
+    return f"{job.done / job.total:.0%}" if job.total else f"{job.done:,.0f}"
 
 
 def progress_bar() -> ProgressDisplay:

@@ -16,7 +16,7 @@ from dmotion_bench.specs import Preset
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
-    from dmotion_bench.recording.executor import Executor
+    from dmotion_bench.execution.executor import Executor
     from dmotion_bench.recording.session import Recorded
     from dmotion_bench.specs import DatasetRecipe
     from dmotion_bench.viewing.follow import Follower
@@ -107,8 +107,8 @@ def record(
     as_json: AsJson = False,
 ) -> None:
     """Record a data set. Run the same command again to continue an interrupted recording."""
-    from dmotion_bench.recording.executors import make_executor
-    from dmotion_bench.recording.local_executor import available_workers
+    from dmotion_bench.execution.executors import make_executor
+    from dmotion_bench.execution.local_executor import available_workers
     from dmotion_bench.recording.preset import recipe_for
     from dmotion_bench.storage.shard import shard_count
     from dmotion_bench.workspace import Workspace

@@ -157,9 +157,9 @@ def score_runs(
 
     from dmotion_bench.cli.progress import note, progress_bar
     from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
+    from dmotion_bench.execution.local_executor import available_workers
     from dmotion_bench.learning.run import Run
     from dmotion_bench.learning.threads import scoring_shortage
-    from dmotion_bench.recording.local_executor import available_workers
     from dmotion_bench.scoring.prediction import Execution
     from dmotion_bench.scoring.score import ReferenceScores, score_run
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from dmotion_bench.cli.cache import CacheFolder, use_cache
+from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import DEVICES, AsJson, Device, listed, require_one_of
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
@@ -18,8 +21,15 @@ from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.learning.run import Conditions
+    from dmotion_bench.learning.start import TrainingRequest
+    from dmotion_bench.learning.table import Outcome, Row
     from dmotion_bench.viewing.follow import Follower
     from dmotion_bench.workspace import Workspace
+
+
+_GIGABYTES: Final = 2.0  # that a training takes beside others
+_CLUSTER_GIGABYTES: Final = 16
+_CLUSTER_MINUTES: Final = 24 * 60
 
 
 def register(app: typer.Typer) -> None:
@@ -94,6 +104,8 @@ def train(
         ),
     ] = None,
     device: Device = "auto",
+    workers: Workers = None,
+    executor: ExecutorName = None,
     cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
@@ -113,8 +125,14 @@ def train(
         own |= {"--live": live, "--live-to": live_to}
         if extra := [name for name, value in own.items() if value]:
             raise UsageError(f"--all chooses these for every model; leave out {' and '.join(extra)}.")
-        _train_all(workspace, data, preset, seed, split, threads, device, as_json)
+        from dmotion_bench.learning.start import TrainingRequest
+
+        asked = TrainingRequest(
+            model="", preset=preset, seed=seed, protocol="paper" if split == "paper" else "episode", threads=threads
+        )
+        _train_all(asked, workspace, data, workers, executor, device, as_json)
         return
+    require_all("train", workers, executor)
     if model is None:
         raise UsageError(
             "no model is named; name one ('dmbench list models' lists them), or give --all to train every model."
@@ -202,37 +220,41 @@ def _conditions(conditions: Conditions) -> str:
 
 
 def _train_all(
+    request: TrainingRequest,
     workspace: Workspace,
     data: Path | None,
-    preset: Preset | None,
-    seed: int,
-    split: str,
-    threads: int | None,
+    workers: int | None,
+    executor: str | None,
     device: str,
     as_json: bool,
 ) -> None:
     """Train every model with each of its budgets; raises an error at the end if one of them failed."""
     from dmotion_bench.cli.progress import duration
     from dmotion_bench.errors import RunError
-    from dmotion_bench.learning.start import TrainingRequest
+    from dmotion_bench.learning.table import rows as rows_of
     from dmotion_bench.learning.table import train_table
     from dmotion_bench.storage.dataset import Dataset
 
-    protocol: Literal["paper", "episode"] = "paper" if split == "paper" else "episode"
-    request = TrainingRequest(model="", preset=preset, seed=seed, protocol=protocol, threads=threads)
     dataset = Dataset.open(workspace.dataset(data))
-    rows: list[dict[str, Any]] = []
-    for outcome in train_table(request, dataset, workspace, lambda run: train_run(run, dataset, device)):
+    wanted = list(rows_of(dataset))
+    at_once = workers or _trainings_at_once(device, executor, len({row.model for row in wanted}))
+    if executor in (None, "local") and at_once == 1:
+        outcomes = train_table(request, dataset, workspace, lambda run: train_run(run, dataset, device))
+    else:
+        outcomes = _beside_each_other(request, dataset, workspace, executor or "local", at_once, device)
+    told: dict[Row, dict[str, Any]] = {}
+    for outcome in outcomes:
         row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels, "error": outcome.error}
         if outcome.run is not None:
             row["run"] = str(outcome.run.path)
             result = outcome.run.result or {}
             row |= {name: result[name] for name in ("steps", "triplets_per_s", "seconds") if name in result}
             row["labels"] = result.get("labels_total")
-        rows.append(row)
+        told[outcome.row] = row
         if not as_json:
             done = outcome.error or f"{duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
             typer.echo(f"{row['model']:16s} {row['budget']:9s} {done}")
+    rows = [told[row] for row in wanted]
     if as_json:
         typer.echo(json.dumps({"rows": rows}))
     if failed := [row["model"] for row in rows if row["error"]]:
@@ -244,31 +266,58 @@ def _train_all(
         typer.echo("Score them with 'dmbench score --all'.")
 
 
+def _trainings_at_once(device: str, executor: str | None, models: int) -> int | None:
+    """How many trainings beside each other pay: of one thread each, as many as there are processors and memory for."""
+    import torch
+
+    from dmotion_bench.execution.local_executor import available_workers
+
+    if executor not in (None, "local"):
+        return None
+    if device == "cuda" or (device == "auto" and torch.cuda.is_available()) or "WORLD_SIZE" in os.environ:
+        return 1
+    return min(available_workers(_GIGABYTES), models)
+
+
+def _beside_each_other(
+    request: TrainingRequest, dataset: Any, workspace: Workspace, executor: str, workers: int | None, device: str
+) -> Generator[Outcome]:
+    """Train the table by an executor, and show how far all of its jobs are."""
+    from dmotion_bench.cli.jobs import jobs_folder
+    from dmotion_bench.cli.progress import progress_bar
+    from dmotion_bench.execution.executor import JobSize
+    from dmotion_bench.execution.executors import make_executor
+    from dmotion_bench.execution.job_progress import watching
+    from dmotion_bench.learning.table import rows, train_side_by_side
+
+    dataset.cache()  # once, and not by every job
+    threads, total = request.threads or 1, len(list(rows(dataset)))
+    size = JobSize(processors=threads, gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
+    with jobs_folder(workspace) as folder, progress_bar() as bar:
+        hands = make_executor(executor, workers, scratch=folder / executor, size=size)
+        task = bar.add_task(f"training {dataset.name}", total=total, status="")
+        bar.update(task, completed=0)
+        outcomes = train_side_by_side(
+            request, dataset, workspace, hands, threads=threads, device=device, progress=folder
+        )
+        with watching(folder, lambda jobs: bar.show_jobs(task, jobs)), contextlib.closing(outcomes):
+            for done, outcome in enumerate(outcomes, start=1):
+                bar.update(task, completed=done)
+                yield outcome
+
+
 def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], None] = lambda: None) -> dict[str, Any]:
     """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step."""
     from dmotion_bench.cli.progress import note, progress_bar
-    from dmotion_bench.errors import RunCorrupt, RunMissing
+    from dmotion_bench.execution.local_executor import available_workers
+    from dmotion_bench.learning.beginning import finished_result
     from dmotion_bench.learning.devices import launch
     from dmotion_bench.learning.start import training_data
     from dmotion_bench.learning.threads import shortage
     from dmotion_bench.learning.training import Report, train
-    from dmotion_bench.learning.twins import take_over
-    from dmotion_bench.recording.local_executor import available_workers
 
-    if run.result is not None:
-        try:
-            run.weights()
-        except (RunMissing, RunCorrupt) as error:
-            note(f"{error}\ntraining {run.path} anew.")
-            run.begin_anew()
-        else:
-            note(f"{run.path} is already trained; here is its result.")
-            finished: dict[str, Any] = run.result
-            return finished
-    if (twin := take_over(run)) is not None:
-        note(f"using the training of {twin.path}, which differs only in its labels.")
-    elif run.last.exists():
-        note(f"going on with {run.path}.")
+    if (finished := finished_result(run, note)) is not None:
+        return finished
     if (told := shortage(run.threads or 1, available_workers())) is not None:
         typer.echo(told, err=True)
     fabric = launch(device)

@@ -2,21 +2,33 @@
 
 Rows are independent. A row that is trained already is taken as it is, one that was interrupted goes on, one that fails
 is noted with its sentence, and the next is trained.
+
+Several models can be trained beside each other, by an executor. The rows of one model stay one job, in their order:
+they share the training that needs no labels (``twins.py``).
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+import torch
 
 from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import DmbenchError, StorageFull
+from dmotion_bench.execution.executor import Executor
+from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.learning.beginning import finished_result
+from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run
+from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training import Report, train
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
@@ -80,7 +92,11 @@ def rows(dataset: Dataset) -> Iterator[Row]:
 
 
 def train_table(
-    request: TrainingRequest, dataset: Dataset, workspace: Workspace, train: Callable[[Run], object]
+    request: TrainingRequest,
+    dataset: Dataset,
+    workspace: Workspace,
+    train: Callable[[Run], object],
+    chosen: Iterable[Row] | None = None,
 ) -> Iterator[Outcome]:
     """Train every row in turn.
 
@@ -89,8 +105,9 @@ def train_table(
         dataset: What all learn from.
         workspace: Where the runs are.
         train: Trains one run to its end.
+        chosen: Which rows; all by default.
     """
-    for row in rows(dataset):
+    for row in rows(dataset) if chosen is None else chosen:
         run = None
         try:
             wanted = dataclasses.replace(request, model=row.model, labels=row.labels or None)
@@ -103,3 +120,89 @@ def train_table(
             yield Outcome(row=row, run=run, error=str(error) if told else f"{type(error).__name__}: {error}")
         else:
             yield Outcome(row=row, run=run)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableJob:
+    """The rows of one model, as plain values, so that they can be sent anywhere.
+
+    Attributes:
+        request, rows: See ``train_table``.
+        dataset, workspace: Their folders.
+        device: Where it computes.
+        threads: That a run computes with for which nobody asked for another number.
+        progress: The file in which it says how far it is; None: nowhere.
+    """
+
+    request: TrainingRequest
+    rows: tuple[Row, ...]
+    dataset: Path
+    workspace: Path
+    device: str
+    threads: int
+    progress: Path | None
+
+
+def train_rows(job: TableJob) -> list[tuple[Row, Path | None, str | None]]:
+    """Train the rows of one model in the present process: of each its run's folder, and why it failed if it did."""
+    torch.set_num_threads(job.threads)
+    dataset, told = Dataset.open(job.dataset), ProgressFile(job.progress)
+
+    def complete(run: Run) -> None:
+        if finished_result(run) is None:
+            train(run, training_data(run, dataset), launch(job.device), lambda report: told.tell(_said(run, report)))
+
+    try:
+        outcomes = list(train_table(job.request, dataset, Workspace(job.workspace), complete, job.rows))
+    finally:
+        told.end()
+    return [(one.row, one.run.path if one.run is not None else None, one.error) for one in outcomes]
+
+
+def train_side_by_side(
+    request: TrainingRequest,
+    dataset: Dataset,
+    workspace: Workspace,
+    executor: Executor,
+    *,
+    threads: int = 1,
+    device: str = "auto",
+    progress: Path | None = None,
+) -> Iterator[Outcome]:
+    """Train every row, several models at a time; the outcomes come as they are ready.
+
+    A run's weights are those of ``train_table`` with as many threads.
+
+    Args:
+        request, dataset, workspace: See ``train_table``.
+        executor: Runs the jobs; all its machines see the data set and the workspace under the same paths.
+        threads: That each training computes with.
+        device: Where.
+        progress: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
+    """
+    jobs = [
+        TableJob(
+            request=request,
+            rows=tuple(own),
+            dataset=dataset.path.absolute(),
+            workspace=workspace.root.absolute(),
+            device=device,
+            threads=threads,
+            progress=None if progress is None else progress / f"{model}.json",
+        )
+        for model, own in itertools.groupby(rows(dataset), key=lambda row: row.model)
+    ]
+    results = executor.map_unordered(train_rows, jobs)
+    with contextlib.closing(results):  # type: ignore[type-var]
+        for found in results:
+            for row, path, error in found:
+                yield Outcome(row=row, run=None if path is None else Run.open(path), error=error)
+
+
+def _said(run: Run, report: Report) -> JobProgress:
+    return JobProgress(
+        what=f"{run.spec.model} {run.spec.labels}",
+        done=report.step,
+        total=report.steps,
+        status=f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s",
+    )

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Literal
 
 from dmotion_bench.errors import PackageNotInstalled, UsageError
-from dmotion_bench.recording.executor import Executor
-from dmotion_bench.recording.local_executor import SerialExecutor
+from dmotion_bench.execution.executor import Executor
+from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.session import ShardJob, environment_facts, record_shard
 from dmotion_bench.registry import environment_names
 from dmotion_bench.storage.atomic import sync_folder

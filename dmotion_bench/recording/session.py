@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from dmotion_bench.recording.executor import Executor
-from dmotion_bench.recording.local_executor import SerialExecutor
+from dmotion_bench.execution.executor import Executor
+from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.rollout import find_policy, make_environment, record_episodes
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec

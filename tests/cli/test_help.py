@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from dmotion_bench.cli import options
 from dmotion_bench.cli.app import app, register_commands
 from dmotion_bench.errors import UnknownName
-from dmotion_bench.recording.executors import make_executor
+from dmotion_bench.execution.executors import make_executor
 
 GOLDEN = Path(__file__).parent / "help.txt"
 

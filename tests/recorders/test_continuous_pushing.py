@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from dmotion_bench.actions import Continuous
 from dmotion_bench.environment import Restorable
 from dmotion_bench.errors import InvalidSetting, UnknownName
-from dmotion_bench.recording.executors import make_executor
+from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.recording.rollout import record_episode
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe, Episode

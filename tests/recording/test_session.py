@@ -16,8 +16,8 @@ import pytest
 from noise_world import files_of
 
 from dmotion_bench.errors import DmbenchError, InvalidSetting, UnknownName
-from dmotion_bench.recording.executors import make_executor
-from dmotion_bench.recording.local_executor import LocalExecutor, SerialExecutor
+from dmotion_bench.execution.executors import make_executor
+from dmotion_bench.execution.local_executor import LocalExecutor, SerialExecutor
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import Progress, environment_facts, record_dataset
 from dmotion_bench.specs import DatasetRecipe, Preset
@@ -39,7 +39,7 @@ VARIED = DatasetRecipe(
 RECORD = """
 import json, sys
 from pathlib import Path
-from dmotion_bench.recording.local_executor import local_executor
+from dmotion_bench.execution.local_executor import local_executor
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe
 

@@ -10,7 +10,7 @@ import pytest
 from noise_world import files_of
 
 from dmotion_bench.errors import InvalidSetting, UnknownName
-from dmotion_bench.recording.local_executor import LocalExecutor
+from dmotion_bench.execution.local_executor import LocalExecutor
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.recording.session import environment_facts, record_dataset

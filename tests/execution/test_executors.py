@@ -19,16 +19,16 @@ from pretend_slurm import install_slurm
 
 from dmotion_bench import errors
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled, UnknownName
-from dmotion_bench.recording import session
-from dmotion_bench.recording.executor import (
+from dmotion_bench.execution.executor import (
     ATTEMPTS,
     Executor,
     JobQueue,
 )
-from dmotion_bench.recording.executors import make_executor
-from dmotion_bench.recording.local_executor import LocalExecutor
+from dmotion_bench.execution.executors import make_executor
+from dmotion_bench.execution.local_executor import LocalExecutor
+from dmotion_bench.execution.slurm_executor import SlurmExecutor
+from dmotion_bench.recording import session
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.recording.slurm_executor import SlurmExecutor
 from dmotion_bench.specs import DatasetRecipe
 
 pytestmark = pytest.mark.slow
@@ -64,7 +64,7 @@ def test_a_killed_process_costs_nothing_but_time(
 
 
 def test_a_shard_that_kills_every_worker_is_given_up() -> None:
-    with pytest.raises(DmbenchError, match=rf"killed at the same shard {ATTEMPTS} times.*run the same command again"):
+    with pytest.raises(DmbenchError, match=rf"killed at the same job {ATTEMPTS} times.*run the same command again"):
         list(LocalExecutor(2).map_unordered(dies_at_one, [1, 2]))
 
 
@@ -126,7 +126,7 @@ def test_submitits_jobs_make_the_same_bytes_although_one_is_killed(
 @needs_submitit
 def test_submitits_jobs_are_given_up_after_so_many_deaths(tmp_path: Path) -> None:
     executor = SlurmExecutor(1, tmp_path / "jobs", cluster="local")
-    with pytest.raises(DmbenchError, match=f"a job of Slurm was killed at the same shard {ATTEMPTS} times"):
+    with pytest.raises(DmbenchError, match=f"a job of Slurm was killed at the same job {ATTEMPTS} times"):
         list(executor.map_unordered(dies_at_one, [1]))
     assert (tmp_path / "jobs").exists()  # with the logs
 
@@ -186,7 +186,7 @@ from pathlib import Path
 from mortal_workers import LeavesTraces, RecordsAndDiesOnce, dies_at_one, raises_at_one
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.recording import session
-from dmotion_bench.recording.ray_executor import RayExecutor
+from dmotion_bench.execution.ray_executor import RayExecutor
 from dmotion_bench.specs import DatasetRecipe
 
 folder, recipe = Path(sys.argv[1]), DatasetRecipe(**json.loads(sys.argv[2]))
@@ -224,7 +224,7 @@ def test_ray_makes_the_same_bytes_although_one_is_killed(tmp_path: Path, at_once
     said = json.loads((tmp_path / "said.json").read_text())
     kind, sentence = said["dies_at_one"]
     assert kind == "DmbenchError"
-    assert f"a worker of Ray was killed at the same shard {ATTEMPTS} times" in sentence
+    assert f"a worker of Ray was killed at the same job {ATTEMPTS} times" in sentence
     assert said["raises_at_one"][0] == "UnknownName"
     assert "no shape named 'teapot'" in said["raises_at_one"][1]
     assert said["first"] == 0

@@ -1,8 +1,7 @@
-"""Shards made by Slurm, one a task of a job array, through submitit.
+"""Jobs run by Slurm, one a task of a job array, through submitit.
 
 Which partition, account and time limit: in the variables that ``sbatch`` itself reads (``SBATCH_PARTITION``,
-``SBATCH_ACCOUNT``, ``SBATCH_TIMELIMIT``). Each machine needs dmbench installed and the data set's folder under the
-same path.
+``SBATCH_ACCOUNT``, ``SBATCH_TIMELIMIT``). Each machine needs dmbench installed and the workspace under the same path.
 """
 
 from __future__ import annotations
@@ -15,10 +14,9 @@ from pathlib import Path
 from typing import Any, Final, Generic, Literal
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
-from dmotion_bench.recording.executor import Job, JobQueue, Result
+from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result
 
 _ARRAY: Final = 1000  # tasks in a job array that every Slurm allows
-_MINUTES: Final = 60  # a shard's, where SBATCH_TIMELIMIT says nothing else
 _LOOK_AGAIN: Final = {"slurm": 2.0, "local": 0.05}  # [s]
 _PATIENCE: Final = {"slurm": 15.0, "local": 0.0}  # [s] for a shared folder to show what a job that has ended wrote
 _GOODBYE: Final = 10.0  # [s] for cancelled processes on this machine to end
@@ -31,13 +29,20 @@ class SlurmExecutor:
         workers: How many tasks at a time; None: as many as Slurm lets run, or one on this machine.
         folder: For submitit's files; all machines see it. It is deleted at the end, unless jobs failed.
         cluster: ``"local"`` is for trying it out where there is no Slurm.
+        size: What is asked for, for each job.
 
     Raises:
         PackageNotInstalled: There is no submitit here.
         DmbenchError: There is no Slurm here.
     """
 
-    def __init__(self, workers: int | None, folder: Path, cluster: Literal["slurm", "local"] = "slurm") -> None:
+    def __init__(
+        self,
+        workers: int | None,
+        folder: Path,
+        cluster: Literal["slurm", "local"] = "slurm",
+        size: JobSize | None = None,
+    ) -> None:
         try:
             import submitit
         except ImportError as error:
@@ -45,10 +50,11 @@ class SlurmExecutor:
         if cluster == "slurm" and not all(map(shutil.which, ("sbatch", "srun", "sacct"))):
             raise DmbenchError(
                 "there is no Slurm here: 'sbatch', 'srun' and 'sacct' are not on the path; run this on a login node, "
-                "or record on this machine with '--executor local'."
+                "or use this machine with '--executor local'."
             )
         self._submitit: Any = submitit
         self._workers, self._folder, self._cluster = workers, folder.absolute(), cluster
+        self._size = size or JobSize()
 
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
         """The results, as they are ready."""
@@ -83,7 +89,10 @@ class SlurmExecutor:
 
     def _executor(self) -> Any:
         executor = self._submitit.AutoExecutor(folder=str(self._folder / "%j"), cluster=self._cluster)
-        executor.update_parameters(name="dmbench", timeout_min=_MINUTES, cpus_per_task=1, mem_gb=2)
+        size = self._size
+        executor.update_parameters(
+            name="dmbench", timeout_min=size.minutes, cpus_per_task=size.processors, mem_gb=size.gigabytes
+        )
         if self._workers:
             executor.update_parameters(slurm_array_parallelism=self._workers)
         return executor

@@ -1,14 +1,15 @@
-"""The contract of executors, which make the shards of a recording, and the queue that some of them share.
+"""The contract of executors, which run jobs of any kind, and the queue that some of them share.
 
-A job is a shard, given by plain values, and its result is a receipt: whoever runs it needs nothing but the
-recipe and a folder that all machines share. A shard appears whole or not at all and is the same whoever makes it,
-so one whose worker was killed is simply made again, ``ATTEMPTS`` times in all. ``executors`` makes them by name.
+A job is plain values and its result a receipt: whoever runs it needs nothing but these values and a folder that all
+machines share. What a job leaves there is the same whoever runs it, and a job that was interrupted can be run again:
+so one whose worker was killed is simply run again, ``ATTEMPTS`` times in all. ``executors`` makes them by name.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
 from dmotion_bench.errors import DmbenchError
@@ -16,6 +17,21 @@ from dmotion_bench.errors import DmbenchError
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 ATTEMPTS: Final = 3  # at one job, before its killed workers are no accident
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobSize:
+    """What a cluster is asked for, for each job.
+
+    Attributes:
+        processors: How many.
+        gigabytes: Of memory.
+        minutes: After which a job may be ended; Slurm's own variable ``SBATCH_TIMELIMIT`` comes before it.
+    """
+
+    processors: int = 1
+    gigabytes: int = 2
+    minutes: int = 60
 
 
 @runtime_checkable
@@ -33,7 +49,7 @@ class Executor(Protocol):
 def killed_too_often(who: str) -> DmbenchError:
     """The error for a job whose worker was killed ``ATTEMPTS`` times."""
     return DmbenchError(
-        f"{who} was killed at the same shard {ATTEMPTS} times, perhaps for want of memory; run the same command again, "
+        f"{who} was killed at the same job {ATTEMPTS} times, perhaps for want of memory; run the same command again, "
         "with fewer '--workers': it goes on where it stopped."
     )
 

@@ -1,7 +1,7 @@
-"""Shards made by Ray: on this machine, or on the cluster that ``RAY_ADDRESS`` or ``ray.init`` names.
+"""Jobs run by Ray: on this machine, or on the cluster that ``RAY_ADDRESS`` or ``ray.init`` names.
 
 Ray starts a killed worker's task anew by itself; that is bounded here. Each machine needs dmbench installed and
-the data set's folder under the same path.
+the workspace under the same path.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
-from dmotion_bench.recording.executor import ATTEMPTS, Job, Result, killed_too_often
-from dmotion_bench.recording.local_executor import available_workers
+from dmotion_bench.execution.executor import ATTEMPTS, Job, JobSize, Result, killed_too_often
+from dmotion_bench.execution.local_executor import available_workers
 
 _USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
 _MORE_MACHINES: Final = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
@@ -25,16 +25,17 @@ _KNOCK: Final = 10.0  # [s]
 
 
 class RayExecutor:
-    """Ray's workers, one processor each. Ray is started where it does not run, and then stopped at the end.
+    """Ray's workers. Ray is started where it does not run, and then stopped at the end.
 
     Args:
-        workers: How many at a time; None: as many as there are processors.
+        workers: How many at a time; None: as many as there are processors for.
+        size: What is asked for, for each job; of it, Ray is told the processors.
 
     Raises:
         PackageNotInstalled: There is no Ray here.
     """
 
-    def __init__(self, workers: int | None = None) -> None:
+    def __init__(self, workers: int | None = None, size: JobSize | None = None) -> None:
         os.environ.setdefault(_USAGE_STATISTICS, "0")  # Ray would report to its makers; read when it is imported
         if "RAY_ADDRESS" not in os.environ:
             os.environ.setdefault(_MORE_MACHINES, "0")
@@ -43,7 +44,7 @@ class RayExecutor:
         except ImportError as error:
             raise PackageNotInstalled("ray", "--executor ray", "pip install 'dmbench[ray]'") from error
         self._ray: Any = ray
-        self._workers = workers
+        self._workers, self._each = workers, (size or JobSize()).processors
 
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
         """The results, as they are ready."""
@@ -53,12 +54,12 @@ class RayExecutor:
         try:
             if ours:
                 self._start()
-            limit = self._workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
+            limit = self._workers or max(1, int(ray.cluster_resources().get("CPU", 1)) // self._each)
 
             def run(job: Job) -> Result:  # Ray takes functions, not whatever can be called
                 return function(job)
 
-            task = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(run)
+            task = ray.remote(num_cpus=self._each, max_retries=ATTEMPTS - 1)(run)
             waiting = iter(jobs)
             while True:
                 for job in waiting:
@@ -98,7 +99,8 @@ class RayExecutor:
                     "'ray start --head', or take the variable away to use this machine's processors."
                 ) from None
             return
-        self._ray.init(num_cpus=self._workers or available_workers(), include_dashboard=False, **quiet)
+        processors = self._workers * self._each if self._workers else available_workers()
+        self._ray.init(num_cpus=processors, include_dashboard=False, **quiet)
 
 
 def _knock(address: str) -> None:

@@ -1,0 +1,1 @@
+"""Jobs on this machine, on Ray or on Slurm: what a job is, and who runs it. Nothing about recording or training."""

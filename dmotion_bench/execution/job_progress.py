@@ -1,0 +1,86 @@
+"""How far the jobs of an executor are: each says so in a small file of a folder that all machines share."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+from dmotion_bench.storage.atomic import write_atomically
+
+SECONDS: Final = 0.5
+"""Between two looks at the files, and between two writes of one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobProgress:
+    """How far a job is.
+
+    Attributes:
+        what: What it does now.
+        done, total: So much of so much; None where the end is not known.
+        status: Free text beside it.
+    """
+
+    what: str
+    done: float
+    total: float | None
+    status: str = ""
+
+
+class ProgressFile:
+    """Where one job says how far it is; a file that cannot be written costs nothing but the progress.
+
+    Args:
+        path: Of the file; None: nobody wants to know.
+        clock: Gives the time in seconds.
+    """
+
+    def __init__(self, path: Path | None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._path, self._clock, self._due = path, clock, clock()
+
+    def tell(self, progress: JobProgress) -> None:
+        """Write it, unless something was written a moment ago."""
+        if self._path is None or self._clock() < self._due:
+            return
+        self._due = self._clock() + SECONDS
+        with contextlib.suppress(OSError):
+            write_atomically(self._path, json.dumps(asdict(progress)).encode(), make_folders=False)
+
+    def end(self) -> None:
+        """The job is over."""
+        if self._path is not None:
+            with contextlib.suppress(OSError):
+                self._path.unlink(missing_ok=True)
+
+
+def read_progress(folder: Path) -> Mapping[str, JobProgress]:
+    """What every running job says, by the name of its file."""
+    found: dict[str, JobProgress] = {}
+    for path in sorted(folder.glob("*.json")):
+        with contextlib.suppress(OSError, ValueError, TypeError):  # just written anew, or its job has just ended
+            found[path.stem] = JobProgress(**json.loads(path.read_bytes()))
+    return found
+
+
+@contextlib.contextmanager
+def watching(folder: Path, show: Callable[[Mapping[str, JobProgress]], None]) -> Iterator[None]:
+    """Within the block ``show`` is told, now and then and by another thread, what every running job says."""
+    over = threading.Event()
+
+    def look() -> None:
+        while not over.wait(SECONDS):
+            show(read_progress(folder))
+
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()

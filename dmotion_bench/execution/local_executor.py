@@ -1,0 +1,120 @@
+"""Jobs run on this machine: in this process, or in several beside each other."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Final
+
+from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result
+
+
+class SerialExecutor:
+    """Runs the jobs in this process, one after the other."""
+
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+        """The results, in the order of the jobs."""
+        yield from map(function, jobs)
+
+
+class LocalExecutor:
+    """Processes on this machine; they end with their parent, however it ends.
+
+    Each is a pool of its own: a process that is killed costs the job that it was at, and no other.
+
+    Args:
+        workers: How many processes.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+        """The results, as they are ready."""
+        queue = JobQueue(jobs, "a worker process")
+        idle: list[ProcessPoolExecutor | None] = [None] * self._workers  # None: not started yet, or killed
+        running: dict[Future[Result], tuple[ProcessPoolExecutor, int, Job]] = {}
+        finished = False
+        try:
+            while True:
+                while idle and (numbered := queue.next()) is not None:
+                    pool = idle.pop() or _process()
+                    try:
+                        running[pool.submit(function, numbered[1])] = (pool, *numbered)
+                    except BrokenProcessPool:  # killed while it waited
+                        idle.append(None)
+                        queue.lost(*numbered)
+                if not running:
+                    break
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    pool, number, job = running.pop(future)
+                    if isinstance(future.exception(), BrokenProcessPool):
+                        pool.shutdown()
+                        idle.append(None)
+                        queue.lost(number, job)
+                    else:
+                        idle.append(pool)
+                        yield future.result()
+            finished = True
+        finally:
+            pools = [*(pool for pool, _, _ in running.values()), *(pool for pool in idle if pool is not None)]
+            for pool in pools:
+                if not finished:
+                    _stop(pool)
+                pool.shutdown(wait=False, cancel_futures=True)
+            for pool in pools:
+                pool.shutdown()
+
+
+def _process() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_become_worker, initargs=(os.getpid(),))
+
+
+def _stop(pool: ProcessPoolExecutor) -> None:
+    """Stop a worker at once; files that it has not renamed yet are lost without harm."""
+    for process in list((pool._processes or {}).values()):
+        process.terminate()
+
+
+_LOOK_AGAIN: Final = 0.5  # [s]
+
+
+def _become_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, and end when it is gone: a killed parent cannot say so itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK_AGAIN)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def local_executor(workers: int) -> Executor:
+    """An executor with one process or several."""
+    return SerialExecutor() if workers <= 1 else LocalExecutor(workers)
+
+
+def available_workers(gigabytes: float = 0.0) -> int:
+    """How many processes this machine has processors for, and memory that nobody uses, if each takes so much of it."""
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    free = _free_gigabytes() if gigabytes else None
+    return processors if free is None else max(1, min(processors, int(free / gigabytes)))
+
+
+def _free_gigabytes() -> float | None:
+    """Memory that could be had without swapping; None where the system does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        kilobytes = next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, ValueError, StopIteration):
+        return None
+    return kilobytes / 2**20

@@ -100,7 +100,8 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._size, self._repeat = frame_size, action_repeat
         self._inner = self._made(max_episode_steps, wrappers, settings)
         self._require_pictures()
-        actions = action_spec(self.name, self._inner)
+        with quiet():
+            actions = action_spec(self.name, self._inner)
         fps = self._inner.metadata.get("render_fps")
         fps = float(fps) if isinstance(fps, int | float) and fps > 0 else _USUAL_FPS
         self.facts = EnvSpec(

@@ -129,6 +129,42 @@ class EpisodeLabels:
     factors: Mapping[str, Scalar] = field(default_factory=dict)
 
 
+UNPLACED_AGENT = ObjectSpec(name="agent", shape="unknown", color=(0, 0, 0))
+"""The agent where nothing says where it is: in imported recordings and in environments of the tier ``pixels``."""
+
+
+def unplaced_labels(
+    actions: Int[np.ndarray, "t-1"] | Float[np.ndarray, "t-1 a"],
+    shape: tuple[int, ...],
+    factors: Mapping[str, Scalar] | None = None,
+) -> EpisodeLabels:
+    """Labels with actions alone: no objects, an agent at an unknown place, and masks that show nothing.
+
+    Args:
+        actions: Of the episode.
+        shape: Frames, rows and columns of its video.
+        factors: Its factors of variation.
+    """
+    return EpisodeLabels(
+        actions=actions,
+        pushed=np.zeros(len(actions), bool),
+        agent=nowhere(shape[0], 1),
+        objects=nowhere(shape[0], 0),
+        masks=np.zeros(shape, np.uint8),
+        factors=factors or {},
+    )
+
+
+def nowhere(t: int, k: int) -> ObjectStates:
+    """States of ``k`` things over ``t`` frames that say nothing."""
+    return ObjectStates(
+        position=np.full((t, k, 3), np.nan),
+        orientation=np.full((t, k, 4), np.nan),
+        pixel=np.full((t, k, 2), np.nan),
+        visible=np.zeros((t, k)),
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Episode:
     """One recorded episode: the video, its labels, and how it came about.

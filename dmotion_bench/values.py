@@ -1,4 +1,7 @@
-"""Values from the text of a command line, each parsed as the type of its field, without guessing."""
+"""Values from the text of a command line, each parsed as the type of its field, without guessing.
+
+Only where nobody says the type (``Any``) is it the first that the text can be: none, truth, a number, a word.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,8 @@ def parse_value(key: str, text: str, wanted: Any) -> Any:
     Raises:
         InvalidSetting: It is not of the type ``wanted``.
     """
+    if wanted is Any:
+        return _read(text)
     origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
     if origin in (Union, types.UnionType):
         if text == "none" and type(None) in arguments:
@@ -41,4 +46,19 @@ def parse_value(key: str, text: str, wanted: Any) -> Any:
         if not math.isfinite(value):
             raise InvalidSetting(f"{key} is {text!r}; it must be finite.")
         return value
+    return text
+
+
+def _read(text: str) -> Any:
+    """What a text looks like."""
+    known = {"none": None, "true": True, "false": False}
+    if text.lower() in known:
+        return known[text.lower()]
+    for kind in (int, float):
+        try:
+            value = kind(text)
+        except ValueError:
+            continue
+        if math.isfinite(value):
+            return value
     return text

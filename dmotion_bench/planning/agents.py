@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
-from dmotion_bench.environment import Environment, HasScript, Judging, Script
+from dmotion_bench.environment import Environment, HasScript, Script
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.dynamics.model import ModelDynamics
@@ -235,10 +235,6 @@ class OracleAgent(SimulatorAgent):
         known = self._simulations.get(place)
         if known is None or known.problem is not world.problem:
             env = known.env if known else self._make_env()
-            if not self._spec.objects and self._objective is None and not isinstance(env, Judging):
-                raise InvalidSetting(
-                    f"{self._spec.id!r} has no objects, so the oracle has nothing to bring to a goal; use 'random'."
-                )
             known = Simulation(env, world.problem, pictures=self._objective is not None)
             self._simulations[place] = known
         known.follow(world)

@@ -67,17 +67,20 @@ def default_objective(environment: str, spec: EnvSpec, *, needs_pixels: bool) ->
     """The name of the objective that control plans with if nobody names one.
 
     Models that draw no frames compare features. Others plan with what the environment names (``HasObjective``), which
-    is the paper's where it names none.
+    is the paper's where it names none; with features, too, if that looks for objects and there are none.
 
     Args:
         environment: Its registered name.
         spec: Its facts.
         needs_pixels: The model's.
     """
-    if not (needs_pixels and spec.objects):
+    if not needs_pixels:
         return "feature"
     kind: object = environment_class(environment)
-    return kind.objective if isinstance(kind, HasObjective) else "centres"
+    name = kind.objective if isinstance(kind, HasObjective) else "centres"
+    if not spec.objects and getattr(objective_class(name), "finds_objects", False):
+        return "feature"
+    return name
 
 
 def planning_configuration(

@@ -25,7 +25,7 @@ from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.planning.journal import Journal, TaskRecord
 from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
-from dmotion_bench.planning.tasks import Problem, World, as_actions
+from dmotion_bench.planning.tasks import Judge, Problem, World, as_actions, judge_of
 
 CONTROL_VERSION: Final = 1
 """The version of control: of the loop, the solvers, the objectives, the references and the judged distance.
@@ -99,6 +99,7 @@ class ControlResult:
         frames: Predicted in all.
         seconds: Of planning alone; of this run of the program.
         planned: Control steps that ``seconds`` went into.
+        judge: What the distance is of.
     """
 
     tasks: tuple[int, ...]
@@ -110,6 +111,7 @@ class ControlResult:
     frames: int
     seconds: float
     planned: int
+    judge: Judge = Judge.OBJECTS
 
 
 @dataclass(kw_only=True)
@@ -178,6 +180,7 @@ def control(
         frames=sum(record.frames for record in records),
         seconds=loop.seconds,
         planned=loop.planned,
+        judge=judge_of(envs[0]) if envs else Judge.OBJECTS,
     )
 
 

@@ -5,17 +5,21 @@ The distance that control is judged by is the environment's to supply (``environ
 the goal. Where it supplies none, it comes from the simulator's positions: the sum over objects of how far each is from
 its place at the goal, divided by the same at the start. An object that is lost on the way counts 1, as much as
 everything together at the start: a task that loses one cannot count as solved. The agent's own place does not count.
+
+An environment that tells no positions is judged by its pictures: the mean squared difference of the frame from the goal
+image, divided by the same at the start. A figure of that kind has a name of its own (``Judge``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from dmotion_bench.environment import Environment, Judging, TaskMeasure
+from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, TaskMeasure
 from dmotion_bench.errors import DatasetError, UnknownName
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
@@ -63,6 +67,14 @@ class Problem:
         return self.goal_objects.position
 
 
+class Judge(StrEnum):
+    """What judges how far a task is from its goal."""
+
+    OWN = "environment"  # Judging.task_measure
+    OBJECTS = "objects"
+    PICTURES = "pictures"
+
+
 class ObjectDistances:
     """The judged distance of environments that supply none: how far the objects are from their places at the goal.
 
@@ -77,17 +89,17 @@ class ObjectDistances:
 
     def distance(self, env: Environment) -> float:
         """Summed over objects, divided by the same at the start; a lost object adds 1."""
-        positions = env.objects().position
+        positions = _positions(env)
         off, present = self._off(positions), ~np.isnan(positions[:, 0])
         return float(off[self._counted & present].sum() / self._initial) + self.lost(env)
 
     def lost(self, env: Environment) -> int:
         """The number of objects that were lost although the goal needs them."""
-        return int((self._counted & np.isnan(env.objects().position[:, 0])).sum())
+        return int((self._counted & np.isnan(_positions(env)[:, 0])).sum())
 
     def cost(self, env: Environment) -> float:
         """Summed squared distances [m^2]; a lost object is as far away as all objects together at the start."""
-        positions = env.objects().position
+        positions = _positions(env)
         off = np.where(np.isnan(positions[:, 0]), self._initial, self._off(positions))
         return float(np.square(off[self._counted]).sum())
 
@@ -96,11 +108,55 @@ class ObjectDistances:
         return off
 
 
+def _positions(env: Environment) -> Float[np.ndarray, "k 3"]:
+    """Of the objects [m]; whoever judges by objects has asked whether the environment tells them."""
+    assert isinstance(env, ObjectEnvironment), "pictures judge an environment that tells no positions"
+    return env.objects().position
+
+
+class PictureDistance:
+    """The judged distance of environments that tell no positions: how different the frame is from the goal image.
+
+    Nothing is known about what the difference is of: the agent counts as much as the same number of other pixels.
+
+    Args:
+        start, goal: What is seen at a task's start and goal.
+    """
+
+    def __init__(self, start: UInt8[np.ndarray, "h w 3"], goal: UInt8[np.ndarray, "h w 3"]) -> None:
+        self._goal = goal.astype(np.float64)
+        self._initial = self._off(start)
+
+    def distance(self, env: Environment) -> float:
+        """Mean squared difference from the goal image, divided by the same at the start."""
+        return self.cost(env) / self._initial if self._initial else 0.0
+
+    def lost(self, env: Environment) -> int:
+        """Nothing: a picture does not tell."""
+        return 0
+
+    def cost(self, env: Environment) -> float:
+        """Mean squared difference from the goal image, of pixel values 0-255."""
+        return self._off(env.render())
+
+    def _off(self, frame: UInt8[np.ndarray, "h w 3"]) -> float:
+        return float(np.square(frame - self._goal).mean())
+
+
+def judge_of(env: Environment) -> Judge:
+    """What judges the tasks of an environment."""
+    if isinstance(env, Judging):
+        return Judge.OWN
+    return Judge.OBJECTS if env.facts.objects and isinstance(env, ObjectEnvironment) else Judge.PICTURES
+
+
 def measure_of(env: Environment, problem: Problem) -> TaskMeasure:
-    """How the environment, or in its stead ``ObjectDistances``, judges a problem."""
+    """How the environment judges a problem, or in its stead its objects or its pictures."""
     if isinstance(env, Judging):
         return env.task_measure(problem.start_objects, problem.goal_objects)
-    return ObjectDistances(problem.start_objects, problem.goal_objects)
+    if judge_of(env) is Judge.OBJECTS:
+        return ObjectDistances(problem.start_objects, problem.goal_objects)
+    return PictureDistance(problem.start_frame, problem.goal_frame)
 
 
 def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None = None) -> list[Problem]:

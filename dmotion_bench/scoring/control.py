@@ -1,7 +1,8 @@
 """Control: how near to their goals a model and a planner bring the objects in a hundred steps.
 
 A task's figure is its normalised distance: 1 at the start, 0 at the goal, from the simulator's positions, whatever
-the model saw (``planning/tasks.py``). What becomes of the samples of it stands in ``figures.py``.
+the model saw (``planning/tasks.py``). What becomes of the samples of it stands in ``figures.py``. Where an environment
+tells no positions its pictures judge, and samples and figures have names of their own.
 
 The references say what a figure means: ``idle`` (1 by definition), ``random``, ``scripted`` (rules that read the
 simulator) and ``oracle`` (the same solver with the true simulator as its model). They depend on the data set alone,
@@ -48,14 +49,13 @@ from dmotion_bench.planning.mpc import (
     control,
 )
 from dmotion_bench.planning.objectives.base import Objective
-from dmotion_bench.planning.tasks import load_problems, task_environment
+from dmotion_bench.planning.tasks import Judge, load_problems, task_environment
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import CONTROL_OF_CODE
-from dmotion_bench.scoring.samples import SampleRows
+from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.workspace import cache_folder
 
-METRIC: Final = "control"
 QUICK: Final = ("idle", "random", "scripted")
 """References that take seconds."""
 
@@ -101,7 +101,7 @@ class ControlScoring:
     def to_json(self) -> dict[str, Any]:
         """The settings as a report stores them: with a prefix, and with the version of control."""
         own = asdict(self) | {"version": CONTROL_VERSION}
-        return {f"{METRIC}_{name}": list(one) if isinstance(one, tuple) else one for name, one in own.items()}
+        return {f"{CONTROL}_{name}": list(one) if isinstance(one, tuple) else one for name, one in own.items()}
 
     def planned_with(self, dataset: ReadableDataset, *, needs_pixels: bool | None) -> tuple[str, Objective | None]:
         """The objective's name, and the objective.
@@ -126,7 +126,7 @@ class ControlScoring:
     def from_json(cls, settings: Mapping[str, Any]) -> ControlScoring:
         """Read the settings back from those of a report, which may be an earlier one."""
         present = present_settings(settings)
-        read: dict[str, Any] = {one.name: present[f"{METRIC}_{one.name}"] for one in fields(cls)}
+        read: dict[str, Any] = {one.name: present[f"{CONTROL}_{one.name}"] for one in fields(cls)}
         for name in ("planner_set", "objective_set"):
             read[name] = tuple(read[name])
         return cls(**read)
@@ -236,8 +236,8 @@ def known_references(dataset: ReadableDataset, scoring: ControlScoring) -> tuple
 
 def control_samples(predictor: str, result: ControlResult) -> pa.Table:
     """The samples of control: one row for each task and step, including the start; continuous actions are left out."""
-    moments = result.distance.shape[1]
-    rows = SampleRows(METRIC, predictor)
+    moments, by_pictures = result.distance.shape[1], result.judge is Judge.PICTURES
+    rows = SampleRows(PICTURE_CONTROL if by_pictures else CONTROL, predictor)
     for place, (task, episode) in enumerate(zip(result.tasks, result.episodes, strict=True)):
         rows.add(
             {
@@ -247,8 +247,8 @@ def control_samples(predictor: str, result: ControlResult) -> pa.Table:
                 "action": np.append(result.actions[place], -1) if result.actions.ndim == 2 else np.full(moments, -1),
                 "task": np.full(moments, task),
                 "control_distance": result.distance[place],
-                "control_lost": result.lost[place],
             }
+            | ({} if by_pictures else {"control_lost": result.lost[place]})
         )
     return rows.table()
 

@@ -19,7 +19,8 @@ A figure of the report is the mean of its column over the rows of its predictor 
 
 In control a row is one moment of one task: ``task`` is its number, ``episode`` and ``step`` where it starts, ``ahead``
 how many steps have been taken, ``action`` the next (-1 for none, or a continuous one), ``control_distance`` and
-``control_lost`` how things stand then.
+``control_lost`` how things stand then. The ``metric`` is ``"control_pictures"`` where pictures judge, since the
+environment tells no positions; its figures have other names (``figures.py``).
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.parquet_file import read_parquet
 from dmotion_bench.wording import shown
 
+CONTROL: Final = "control"
+PICTURE_CONTROL: Final = "control_pictures"
 PIXEL_COLUMNS = ("mse", "psnr", "ssim")
 POSITION_COLUMNS = ("position_error_paper", "position_error", "miss_rate", "false_positive_rate")
 OBJECT_COLUMNS = tuple(name + OBJECTS_ONLY for name in POSITION_COLUMNS)

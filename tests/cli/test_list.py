@@ -20,11 +20,16 @@ def test_what_may_vary_stands_beside_each_environment(
     factors = {one["environment"]: one["factors"] for one in listed}
 
     assert factors["grid_world"] == {}
-    assert {one["environment"]: list(one["versions"]) for one in listed} == {
+    own = [one for one in listed if ":" not in one["environment"]]
+    assert {one["environment"]: list(one["versions"]) for one in own} == {
         "grid_world": ["1", "2"],
         "planar_push": ["1"],
         "robot_push": ["1"],
     }
+    assert {one["tier"] for one in own} == {"masks"}
+    others = {one["environment"]: one for one in listed if one not in own}
+    assert others["gym:CartPole-v1"]["tier"] == "pixels"
+    assert others["gym:CartPole-v1"]["factors"] == {}
     assert list(factors["planar_push"]) == [factor.name for factor in FACTORS]
     PlanarPush(vary=",".join(factors["planar_push"])).close()  # it takes every one of them
     assert factors["robot_push"]["mass"] == "an object's mass [kg]: 0.05 to 0.6; shifted: 0.02 to 0.04 or 0.7 to 1"

@@ -106,7 +106,7 @@ def test_an_environment_that_draws_differently_now_is_not_mixed_in(
 
 
 def test_an_environment_that_is_not_installed_is_no_obstacle(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(restore, "environment_names", lambda: ["something_else"])
+    monkeypatch.setattr(restore, "is_environment", lambda name: False)
     (dataset / "video" / "shard-00001.mcap").unlink()
     done = repair_dataset(dataset)
     assert done.salvaged is not None

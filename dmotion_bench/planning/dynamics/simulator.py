@@ -22,7 +22,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.environment import Environment, Restorable, Undrawn
+from dmotion_bench.environment import Environment, ObjectEnvironment, Restorable, Undrawn
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.planning.dynamics.base import Actions, Dynamics, Observation, State
@@ -37,7 +37,8 @@ class Place:
     Attributes:
         actions: What leads there from the problem's start.
         snapshot: Of the environment, where it can be restored.
-        name: Where everything is, bit by bit: places of the same name are the same.
+        name: Where everything is, bit by bit: places of the same name are the same. Of an environment that does not
+            tell it, what was done since the start: pictures that look the same may hide different velocities.
         cost: Its true cost; NaN where it was not asked for.
         picture: What is seen there, compressed; None where it was not asked for.
     """
@@ -121,8 +122,10 @@ class Simulation:
 
 
 def _seen_from(env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
-    agent, objects = env.agent(), env.objects()
-    parts = (agent.position, objects.position, objects.orientation)
+    parts: tuple[np.ndarray, ...] = (np.array(actions),)
+    if isinstance(env, ObjectEnvironment):
+        agent, objects = env.agent(), env.objects()
+        parts = (agent.position, objects.position, objects.orientation)
     return Place(
         actions=actions,
         snapshot=env.snapshot() if isinstance(env, Restorable) else None,

@@ -30,7 +30,7 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
 
 @listing.command()
 def environments(as_json: AsJson = False) -> None:
-    """List the environments that can be recorded, and the factors that can vary in them."""
+    """List the environments that can be recorded, their policies, and the factors that can vary in them."""
     from dmotion_bench.environment import Varied
     from dmotion_bench.registry import environment_class, environment_names, environment_versions
 
@@ -41,7 +41,9 @@ def environments(as_json: AsJson = False) -> None:
         summary = (kind.__doc__ or "").strip().splitlines()[0]
         factors: dict[str, str] = dict(kind.factors) if isinstance(kind, Varied) else {}
         varied = factors if as_json else ", ".join(factors) or "nothing"
-        rows.append({"environment": name, "presets": presets, "--vary": varied, "what": summary})
+        policies = sorted(kind.policies, key=lambda policy, kind=kind: policy != kind.default_policy)  # type: ignore[misc]
+        shown = policies if as_json else ", ".join(policies)
+        rows.append({"environment": name, "presets": presets, "policies": shown, "--vary": varied, "what": summary})
         if as_json:
             rows[-1]["versions"] = dict(environment_versions(name)) or {1: summary}
     if as_json:

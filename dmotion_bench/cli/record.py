@@ -66,8 +66,8 @@ def record(
         str,
         typer.Option(
             metavar="FACTOR,FACTOR...",
-            help="Factors that differ between episodes, separated by commas: friction, mass, colour, light, camera, "
-            "distractors. Default: none.",
+            help="Factors that differ between episodes, separated by commas, such as light,background. "
+            "'dmbench list environments' lists them. Default: none.",
         ),
     ] = "",
     ranges: Annotated[
@@ -77,6 +77,13 @@ def record(
             help="Values that the factors of --vary take: the usual range, or only values outside of it.",
         ),
     ] = "in-distribution",
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            help="Policy that chooses the actions: random, object-directed, expert-correlated, or another that "
+            "'dmbench list environments' names. Default: the environment's."
+        ),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -86,8 +93,8 @@ def record(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with -varied or -shifted at the end if "
-            "factors vary."
+            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with the scene and the policy at the end "
+            "if they are not the usual ones, and with -varied or -shifted if factors vary."
         ),
     ] = None,
     workers: Annotated[
@@ -121,6 +128,7 @@ def record(
         seed=seed,
         vary=vary.split(","),
         ranges=ranges,
+        policy=policy,
         settings=settings or (),
     )
     folder = out or Workspace.current().data / f"{environment}-{preset.value}{_suffix(recipe)}"
@@ -180,10 +188,14 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
 
 
 def _suffix(recipe: DatasetRecipe) -> str:
-    """The ending of a folder's default name that keeps recordings with varied factors apart from others."""
-    if not recipe.vary:
-        return ""
-    return f"-{recipe.parameters.get('ranges', 'varied')}"
+    """The ending of a folder's default name that keeps recordings under other conditions apart from others."""
+    from dmotion_bench.registry import environment_class
+
+    scene, policy = recipe.parameters.get("scene", ""), environment_class(recipe.environment).default_policy
+    parts = [str(scene), recipe.policy if recipe.policy != policy else ""]
+    if recipe.vary:
+        parts.append(str(recipe.parameters.get("ranges", "varied")))
+    return "".join(f"-{part}" for part in parts if part)
 
 
 def record_with_progress(

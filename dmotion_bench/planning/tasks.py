@@ -10,7 +10,7 @@ everything together at the start: a task that loses one cannot count as solved. 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -21,7 +21,7 @@ from dmotion_bench.environment import Environment, Judging, TaskMeasure
 from dmotion_bench.errors import DatasetError, UnknownName
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectStates
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectStates, delay_of
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command
 
@@ -69,7 +69,8 @@ class Problem:
         vary: Factors of variation that the episode was recorded with.
         opening: The recorded actions that lead to the start.
         start_frame, goal_frame: What is seen there.
-        start_objects, goal_objects: The objects there.
+        start_objects, goal_objects: The objects there; where frames lag behind the world, the goal's are those that
+            the goal's frame shows.
     """
 
     number: int
@@ -161,6 +162,7 @@ def load_problems(dataset: TaskDataset, numbers: Sequence[int] | int | None = No
 
 def _problem(dataset: TaskDataset, number: int, task: ControlTask) -> Problem:
     video, states = dataset.video(task.episode), dataset.states(task.episode)
+    shown, seen = (_at(states.objects, step) for step in (max(0, task.goal - delay_of(states.factors)), task.goal))
     return Problem(
         number=number,
         task=task,
@@ -170,7 +172,7 @@ def _problem(dataset: TaskDataset, number: int, task: ControlTask) -> Problem:
         start_frame=video[task.start],
         goal_frame=video[task.goal],
         start_objects=_at(states.objects, task.start),
-        goal_objects=_at(states.objects, task.goal),
+        goal_objects=replace(shown, pixel=seen.pixel, visible=seen.visible),
     )
 
 

@@ -30,6 +30,7 @@ def recipe_for(
     seed: int = 0,
     vary: Sequence[str] = (),
     ranges: str = USUAL_RANGES,
+    policy: str | None = None,
     settings: Sequence[str] = (),
 ) -> DatasetRecipe:
     """The recipe of a preset, with what is given instead of the preset's numbers.
@@ -40,6 +41,7 @@ def recipe_for(
         seed: Decides every episode.
         vary: Factors of variation, drawn anew for each episode.
         ranges: What they are drawn from; another than the usual is a parameter of the environment.
+        policy: Chooses the actions; None: the environment's usual one.
         settings: ``KEY=VALUE`` for parameters of the environment's constructor.
 
     Raises:
@@ -61,7 +63,7 @@ def recipe_for(
     return DatasetRecipe(
         environment=environment,
         parameters=parameters,
-        policy=kind.default_policy,
+        policy=kind.default_policy if policy is None else policy,
         seed=seed,
         episodes=usual.episodes if episodes is None else episodes,
         frames=usual.frames if frames is None else frames,

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from dmotion_bench.errors import DatasetError
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, delay_of
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.limits import LAST_NS, MOST_EPISODES, MOST_SHARD_EPISODES, longest_episode, most_frames
 from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections, read_messages
@@ -201,7 +201,7 @@ def write_shard(
                 labels.metadata(f"masks {number}", {"episode": str(number)})
                 spans[2] = labels.chunks(encode_masks(truth.masks, start_ns, step_ns))
                 interactions = int(truth.pushed.sum())
-                possible = candidates(truth.objects.position, truth.pushed, spec.push_threshold)
+                possible = _candidates(truth, spec)
             rows.append(
                 EpisodeRow(
                     episode=number,
@@ -226,6 +226,12 @@ def write_shard(
     return ShardReceipt(index=index, rows=tuple(rows), video=video_facts, labels=label_facts, candidates=tuple(found))
 
 
+def _candidates(truth: EpisodeLabels | StateLabels, spec: EnvSpec) -> tuple[Candidate, ...]:
+    """The stretches of an episode that could be tasks."""
+    delay = delay_of(truth.factors)
+    return candidates(truth.objects.position, truth.pushed, spec.push_threshold, delay=delay)
+
+
 def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
     """The receipt of an existing shard, read from its files.
 
@@ -247,7 +253,7 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
             if number not in states or number not in masks:
                 raise DamagedFile(f"has no labels for episode {number}")
             truth = read_states(labels_path, states[number].span, spec, row.frames)
-            possible = candidates(truth.objects.position, truth.pushed, spec.push_threshold)
+            possible = _candidates(truth, spec)
             row = replace(
                 row,
                 states=states[number].span,

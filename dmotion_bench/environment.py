@@ -118,10 +118,12 @@ class EnvironmentFamily(Protocol):
     Attributes:
         tier: Of every member.
         recording: Sizes of a recording, the same for every member.
+        policies: That record every member, the default first.
     """
 
     tier: Tier
     recording: Mapping[Preset, RecordingPreset]
+    policies: Sequence[str]
 
     def member(self, name: str) -> type[Environment]:
         """The class of a member.
@@ -167,7 +169,10 @@ class Varied(Protocol):
     """An environment class with factors that can vary between episodes (``dmbench record --vary``)."""
 
     factors: ClassVar[Mapping[str, str]]
-    """Factors of variation by their names, each with what it is and what it is drawn from, in a line."""
+    """Factors of variation by their names, each with what it is and what it is drawn from, in a line.
+
+    A factor with the name ``specs.DELAY`` is the number of steps by which frames lag behind the world.
+    """
 
 
 @runtime_checkable
@@ -194,6 +199,17 @@ class Restorable(Protocol):
 
     def restore(self, snapshot: Any) -> None:
         """Return to this state, so that ``agent``, ``objects`` and the next ``step`` are as they were there."""
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """An environment whose next frames depend on more than where agent and objects are, such as on earlier frames.
+
+    Asked only where frames are kept: states with the same places and the same memory have the same next frames.
+    """
+
+    def memory(self) -> bytes:
+        """A name of all else that decides the next frames; equal where they are."""
 
 
 @runtime_checkable

@@ -119,6 +119,14 @@ def environment_class(name: str) -> type[Environment]:
     return loaded
 
 
+def usual_policy(name: str) -> str | None:
+    """The policy that an environment is recorded by if nobody names one; None for an environment that is not here."""
+    try:
+        return environment_class(name).default_policy
+    except DmbenchError:
+        return None
+
+
 def environment_versions(name: str) -> Mapping[int, str]:
     """What is true of each version of an environment, the last one recorded by default; empty if it has only one.
 
@@ -131,14 +139,6 @@ def environment_versions(name: str) -> Mapping[int, str]:
     except DmbenchError:
         return {}
     return kind.versions if isinstance(kind, Versioned) else {}
-
-
-def default_policy(name: str) -> str | None:
-    """The policy that an environment is recorded by if nobody names one; None for one that is not installed."""
-    try:
-        return environment_class(name).default_policy
-    except DmbenchError:
-        return None
 
 
 def model_class(name: str) -> type[ForwardModel[Any]]:

@@ -1,4 +1,4 @@
-"""The recording policy of the pushing environments, ``push``.
+"""The recording policy ``object-directed``, which the pushing environments also call ``push``.
 
 With probability .7 one step toward an object, which is chosen anew with probability .15, else any legal move: about
 a third of the steps move an object, and an episode ends after some 40 frames because one falls, as in the paper.
@@ -10,10 +10,10 @@ direction by up to 30 degrees; any other is evenly distributed over the bounds. 
 from __future__ import annotations
 
 import math
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.environment import Action, Environment, ObjectEnvironment
@@ -34,6 +34,14 @@ class Pushing(ObjectEnvironment, Protocol):
     @property
     def room(self) -> Float[np.ndarray, "2 2"]:
         """The least and the greatest displacement that nothing cuts short [m]."""
+
+
+@runtime_checkable
+class Careful(Protocol):
+    """An environment where one step toward an object may lose it for good."""
+
+    def careful_actions(self) -> Bool[np.ndarray, " a"]:
+        """Which legal actions lose nothing; the policy goes toward an object by these alone."""
 
 
 class PushPolicy:
@@ -58,9 +66,14 @@ class PushPolicy:
             x, y = there[0] - here[0], there[1] - here[1]
             self._moves = moves = self._moves or world.moves.tolist()
             # The longer leg more often than the other, so that the way is no fixed zigzag.
-            weights = [max(0.0, moves[action][0] * x + moves[action][1] * y) ** 2 for action in legal]
+            toward = legal
+            if isinstance(env, Careful):
+                toward = [
+                    action for action, loses_nothing in enumerate(env.careful_actions().tolist()) if loses_nothing
+                ]
+            weights = [max(0.0, moves[action][0] * x + moves[action][1] * y) ** 2 for action in toward]
             if sum(weights) > 0:
-                return legal[_drawn(weights, generator.random())]
+                return toward[_drawn(weights, generator.random())]
         return legal[int(generator.random() * len(legal))]
 
     def _displacement(self, world: Pushing, spec: Continuous, generator: np.random.Generator) -> Float[np.ndarray, "2"]:

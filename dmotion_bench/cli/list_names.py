@@ -36,7 +36,7 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
 
 @listing.command()
 def environments(as_json: AsJson = False) -> None:
-    """List the environments that can be recorded, what they tell (the tier), and the factors that can vary in them."""
+    """List the environments, what they tell (the tier), their policies, and the factors that can vary in them."""
     from dmotion_bench.environment import Varied, tier_of
     from dmotion_bench.registry import (
         environment_class,
@@ -53,9 +53,10 @@ def environments(as_json: AsJson = False) -> None:
         summary = (kind.__doc__ or "").strip().splitlines()[0]
         factors: dict[str, str] = dict(kind.factors) if isinstance(kind, Varied) else {}
         varied = factors if as_json else ", ".join(factors) or "nothing"
-        rows.append(
-            {"environment": name, "tier": tier_of(kind).value, "presets": presets, "--vary": varied, "what": summary}
-        )
+        policies = sorted(kind.policies, key=lambda policy, kind=kind: policy != kind.default_policy)  # type: ignore[misc]
+        row: dict[str, object] = {"environment": name, "tier": tier_of(kind).value, "presets": presets}
+        row |= {"policies": policies if as_json else ", ".join(policies)}
+        rows.append(row | {"--vary": varied, "what": summary})
         if as_json:
             rows[-1]["versions"] = dict(environment_versions(name)) or {1: summary}
     for name in family_names():
@@ -63,6 +64,7 @@ def environments(as_json: AsJson = False) -> None:
         presets, nothing = _presets(family.recording), {} if as_json else "nothing"
         for member, what in family.worlds().items():
             row = {"environment": f"{name}:{member}", "tier": family.tier.value, "presets": presets}
+            row |= {"policies": list(family.policies) if as_json else ", ".join(family.policies)}
             rows.append(row | {"--vary": nothing, "what": what} | ({"versions": {1: what}} if as_json else {}))
     if as_json:
         rows = [{"factors" if key == "--vary" else key: value for key, value in row.items()} for row in rows]

@@ -69,13 +69,6 @@ def record(
     seed: Annotated[
         int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the episodes: the same seed records the same bytes.")
     ] = 0,
-    policy: Annotated[
-        str | None,
-        typer.Option(
-            help="Who chooses the actions: a policy of the environment, such as random or sticky, or MODULE:FUNCTION. "
-            "Default: the environment's."
-        ),
-    ] = None,
     size: Annotated[
         int | None,
         typer.Option(min=16, max=1024, help="Side of the frames in pixels; for gym:ID. Default: 128."),
@@ -88,8 +81,8 @@ def record(
         str,
         typer.Option(
             metavar="FACTOR,FACTOR...",
-            help="Factors that differ between episodes, separated by commas: friction, mass, colour, light, camera, "
-            "distractors. Default: none.",
+            help="Factors that differ between episodes, separated by commas, such as light,background. "
+            "'dmbench list environments' lists them. Default: none.",
         ),
     ] = "",
     ranges: Annotated[
@@ -99,6 +92,13 @@ def record(
             help="Values that the factors of --vary take: the usual range, or only values outside of it.",
         ),
     ] = "in-distribution",
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            help="Policy that chooses the actions: random, sticky, object-directed, expert-correlated, or another that "
+            "'dmbench list environments' names, or MODULE:FUNCTION. Default: the environment's."
+        ),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -108,8 +108,8 @@ def record(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with -varied or -shifted at the end if "
-            "factors vary."
+            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with the scene and the policy at the end "
+            "if they are not the usual ones, and with -varied or -shifted if factors vary."
         ),
     ] = None,
     workers: Annotated[
@@ -144,8 +144,8 @@ def record(
         seed=seed,
         vary=vary.split(","),
         ranges=ranges,
-        settings=settings or (),
         policy=policy,
+        settings=settings or (),
         size=size,
         frame_skip=frame_skip,
     )
@@ -215,10 +215,14 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
 
 
 def _suffix(recipe: DatasetRecipe) -> str:
-    """The ending of a folder's default name that keeps recordings with varied factors apart from others."""
-    if not recipe.vary:
-        return ""
-    return f"-{recipe.parameters.get('ranges', 'varied')}"
+    """The ending of a folder's default name that keeps recordings under other conditions apart from others."""
+    from dmotion_bench.registry import environment_class
+
+    scene, policy = recipe.parameters.get("scene", ""), environment_class(recipe.environment).default_policy
+    parts = [str(scene), recipe.policy if recipe.policy != policy else ""]
+    if recipe.vary:
+        parts.append(str(recipe.parameters.get("ranges", "varied")))
+    return "".join(f"-{part}" for part in parts if part)
 
 
 def record_with_progress(

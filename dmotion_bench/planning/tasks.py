@@ -13,7 +13,7 @@ image, divided by the same at the start. A figure of that kind has a name of its
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 
 import numpy as np
@@ -23,7 +23,7 @@ from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, T
 from dmotion_bench.errors import DatasetError, UnknownName
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
-from dmotion_bench.specs import DatasetRecipe, ObjectStates
+from dmotion_bench.specs import DatasetRecipe, ObjectStates, delay_of
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command
@@ -43,7 +43,8 @@ class Problem:
         vary: Factors of variation that the episode was recorded with.
         opening: The recorded actions that lead to the start.
         start_frame, goal_frame: What is seen there.
-        start_objects, goal_objects: The objects there.
+        start_objects, goal_objects: The objects there; where frames lag behind the world, the goal's are those that
+            the goal's frame shows.
     """
 
     number: int
@@ -187,6 +188,7 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
 
 def _problem(dataset: ReadableDataset, number: int, task: ControlTask) -> Problem:
     video, states = dataset.video(task.episode), dataset.states(task.episode)
+    shown, seen = (_at(states.objects, step) for step in (max(0, task.goal - delay_of(states.factors)), task.goal))
     return Problem(
         number=number,
         task=task,
@@ -196,7 +198,7 @@ def _problem(dataset: ReadableDataset, number: int, task: ControlTask) -> Proble
         start_frame=video[task.start],
         goal_frame=video[task.goal],
         start_objects=_at(states.objects, task.start),
-        goal_objects=_at(states.objects, task.goal),
+        goal_objects=replace(shown, pixel=seen.pixel, visible=seen.visible),
     )
 
 

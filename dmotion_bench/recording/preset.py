@@ -32,8 +32,8 @@ def recipe_for(
     seed: int = 0,
     vary: Sequence[str] = (),
     ranges: str = USUAL_RANGES,
-    settings: Sequence[str] = (),
     policy: str | None = None,
+    settings: Sequence[str] = (),
     size: int | None = None,
     frame_skip: int | None = None,
 ) -> DatasetRecipe:
@@ -45,8 +45,8 @@ def recipe_for(
         seed: Decides every episode.
         vary: Factors of variation, drawn anew for each episode.
         ranges: What they are drawn from; another than the usual is a parameter of the environment.
+        policy: Chooses the actions; None: the environment's usual one.
         settings: ``KEY=VALUE`` for parameters of the environment's constructor.
-        policy: The recording policy; the environment's default if left out.
         size: Side of the frames [px], of environments that draw in any size.
         frame_skip: How often an action is taken between two frames, of environments that can repeat one.
 

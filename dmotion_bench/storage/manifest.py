@@ -24,7 +24,7 @@ from dmotion_bench.errors import (
     DatasetVersionUnknown,
     InvalidSetting,
 )
-from dmotion_bench.registry import default_policy, environment_versions
+from dmotion_bench.registry import environment_versions, usual_policy
 from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe, EnvSpec, ObjectSpec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
@@ -191,10 +191,10 @@ def record_words(recipe: DatasetRecipe, dataset: Path) -> list[str]:
     words = ["dmbench", "record", recipe.environment]
     for name in ("episodes", "frames", "tasks", "seed"):
         words += [f"--{name}", str(getattr(recipe, name))]
-    if recipe.policy != default_policy(recipe.environment):
-        words += ["--policy", recipe.policy]
     if recipe.vary:
         words += ["--vary", ",".join(recipe.vary)]
+    if recipe.policy != usual_policy(recipe.environment):
+        words += ["--policy", recipe.policy]
     version = {VERSION: recipe.version} if environment_versions(recipe.environment) else {}
     for key, value in (version | dict(recipe.parameters)).items():
         words += ["--ranges", str(value)] if key == "ranges" else ["--set", f"{key}={value}"]

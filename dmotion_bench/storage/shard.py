@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from dmotion_bench.errors import DatasetError
-from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode, EpisodeLabels
+from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode, EpisodeLabels, delay_of
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.limits import LAST_NS, MOST_EPISODES, MOST_SHARD_EPISODES, longest_episode, most_frames
 from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections, read_messages
@@ -238,7 +238,8 @@ def _possible_tasks(
     """What could be control tasks in an episode."""
     if _judged_by_pictures(spec):
         return () if frames is None else picture_candidates(frames)
-    return candidates(labels.objects.position, labels.pushed, spec.push_threshold)
+    delay = delay_of(labels.factors)
+    return candidates(labels.objects.position, labels.pushed, spec.push_threshold, delay=delay)
 
 
 def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:

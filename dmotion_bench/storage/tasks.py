@@ -45,7 +45,7 @@ class Candidate(NamedTuple):
 
 
 def candidates(
-    positions: Float[np.ndarray, "t k 3"], pushed: Bool[np.ndarray, "t-1"], threshold: float
+    positions: Float[np.ndarray, "t k 3"], pushed: Bool[np.ndarray, "t-1"], threshold: float, *, delay: int = 0
 ) -> tuple[Candidate, ...]:
     """The stretches of an episode that could be tasks, the best first.
 
@@ -53,6 +53,7 @@ def candidates(
         positions: Of the objects [m]; NaN for one that is gone.
         pushed: Whether an object moved in each step.
         threshold: An object that is displaced by more than this counts as displaced [m].
+        delay: Steps by which the goal's picture lags: the task is to do what it shows.
     """
     last, gone = len(positions) - 1, np.isnan(positions[..., 0])
     before = np.concatenate([[0], np.cumsum(pushed)])
@@ -63,7 +64,7 @@ def candidates(
         goal, interactions = int(goals[start]), int(interacting[start])
         if (gone[goal] & ~gone[start]).any():
             continue
-        moved = np.linalg.norm(positions[goal] - positions[start], axis=-1)[~gone[start]]
+        moved = np.linalg.norm(positions[max(0, goal - delay)] - positions[start], axis=-1)[~gone[start]]
         if (moved > threshold).any():
             found.append(Candidate(start, goal, interactions))
     return _spaced(found, last)

@@ -29,7 +29,7 @@ from dmotion_bench.storage.imports.fitting import area_mean
 from dmotion_bench.wording import shown
 from recorders.gymnasium_env.spaces import action_spec, for_simulator
 from recorders.gymnasium_env.worlds import MODULES, PACKAGES
-from recorders.policies import StickyPolicy, UniformPolicy
+from recorders.policies import RandomPolicy, StickyPolicy
 
 RENDER_MODE: Final = "rgb_array"
 _SEEDS: Final = 2**31  # what every simulator takes: some keep a seed in 32 bits
@@ -69,7 +69,7 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         }
     )
     policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType(
-        {"random": UniformPolicy, "sticky": StickyPolicy}
+        {"random": RandomPolicy, "sticky": StickyPolicy}
     )
     default_policy: ClassVar[str] = "random"
     objective: ClassVar[str] = "pixel"

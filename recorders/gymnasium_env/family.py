@@ -41,6 +41,7 @@ class GymnasiumFamily:
 
     tier = Tier.PIXELS
     recording = GymnasiumEnvironment.recording
+    policies = tuple(GymnasiumEnvironment.policies)
 
     def member(self, name: str) -> type[Environment]:
         """The class of an id.

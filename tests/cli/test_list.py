@@ -10,6 +10,7 @@ import pytest
 from dmbench_command import dmbench
 
 from dmotion_bench.cli.tables import show_rows
+from recorders.distractors.scenes import NAMES
 from recorders.planar_push.environment import FACTORS, PlanarPush
 
 
@@ -19,7 +20,7 @@ def test_what_may_vary_stands_beside_each_environment(
     listed = json.loads(dmbench(["list", "environments", "--json"], capsys, monkeypatch).out)["environments"]
     factors = {one["environment"]: one["factors"] for one in listed}
 
-    assert factors["grid_world"] == {}
+    assert list(factors["grid_world"]) == list(NAMES)
     own = [one for one in listed if ":" not in one["environment"]]
     assert {one["environment"]: list(one["versions"]) for one in own} == {
         "grid_world": ["1", "2"],
@@ -40,8 +41,9 @@ def test_the_table_names_them(capsys: pytest.CaptureFixture[str], monkeypatch: p
     table = dmbench(["list", "environments"], capsys, monkeypatch).out
 
     assert "--vary" in table
-    assert "friction, mass, colour, light, camera, distractors" in table
-    assert "nothing" in next(line for line in table.splitlines() if "grid_world" in line)
+    words = " ".join(table.split())
+    assert "friction, mass, colour, light, camera, distractors, background" in words
+    assert "expert-correlated" in words
 
 
 NAME = "runs/clasp-grid_world-small-epochs_0.3-kernel_27-20-shot-s0"

@@ -22,7 +22,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.environment import Environment, ObjectEnvironment, Restorable, Undrawn
+from dmotion_bench.environment import Environment, ObjectEnvironment, Remembering, Restorable, Undrawn
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.planning.dynamics.base import Actions, Dynamics, Observation, State
@@ -75,7 +75,7 @@ class Simulation:
         if actions == self.here.actions:
             return
         if isinstance(self.env, Restorable):  # a restored state may differ from the true one in its last bits
-            self.here = _seen_from(world.env, actions)
+            self.here = self._seen_from(world.env, actions)
         else:
             for action in actions[len(self.here.actions) :]:
                 self.here = self.step(self.here, action)
@@ -118,21 +118,23 @@ class Simulation:
         picture = None
         if self._pictures and frame is not None:
             picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1)
-        return replace(_seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
+        return replace(self._seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
 
-
-def _seen_from(env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
-    parts: tuple[np.ndarray, ...] = (np.array(actions),)
-    if isinstance(env, ObjectEnvironment):
-        agent, objects = env.agent(), env.objects()
-        parts = (agent.position, objects.position, objects.orientation)
-    return Place(
-        actions=actions,
-        snapshot=env.snapshot() if isinstance(env, Restorable) else None,
-        name=b"".join(np.ascontiguousarray(part).tobytes() for part in parts),
-        cost=float("nan"),
-        picture=None,
-    )
+    def _seen_from(self, env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
+        parts: tuple[np.ndarray, ...] = (np.array(actions),)
+        if isinstance(env, ObjectEnvironment):
+            agent, objects = env.agent(), env.objects()
+            parts = (agent.position, objects.position, objects.orientation)
+        name = b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+        if self._pictures and isinstance(env, Remembering):  # what moves by itself makes other pictures of a place
+            name += env.memory()
+        return Place(
+            actions=actions,
+            snapshot=env.snapshot() if isinstance(env, Restorable) else None,
+            name=name,
+            cost=float("nan"),
+            picture=None,
+        )
 
 
 class SimulatorDynamics:

@@ -24,7 +24,7 @@ from recorders.push_t.drawing import DISC_COLOR, SCREEN, TEE_COLOR, background, 
 from recorders.push_t.measure import SUCCESS_COVERAGE, GoalCoverage, pose_of
 from recorders.push_t.physics import DISC_RADIUS, INSIDE, Motion, Point, PushPhysics
 from recorders.push_t.policies import Pushing, Wandering
-from recorders.push_t.tee import GOAL, MM, OUTLINE, SIDE, Pose, clearance, coverage
+from recorders.push_t.tee import GOAL, MM, SIDE, Pose, clearance, coverage
 
 LONGEST = 100.0  # displacement along x and y [mm]; DINO-WM's and LeWM's scale of relative actions
 DISC_STARTS, TEE_STARTS = (50.0, 450.0), (100.0, 400.0)  # along x and y [mm]
@@ -245,8 +245,7 @@ def _drawn(generator: np.random.Generator) -> tuple[Point, Pose]:
     while True:
         x, y, tee_x, tee_y = (float(generator.uniform(*bounds)) for bounds in (DISC_STARTS,) * 2 + (TEE_STARTS,) * 2)
         tee = Pose(tee_x, tee_y, float(generator.uniform(-math.pi, math.pi)))
-        between = all(INSIDE[0] < place < INSIDE[1] for corner in OUTLINE for place in tee.place(*corner))
-        if between and clearance(tee, x, y) > DISC_RADIUS:
+        if tee.within(*INSIDE) and clearance(tee, x, y) > DISC_RADIUS:
             return (x, y), tee
 
 

@@ -73,6 +73,10 @@ class Pose(NamedTuple):
         """The centre of the T's area [mm]."""
         return self.place(*CENTRE)
 
+    def within(self, low: float, high: float) -> bool:
+        """Whether all of the T is between these bounds along x and y [mm]."""
+        return all(low < place < high for corner in OUTLINE for place in self.place(*corner))
+
     @classmethod
     def of_centre(cls, x: float, y: float, angle: float) -> Pose:
         """The pose of a T whose area has its centre there [mm]."""

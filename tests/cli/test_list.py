@@ -23,6 +23,7 @@ def test_what_may_vary_stands_beside_each_environment(
     assert {one["environment"]: list(one["versions"]) for one in listed} == {
         "grid_world": ["1", "2"],
         "planar_push": ["1"],
+        "push_t": ["1"],
         "robot_push": ["1"],
     }
     assert list(factors["planar_push"]) == [factor.name for factor in FACTORS]

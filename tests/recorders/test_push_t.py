@@ -15,6 +15,10 @@ from gymnasium.utils.env_checker import check_env
 
 from dmotion_bench.environment import Environment, Judging, Restorable, Undrawn
 from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.planning.agents import make_reference
+from dmotion_bench.planning.choices import make_solver
+from dmotion_bench.planning.mpc import ControlSettings, control
+from dmotion_bench.planning.tasks import World, load_problems, measure_of, task_environment
 from dmotion_bench.recording.executor import make_executor
 from dmotion_bench.recording.rollout import record_episode
 from dmotion_bench.recording.session import record_dataset
@@ -23,7 +27,7 @@ from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, DatasetRecipe, Ep
 from dmotion_bench.storage.dataset import Dataset
 from recorders.push_t import PushT
 from recorders.push_t.drawing import background, tee_stamp
-from recorders.push_t.measure import SUCCESS_COVERAGE, SUCCESS_DISTANCE, GoalCoverage
+from recorders.push_t.measure import SUCCESS_COVERAGE, SUCCESS_DISTANCE, GoalCoverage, pose_of
 from recorders.push_t.policies import Pushing, Wandering
 from recorders.push_t.tee import AREA, CENTRE, GOAL, OUTLINE, Pose, clearance, coverage
 
@@ -308,3 +312,38 @@ def test_the_centre_is_that_of_the_area() -> None:
     inside = ((np.abs(u) < 60) & (v > 0) & (v < 30)) | ((np.abs(u) < 15) & (v >= 30) & (v < 120))
     np.testing.assert_allclose(points[inside].mean(0), CENTRE, atol=0.5)
     assert inside.mean() * 140 * 140 == pytest.approx(AREA, rel=0.02)
+
+
+@pytest.mark.parametrize("goal", ["later", "fixed"])
+def test_a_tasks_goal_is_a_later_frame_or_the_zone(tmp_path: Path, goal: str) -> None:
+    recipe = DatasetRecipe(
+        environment="push_t", parameters={"goal": goal}, policy="push", episodes=3, frames=40, tasks=2
+    )
+    record_dataset(tmp_path / "data", recipe)
+    dataset = Dataset.open(tmp_path / "data")
+    env = task_environment(recipe)
+    assert isinstance(env, PushT)
+    for problem in load_problems(dataset):
+        recorded = dataset.video(problem.task.episode)[problem.task.goal]
+        assert np.array_equal(problem.goal_frame, recorded) == (goal == "later")
+        if goal == "fixed":
+            shown, _ = env.reset(seed=0, options={"state": [256.0, 400.0, *GOAL]})
+            np.testing.assert_array_equal(problem.goal_frame, shown)
+            assert measure_of(env, problem).distance(env) == 0
+        world = World(env, problem)
+        assert world.distance == 1
+        assert pose_of(problem.goal_objects).x == pytest.approx(256) or goal == "later"
+
+
+def test_the_oracle_brings_the_tee_to_where_it_was_later(tmp_path: Path) -> None:
+    record_dataset(
+        tmp_path / "data", DatasetRecipe(environment="push_t", policy="push", episodes=4, frames=40, tasks=1)
+    )
+    dataset = Dataset.open(tmp_path / "data")
+    solver = make_solver("icem", ("samples=12", "iterations=2", "horizon=6"))
+    oracle = make_reference("oracle", dataset.spec, solver=solver, make_env=lambda: task_environment(dataset.recipe))
+    result = control(
+        oracle, load_problems(dataset), lambda: task_environment(dataset.recipe), ControlSettings(steps=10)
+    )
+    assert result.distance[0, -1] < 0.5
+    assert result.lost.sum() == 0

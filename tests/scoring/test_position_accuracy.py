@@ -43,6 +43,7 @@ def _sightings(
         ("grid_world", {}, "random", 0.0, 0.0),
         ("grid_world", {"version": 2}, "random", 0.0, 0.0),
         ("planar_push", {}, "push", 0.1, 0.3),
+        ("push_t", {}, "push", 0.15, 0.45),
         ("robot_push", {}, "push", 0.15, 0.4),
     ],
 )

@@ -48,25 +48,11 @@ class Motion(NamedTuple):
 
 
 class PushPhysics:
-    """A pymunk world that is built once; setting a state takes what moves out and puts it back in.
+    """A pymunk world, built anew after a state was set, so that what follows is a function of the state alone.
 
-    So nothing is left of earlier contacts, and what follows is a function of the state alone. Where the disc cannot
-    reach a T that is at rest, pymunk is not asked.
+    (Taking shapes out and putting them back in does not do: pymunk numbers them on, and their order decides roundings.)
+    Where the disc cannot reach a T that is at rest, pymunk is not asked.
     """
-
-    def __init__(self) -> None:
-        self._space = pymunk.Space()
-        self._space.damping = 0.0
-        low, high = WALL
-        ends = [(low, high), (low, low), (high, low), (high, high)]
-        for end, other in ((0, 1), (1, 2), (2, 3), (0, 3)):
-            self._space.add(pymunk.Segment(self._space.static_body, ends[end], ends[other], WALL_RADIUS))
-        self._disc = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
-        self._tee = pymunk.Body(1.0, 2 * pymunk.moment_for_poly(1.0, BAR.corners))
-        sides = [pymunk.Poly(self._tee, part.corners) for part in PARTS]
-        self._tee.center_of_gravity = (sides[0].center_of_gravity + sides[1].center_of_gravity) / 2
-        self._shapes = (pymunk.Circle(self._disc, DISC_RADIUS), *sides)
-        self._space.add(self._disc, self._tee, *self._shapes)
 
     def put(self, disc: Point, tee: Pose) -> None:
         """Everything at rest, the disc and the T there."""
@@ -128,13 +114,20 @@ class PushPhysics:
         return (x, y), (across, down)
 
     def _enter(self) -> None:
-        """Put the present state into pymunk."""
-        motion = self.motion
-        self._space.remove(*self._shapes)  # and with them what is remembered of their contacts
-        self._tee.update_position(self._tee, DT)  # uses up the velocity that undoes overlaps
+        """Build a pymunk world in the present state."""
+        motion, space, (low, high) = self.motion, pymunk.Space(), WALL
+        space.damping = 0.0
+        for ends in (((low, high), (low, low)), ((low, low), (high, low)), ((high, low), (high, high))):
+            space.add(pymunk.Segment(space.static_body, *ends, WALL_RADIUS))
+        space.add(pymunk.Segment(space.static_body, (low, high), (high, high), WALL_RADIUS))
+        self._disc = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         self._disc.position, self._disc.velocity = motion.disc, motion.velocity
+        space.add(self._disc, pymunk.Circle(self._disc, DISC_RADIUS))
+        self._tee = pymunk.Body(1.0, 2 * pymunk.moment_for_poly(1.0, BAR.corners))
+        sides = [pymunk.Poly(self._tee, part.corners) for part in PARTS]
+        self._tee.center_of_gravity = (sides[0].center_of_gravity + sides[1].center_of_gravity) / 2
         self._tee.angle = motion.tee.angle  # first: it turns about the centre of gravity
         self._tee.position = motion.tee.x, motion.tee.y
         self._tee.velocity, self._tee.angular_velocity = motion.pushed, motion.turned
-        self._space.add(*self._shapes)
-        self._in_pymunk = True
+        space.add(self._tee, *sides)
+        self._space, self._in_pymunk = space, True

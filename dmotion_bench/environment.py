@@ -246,6 +246,17 @@ class Judging(Protocol):
 
 
 @runtime_checkable
+class SetsGoal(Protocol):
+    """An environment that may set the goal of its control tasks itself, such as a place that is marked in it.
+
+    The goal of others is what was recorded some frames after a task's start.
+    """
+
+    def task_goal(self) -> tuple[UInt8[np.ndarray, "h w 3"], ObjectStates] | None:
+        """The picture and the objects' states at the goal of the present episode; None for the recorded ones."""
+
+
+@runtime_checkable
 class Script(Protocol):
     """Solves one control task by rules that read the simulator: the reference ``scripted``."""
 

@@ -1,6 +1,8 @@
 """Stored control tasks as problems: the start state, the goal image, and the distance from the goal.
 
 A start state is reached by replay: the environment is reset with the episode's seed and takes the recorded actions.
+The goal is a later frame of the episode, unless the environment sets one itself (``environment.SetsGoal``).
+
 The distance that control is judged by is the environment's to supply (``environment.Judging``): 1 at the start, 0 at
 the goal. Where it supplies none, it comes from the simulator's positions: the sum over objects of how far each is from
 its place at the goal, divided by the same at the start. An object that is lost on the way counts 1, as much as
@@ -19,7 +21,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, TaskMeasure
+from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, SetsGoal, TaskMeasure
 from dmotion_bench.errors import DatasetError, UnknownName
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
@@ -183,7 +185,30 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
     for number in numbers:
         if not 0 <= number < len(tasks):
             raise UnknownName("task", str(number), [f"0 to {len(tasks) - 1}"])
-    return [_problem(dataset, number, tasks[number]) for number in numbers]
+    return _with_own_goals(dataset.recipe, [_problem(dataset, number, tasks[number]) for number in numbers])
+
+
+def _with_own_goals(recipe: DatasetRecipe, problems: list[Problem]) -> list[Problem]:
+    """The problems with the goals that the environment sets itself, if it does."""
+    kind: object = environment_class(recipe.environment)
+    if not isinstance(kind, SetsGoal):
+        return problems
+    env = task_environment(recipe)
+    try:
+        return [_with_own_goal(env, problem) for problem in problems]
+    finally:
+        env.close()
+
+
+def _with_own_goal(env: Environment, problem: Problem) -> Problem:
+    env.reset(seed=problem.seed, options=_options(problem))
+    goal = env.task_goal() if isinstance(env, SetsGoal) else None
+    return problem if goal is None else replace(problem, goal_frame=goal[0], goal_objects=goal[1])
+
+
+def _options(problem: Problem) -> dict[str, list[str]] | None:
+    """What a problem's episode is reset with, besides its seed."""
+    return {"vary": list(problem.vary)} if problem.vary else None
 
 
 def _problem(dataset: ReadableDataset, number: int, task: ControlTask) -> Problem:
@@ -254,7 +279,7 @@ class World:
 
 def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = ()) -> UInt8[np.ndarray, "h w 3"]:
     """Bring an environment to a problem's start and take some more actions; returns the image there."""
-    frame = env.reset(seed=problem.seed, options={"vary": list(problem.vary)} if problem.vary else None)[0]
+    frame = env.reset(seed=problem.seed, options=_options(problem))[0]
     for action in (*as_actions(problem.opening), *actions):
         frame = take(env, action)
     return frame

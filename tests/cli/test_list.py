@@ -25,6 +25,7 @@ def test_what_may_vary_stands_beside_each_environment(
     assert {one["environment"]: list(one["versions"]) for one in own} == {
         "grid_world": ["1", "2"],
         "planar_push": ["1"],
+        "push_t": ["1"],
         "robot_push": ["1"],
     }
     assert {one["tier"] for one in own} == {"masks"}

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from dmotion_bench.actions import Continuous
-from dmotion_bench.environment import Action, Environment, HasScript, Script
+from dmotion_bench.environment import Action, Environment, HasScript, ObjectEnvironment, Script
 from dmotion_bench.specs import ObjectStates
 from recorders.policies import RandomPolicy, Roomy
 from recorders.push_policy import Pushing
@@ -73,7 +73,7 @@ def _possible(env: Environment, action: Action) -> bool:
 
 def _new_goal(env: Environment, generator: np.random.Generator) -> ObjectStates | None:
     """The objects with one of them elsewhere; None where it cannot be pushed there, or nothing is there."""
-    objects, moves = env.objects(), cast(Bounded, env).moves
+    objects, moves = cast(ObjectEnvironment, env).objects(), cast(Bounded, env).moves
     present = np.flatnonzero(~np.isnan(objects.position[:, 0]))
     one, move, steps = generator.random(3).tolist()
     if not len(present):

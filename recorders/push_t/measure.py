@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, cast
 
-from dmotion_bench.environment import Environment
+from dmotion_bench.environment import Environment, ObjectEnvironment
 from dmotion_bench.specs import ObjectStates
 from recorders.push_t.tee import MM, OUTLINE, Pose, coverage
 
@@ -39,7 +39,7 @@ class GoalCoverage:
 
     def distance(self, env: Environment) -> float:
         """The judged distance."""
-        share, rule = self.uncovered(pose_of(env.objects())), 1 - SUCCESS_COVERAGE
+        share, rule = self.uncovered(pose_of(_objects(env))), 1 - SUCCESS_COVERAGE
         if self._start <= rule:  # solved before it began
             return share / self._start if self._start else 1.0
         if share < rule:
@@ -52,9 +52,13 @@ class GoalCoverage:
 
     def cost(self, env: Environment) -> float:
         """The mean squared distance of the T's eight corners from their places at the goal [m^2]."""
-        pose = pose_of(env.objects())
+        pose = pose_of(_objects(env))
         away = (math.dist(pose.place(*corner), there) for corner, there in zip(OUTLINE, self._corners, strict=True))
         return sum(one**2 for one in away) / len(OUTLINE) * MM**2
+
+
+def _objects(env: Environment) -> ObjectStates:
+    return cast(ObjectEnvironment, env).objects()
 
 
 def pose_of(objects: ObjectStates) -> Pose:

@@ -8,6 +8,9 @@ import json
 import shutil
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as parquet
 import pytest
 from noise_world import files_of
 
@@ -58,6 +61,22 @@ def test_a_cache_that_is_damaged_as_well_is_deleted(dataset: Path) -> None:
 def test_labels_that_were_taken_away_come_back(dataset: Path) -> None:
     before = files_of(dataset)
     shutil.rmtree(dataset / "labels")
+    assert repair_dataset(dataset).how == "restored"
+    assert files_of(dataset) == before
+
+
+def test_a_forged_table_is_told_from_the_shards_and_made_again(dataset: Path) -> None:
+    before, table = files_of(dataset), dataset / "episodes.parquet"
+    rows = parquet.read_table(table)
+    name = next(name for name in rows.column_names if name.startswith("states") and "offset" in name)
+    moved = pc.add(rows[name], pa.scalar(7, rows[name].type))
+    parquet.write_table(rows.set_column(rows.column_names.index(name), rows.schema.field(name), moved), table)
+    manifest = json.loads((dataset / "dataset.json").read_text())
+    content = table.read_bytes()
+    manifest["tables"]["episodes.parquet"] |= {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    (dataset / "dataset.json").write_text(json.dumps(manifest, indent=2))
+
+    assert {(damage.file, damage.shard) for damage in check_dataset(dataset).damages} == {("episodes.parquet", None)}
     assert repair_dataset(dataset).how == "restored"
     assert files_of(dataset) == before
 

@@ -12,8 +12,7 @@ import typer
 if TYPE_CHECKING:
     import numpy as np
 
-    from dmotion_bench.actions import ActionSpec
-    from dmotion_bench.planning.tasks import ActionTaken
+    from dmotion_bench.actions import ActionSpec, ActionTaken
     from dmotion_bench.storage.dataset import Dataset
 
 ARROWS = ("up", "down", "left", "right")
@@ -80,7 +79,7 @@ def play(
     import torch
 
     from dmotion_bench.cli.live import live_recording
-    from dmotion_bench.planning.driving import Drive
+    from dmotion_bench.learning.driving import Drive
     from dmotion_bench.viewing.drive import drive_blueprint, log_drive
 
     start = dataset.video(chosen)[0]

@@ -13,6 +13,7 @@
     latent_ranking.py   whether a model predicts the right point of its own latent space
     explanation.py      what can be measured on video whose actions are not known
     control.py          how near a model and a planner bring the objects to their goals
+    earlier_planning.py what earlier reports say of planning, in the words of today
     transfer.py         scoring on another data set than the one of the training
     overlap.py          which episodes of an import show what a run was trained on
     samples.py          the samples: one row for each predicted frame

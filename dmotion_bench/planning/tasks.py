@@ -21,6 +21,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from dmotion_bench.actions import ActionTaken, as_actions, given
 from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, SetsGoal, TaskMeasure
 from dmotion_bench.errors import DatasetError, UnknownName
 from dmotion_bench.recording.rollout import make_environment
@@ -29,9 +30,6 @@ from dmotion_bench.specs import DatasetRecipe, ObjectStates, delay_of
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command
-
-ActionTaken = int | tuple[float, ...]
-"""The number of a discrete action, or a continuous one in its units."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -288,13 +286,3 @@ def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = (
 def take(env: Environment, action: ActionTaken) -> UInt8[np.ndarray, "h w 3"]:
     """Take an action; returns the image after it."""
     return env.step(given(action))[0]
-
-
-def given(action: ActionTaken) -> int | Float[np.ndarray, " a"]:
-    """An action as an environment takes it."""
-    return np.array(action) if isinstance(action, tuple) else action
-
-
-def as_actions(rows: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]) -> list[ActionTaken]:
-    """Actions one by one, in a form that can be compared: numbers, or of continuous ones tuples."""
-    return [tuple(row) if isinstance(row, list) else row for row in rows.tolist()]

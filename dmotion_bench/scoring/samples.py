@@ -6,13 +6,16 @@
 ``episode, step``  the action taken at frame ``step`` leads to the predicted frame ``step + 1``
 ``ahead``          predicted so many steps after the last true frame: 1 for single steps
 ``action, pushed`` the recorded action, and whether it moves an object; null for a continuous action
-``command``        the numbers of a continuous action, in their units; only there if actions are continuous
+``command``        the numbers of a continuous action, in their units, null for none; only there if actions are
+                   continuous
 figures            as in the report; null where the frame has no value (see ``position_errors``)
 ``distance``       of each thing's centre [px], objects first, then the agent if it has a colour; null if not in both
 ``found``          whether the prediction shows each thing; ``found_truth`` the true frame
 ``hit_at_1``       H@1 of a rollout in the model's own space; ``reciprocal_rank`` its part of the MRR
 ``motion``         phi^0 of the true triplet, or any other latent action
 ================== ==================================================================================
+
+In reports of control on continuous actions that were written before they were kept, ``command`` is missing.
 
 A figure of the report is the mean of its column over the rows of its predictor and metric: all of them, those with
 ``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``.

@@ -18,8 +18,8 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
-from dmotion_bench.planning.earlier import present_planning, present_settings
 from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks
+from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of

@@ -18,16 +18,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from dmotion_bench.actions import ActionSpec, Continuous
+from dmotion_bench.actions import ActionSpec, ActionTaken, Continuous, as_actions, given
 from dmotion_bench.environment import Environment, ObjectEnvironment, Remembering, Restorable, Undrawn
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.planning.dynamics.base import Actions, Dynamics, Observation, State
-from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
-from dmotion_bench.planning.tasks import ActionTaken, Problem, World, as_actions, given, measure_of, start, take
+from dmotion_bench.planning.dynamics.base import Actions, Observation, State
+from dmotion_bench.planning.tasks import Problem, World, measure_of, start, take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,14 +193,3 @@ class SimulatorDynamics:
 
 def _pairs(state: State) -> list[tuple[int, int]]:
     return list(zip(state[0].tolist(), state[1].tolist(), strict=True))
-
-
-class TrueCost(Memoryless):
-    """The oracle's own objective: what the simulator's state costs, whatever is seen of it."""
-
-    def step(
-        self, dynamics: Dynamics, state: State, task: Int[Tensor, " n"], action: Tensor, cost_state: CostState
-    ) -> tuple[StepCost, CostState]:
-        """The states' true costs."""
-        assert isinstance(dynamics, SimulatorDynamics), "only the oracle's dynamics knows true costs"
-        return StepCost.of(dynamics.true_costs(state)), ()

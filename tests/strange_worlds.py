@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from typing import Any, ClassVar
 
 import gymnasium
@@ -52,6 +53,31 @@ class Unseeded(Slider):
         super().reset(seed=seed)
         self.place = int(np.random.default_rng().integers(0, 2**20)) % (self.places - 2)
         return self.observed(), {}
+
+
+class Legacy(Slider):
+    """Draws from the generators that a whole process shares."""
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place = int(np.random.randint(0, 2**20)) % (self.places - 2)  # noqa: NPY002 -- as OGBench does
+        return self.observed(), {}
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        return super_step(self, 5 + (random.random() < 0.5))
+
+
+class Remembering(Slider):
+    """Draws the picture in the colour of the number of its episode, as MuJoCo's camera stays where it was at first."""
+
+    episodes = 0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+        self.episodes += 1
+        return super().reset(seed=seed)
+
+    def render(self) -> Any:
+        return super().render() - np.uint8(5 * (self.episodes > 1))
 
 
 class Growing(Slider):
@@ -127,6 +153,19 @@ def super_step(world: Slider, action: int) -> tuple[np.ndarray, float, bool, boo
 
 def register() -> None:
     """Make them known to Gymnasium, as ``Strange/NAME-v0``."""
-    for kind in (Slider, Unseeded, Growing, Gray, Listing, Blind, Keyed, Buttons, Boundless, Speed):
+    for kind in (
+        Slider,
+        Unseeded,
+        Legacy,
+        Remembering,
+        Growing,
+        Gray,
+        Listing,
+        Blind,
+        Keyed,
+        Buttons,
+        Boundless,
+        Speed,
+    ):
         if (name := f"Strange/{kind.__name__}-v0") not in gymnasium.registry:
             gymnasium.register(id=name, entry_point=kind, max_episode_steps=40)

@@ -14,6 +14,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
@@ -27,6 +28,7 @@ from dmotion_bench.errors import DmbenchError, InvalidSetting, PackageNotInstall
 from dmotion_bench.specs import UNPLACED_AGENT, EnvSpec, Preset, Scalar
 from dmotion_bench.storage.imports.fitting import area_mean
 from dmotion_bench.wording import shown
+from recorders.gymnasium_env.legacy_randomness import LegacyRandomness
 from recorders.gymnasium_env.spaces import action_spec, for_simulator
 from recorders.gymnasium_env.worlds import MODULES, PACKAGES
 from recorders.policies import RandomPolicy, StickyPolicy
@@ -46,6 +48,8 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         action_repeat: How often an action is taken between two frames.
         max_episode_steps: The simulator's steps after which an episode is cut off; None for what its id says.
         wrappers: ``MODULE:CLASS``, separated by commas: applied in this order to what ``gymnasium.make`` gives.
+        fresh: Whether each episode has a simulator of its own. Some remember: MuJoCo's camera looks at where things
+            were when it drew first, so the same seed gives other pictures in a simulator that was used before.
         render_mode: Gymnasium's; frames are always drawn in ``rgb_array``.
         settings: Keyword arguments of ``gymnasium.make``.
 
@@ -83,6 +87,7 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         action_repeat: int = 1,
         max_episode_steps: int | None = None,
         wrappers: str = "",
+        fresh: bool = True,
         render_mode: str | None = None,
         **settings: Scalar,
     ) -> None:
@@ -98,7 +103,9 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             raise InvalidSetting(f"max_episode_steps is {max_episode_steps}; an episode has 1 step or more.")
         self.name, self.render_mode = f"gym:{self.id}", render_mode
         self._size, self._repeat = frame_size, action_repeat
-        self._inner = self._made(max_episode_steps, wrappers, settings)
+        self._legacy = LegacyRandomness()
+        self._make = partial(self._made, max_episode_steps, wrappers, settings)
+        self._inner, self._fresh, self._used = self._make(), fresh, False
         self._require_pictures()
         with quiet():
             actions = action_spec(self.name, self._inner)
@@ -128,9 +135,10 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
                     f"{key} is {shown(value)}, which could name a file, and the recipe of a data set names none; "
                     "register an environment of your own with it."
                 )
+        self._legacy.begin(0)
         kinds = [self._wrapper(name.strip()) for name in wrappers.split(",") if name.strip()]
         try:
-            with quiet():
+            with quiet(), self._legacy.lent():
                 made = gymnasium.make(
                     self.registered,
                     max_episode_steps=max_episode_steps,
@@ -175,6 +183,12 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         if options and options.get("vary"):
             raise InvalidSetting(f"dmbench varies nothing in {self.name!r}; leave out '--vary', or use '--set'.")
         self._steps, self._over, self._seed = 0, False, 0 if seed is None else seed % _SEEDS
+        if seed is not None:
+            if self._fresh and self._used:
+                self.close()
+                self._inner = self._make()
+            self._legacy.begin(self._seed)
+        self._used = True
         with self._guarded("reset"):
             self._inner.reset(seed=None if seed is None else self._seed)
             self._frame = self._look()
@@ -247,7 +261,7 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     def _guarded(self, what: str) -> Iterator[None]:
         """Turn what the simulator raises into a sentence."""
         try:
-            with quiet():
+            with quiet(), self._legacy.lent():
                 yield
         except DmbenchError:
             raise

@@ -32,6 +32,7 @@ _OWN: Final[Mapping[str, Any]] = {
     "action_repeat": int,
     "max_episode_steps": int | None,
     "wrappers": str,
+    "fresh": bool,
 }
 _NOT_SET: Final = ("self", "render_mode", "id", "disable_env_checker")
 
@@ -80,7 +81,7 @@ def _member(name: str) -> type[Environment]:
         @classmethod
         def completed(cls, parameters: Mapping[str, Scalar]) -> dict[str, Scalar]:
             """With size, repetition and time limit, so that another version of Gymnasium records the same."""
-            usual: dict[str, Scalar] = {"frame_size": 128, "action_repeat": 1}
+            usual: dict[str, Scalar] = {"frame_size": 128, "action_repeat": 1, "fresh": True}
             if spec.max_episode_steps is not None:
                 usual["max_episode_steps"] = spec.max_episode_steps
             return dict(sorted({**usual, **parameters}.items()))

@@ -55,7 +55,9 @@ WORLDS: Final[Mapping[str, World]] = MappingProxyType(
         "ALE/Pong-v5": World(what="Atari's Pong", extra=ATARI),
         "dm_control/cheetah-run-v0": World(what="DeepMind Control's running cheetah", extra=DM_CONTROL),
         "cube-single-v0": World(what="OGBench: a robot arm moves a cube", extra=OGBENCH),
-        "Meta-World/MT1": World(what="Meta-World: a robot arm; --set env_name=push-v3 pushes a puck", extra=METAWORLD),
+        "Meta-World/MT1": World(
+            what="Meta-World: a robot arm; --set env_name=push-v3 --set seed=1 pushes a puck", extra=METAWORLD
+        ),
     }
 )
 

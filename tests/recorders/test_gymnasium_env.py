@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes.util
 import importlib
 import json
+import random
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -130,6 +131,7 @@ def test_the_recipe_says_what_another_gymnasium_might_decide_otherwise(tmp_path:
     assert dataset.recipe.parameters == {
         "action_repeat": 1,
         "frame_size": 24,
+        "fresh": True,
         "max_episode_steps": 40,
         "places": 16,
         "wrappers": "gymnasium.wrappers:Autoreset",
@@ -157,6 +159,27 @@ def test_what_does_not_repeat_is_recorded_and_said(run: Run, tmp_path: Path) -> 
     assert not dataset.manifest.replay.identical
     assert dataset.tasks() == []
     assert json.loads(run("gym:Strange/Unseeded-v0", *SMALL, "--tasks", "3", "--json").out)["repeats"] is False
+
+
+def test_a_simulator_that_draws_from_shared_generators_repeats_and_leaves_them_alone(tmp_path: Path) -> None:
+    dataset = recorded(tmp_path / "data", "gym:Strange/Legacy-v0", episodes=4)
+    assert dataset.manifest.replay is not None
+    assert dataset.manifest.replay.identical
+    assert len({dataset.video(episode).tobytes() for episode in range(4)}) == 4
+    before = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
+    env = environment_class("gym:Strange/Legacy-v0")(frame_size=16)
+    env.reset(seed=3)
+    env.step(0)
+    assert (random.getstate(), np.random.get_state()[1].tolist()) == before  # noqa: NPY002
+
+
+def test_a_simulator_that_remembers_has_a_new_one_for_each_episode(tmp_path: Path) -> None:
+    fresh = recorded(tmp_path / "fresh", "gym:Strange/Remembering-v0", episodes=4)
+    used = recorded(tmp_path / "used", "gym:Strange/Remembering-v0", episodes=4, settings=("fresh=false",))
+    assert fresh.manifest.replay is not None
+    assert fresh.manifest.replay.identical
+    assert used.manifest.replay is not None
+    assert used.manifest.replay.differs == "frame 0 of episode 2"
 
 
 def test_what_repeats_is_recorded_too_and_known_environments_are_not_asked(run: Run, tmp_path: Path) -> None:
@@ -259,10 +282,10 @@ def test_a_world_that_ships_is_recorded_at_preset_tiny(name: str, tmp_path: Path
         settings = ("width=64", "height=64")
         if ctypes.util.find_library("EGL") is None:
             pytest.skip("MuJoCo draws by EGL: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri")
-    dataset = recorded(tmp_path / "data", f"gym:{name}", episodes=2, frames=8, size=64, settings=settings)
+    dataset = recorded(tmp_path / "data", f"gym:{name}", episodes=3, frames=6, size=64, settings=settings)
     assert dataset.manifest.replay is not None
     assert dataset.manifest.replay.identical, dataset.manifest.replay
-    frames = np.concatenate([dataset.video(episode) for episode in range(2)])
+    frames = np.concatenate([dataset.video(episode) for episode in range(3)])
     assert len(np.unique(frames, axis=0)) > 3
     assert len(np.unique(frames.reshape(-1, 3), axis=0)) > 3
     if name.startswith("MiniGrid"):

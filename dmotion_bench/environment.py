@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from dmotion_bench.specs import EnvSpec, Episode, ObjectStates, Preset
+from dmotion_bench.specs import EnvSpec, Episode, ObjectStates, Preset, Scalar
 
 Action = int | Float[np.ndarray, " a"]
 """The number of a discrete action, or a continuous one in its units."""
@@ -80,6 +80,15 @@ class Varied(Protocol):
 
     A factor with the name ``specs.DELAY`` is the number of steps by which frames lag behind the world.
     """
+
+
+@runtime_checkable
+class Prepared(Protocol):
+    """An environment class with parameters that name files, which a recipe may not: it holds their hash instead."""
+
+    @classmethod
+    def prepared(cls, parameters: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
+        """Constructor arguments as somebody typed them, with a hash of what was found in the place of each path."""
 
 
 @runtime_checkable

@@ -7,7 +7,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from dmotion_bench.environment import Environment, Versioned
+from dmotion_bench.environment import Environment, Prepared, Versioned
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.recording.session import SHARD_EPISODES
 from dmotion_bench.registry import environment_class
@@ -52,7 +52,7 @@ def recipe_for(
     if preset not in kind.recording:
         raise UnknownName(f"preset of {environment}", preset.value, [known.value for known in kind.recording])
     usual = kind.recording[preset]
-    parameters = _with_version(kind, parse_parameters(environment, kind, settings))
+    parameters = _with_version(kind, _prepared(kind, parse_parameters(environment, kind, settings)))
     varying = tuple(sorted({name.strip() for name in vary} - {""}))
     if ranges != USUAL_RANGES:
         if not varying:
@@ -71,6 +71,12 @@ def recipe_for(
         shard_episodes=SHARD_EPISODES,
         vary=varying,
     )
+
+
+def _prepared(kind: type[Environment], parameters: dict[str, Scalar]) -> dict[str, Scalar]:
+    """The parameters without paths, where the environment takes any."""
+    prepared: object = kind
+    return dict(prepared.prepared(parameters)) if isinstance(prepared, Prepared) else parameters
 
 
 def _with_version(kind: type[Environment], parameters: dict[str, Scalar]) -> dict[str, Scalar]:

@@ -176,6 +176,15 @@ class Varied(Protocol):
 
 
 @runtime_checkable
+class Prepared(Protocol):
+    """An environment class with parameters that name files, which a recipe may not: it holds their hash instead."""
+
+    @classmethod
+    def prepared(cls, parameters: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
+        """Constructor arguments as somebody typed them, with a hash of what was found in the place of each path."""
+
+
+@runtime_checkable
 class Versioned(Protocol):
     """An environment class whose frames or rules have changed: its constructor takes ``version``, 1 by default.
 

@@ -23,7 +23,7 @@ from recorders.push_policy import Pushing
 EXPERT: Final = 0.8
 SHORTEST, LONGEST = 2, 4  # steps that an object is to be moved
 TRIES: Final = 8  # tasks that are considered at one step
-PATIENCE: Final = 20  # steps that one task may take
+PATIENCE: Final = 30  # steps that one task may take
 
 
 class Bounded(Pushing, HasScript, Protocol):

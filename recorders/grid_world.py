@@ -44,6 +44,7 @@ from recorders.distractors import (
     episode_values,
     make_scene,
     make_video,
+    without_paths,
 )
 from recorders.expert_policy import ExpertPolicy
 from recorders.grid_drawing import CELLS, SIZE, Drawn, Version
@@ -134,6 +135,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         scene: Which of the ready scenes: ``"clean"``, ``"distracted"``, ``"unseen"``; see ``recorders.distractors``.
         background, movers, correlated, shake, noise, delay: Values of these factors; None: the scene's.
         textures: Generators of the background, separated by commas; None: the scene's.
+        clips: The hash of prepared clips, which are the background in place of textures; ``prepared`` makes it.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
     """
 
@@ -168,6 +170,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         scene: SceneName = "clean",
         background: float | None = None,
         textures: str | None = None,
+        clips: str | None = None,
         movers: int | None = None,
         correlated: float | None = None,
         shake: int | None = None,
@@ -189,7 +192,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             "noise": noise,
             "delay": delay,
         }
-        self._scene = make_scene(scene, textures)
+        self._scene = make_scene(scene, textures, clips)
         self._variation = Variation(FACTORS, (), ranges)
         self._vary = named_factors(vary)
         self._fixed = {name: value for name, value in given.items() if value is not None}
@@ -197,6 +200,11 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._video: Video | None = None
         self._place(starting_cells(np.random.default_rng(0)), np.ones(1 + OBJECTS, np.bool_))
         self._seen = self._picture()
+
+    @classmethod
+    def prepared(cls, parameters: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
+        """The parameters with the hash of the clips in the place of their folder."""
+        return without_paths(parameters)
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:

@@ -66,14 +66,11 @@ class PushPolicy:
             x, y = there[0] - here[0], there[1] - here[1]
             self._moves = moves = self._moves or world.moves.tolist()
             # The longer leg more often than the other, so that the way is no fixed zigzag.
-            toward = legal
             if isinstance(env, Careful):
-                toward = [
-                    action for action, loses_nothing in enumerate(env.careful_actions().tolist()) if loses_nothing
-                ]
-            weights = [max(0.0, moves[action][0] * x + moves[action][1] * y) ** 2 for action in toward]
+                legal = np.flatnonzero(env.careful_actions()).tolist() or legal
+            weights = [max(0.0, moves[action][0] * x + moves[action][1] * y) ** 2 for action in legal]
             if sum(weights) > 0:
-                return toward[_drawn(weights, generator.random())]
+                return legal[_drawn(weights, generator.random())]
         return legal[int(generator.random() * len(legal))]
 
     def _displacement(self, world: Pushing, spec: Continuous, generator: np.random.Generator) -> Float[np.ndarray, "2"]:

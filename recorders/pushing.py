@@ -21,7 +21,7 @@ from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.specs import EnvSpec, ObjectSpec, ObjectStates, Preset, Scalar
-from recorders.distractors import Picture, Scene, Video, VideoState, episode_values, make_video
+from recorders.distractors import Picture, Scene, Video, VideoState, episode_values, make_video, without_paths
 from recorders.expert_policy import ExpertPolicy
 from recorders.policies import RandomPolicy
 from recorders.push_policy import PushPolicy
@@ -126,6 +126,11 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._factors: dict[str, Scalar] = {}
         self._place: Place = (0, 0)
         self._moment = 0
+
+    @classmethod
+    def prepared(cls, parameters: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
+        """The parameters with the hash of the clips in the place of their folder."""
+        return without_paths(parameters)
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:

@@ -7,7 +7,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from dmotion_bench.environment import Environment, Parametrised, Versioned
+from dmotion_bench.environment import Environment, Parametrised, Prepared, Versioned
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.recording.session import SHARD_EPISODES
 from dmotion_bench.registry import environment_class
@@ -58,7 +58,7 @@ def recipe_for(
     if preset not in kind.recording:
         raise UnknownName(f"preset of {environment}", preset.value, [known.value for known in kind.recording])
     usual = kind.recording[preset]
-    parameters = _with_version(kind, parse_parameters(environment, kind, settings))
+    parameters = _with_version(kind, _prepared(kind, parse_parameters(environment, kind, settings)))
     for key, option, given in ((FRAME_SIZE, "--size", size), (ACTION_REPEAT, "--frame-skip", frame_skip)):
         if given is not None:
             if key not in _parameters(kind)[0]:
@@ -84,6 +84,12 @@ def recipe_for(
         shard_episodes=SHARD_EPISODES,
         vary=varying,
     )
+
+
+def _prepared(kind: type[Environment], parameters: dict[str, Scalar]) -> dict[str, Scalar]:
+    """The parameters without paths, where the environment takes any."""
+    prepared: object = kind
+    return dict(prepared.prepared(parameters)) if isinstance(prepared, Prepared) else parameters
 
 
 def _with_version(kind: type[Environment], parameters: dict[str, Scalar]) -> dict[str, Scalar]:

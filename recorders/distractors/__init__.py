@@ -15,7 +15,7 @@ One factor is one file. ``scenes.py`` says how strong they may be and names the 
 together. None of them knows a world.
 """
 
-from recorders.distractors.scenes import FACTORS, SCENES, Scene, SceneName, episode_values, make_scene
+from recorders.distractors.scenes import FACTORS, SCENES, Scene, SceneName, episode_values, make_scene, without_paths
 from recorders.distractors.video import Picture, Video, VideoState, make_video
 
 __all__ = [
@@ -29,4 +29,5 @@ __all__ = [
     "episode_values",
     "make_scene",
     "make_video",
+    "without_paths",
 ]

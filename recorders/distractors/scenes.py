@@ -11,12 +11,13 @@ No ready scene has ``delay``: with it, the action between two frames is another 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.specs import Scalar
+from recorders.distractors.clips import load_clips, prepared_clips
 from recorders.distractors.streams import stream
 from recorders.distractors.textures import GENERATORS
 from recorders.variation import Factor, Variation
@@ -24,6 +25,9 @@ from recorders.variation import Factor, Variation
 SceneName = Literal["clean", "distracted", "unseen"]
 TEXTURE: Final = "background/texture"
 """What an episode's values call the generator of its background."""
+
+CLIPS: Final = "clips"
+"""What stands there where it is a clip; also the parameter that names the clips."""
 
 FACTORS: Final = (
     Factor(
@@ -89,11 +93,13 @@ class Scene:
         strengths: Of factors that neither vary nor are given.
         textures: Generators that an episode's background is drawn from.
         family: Of random streams and of movers' shapes.
+        clips: The hash of clips that are the background in place of textures (``clips.py``).
     """
 
     strengths: Mapping[str, float] = field(default_factory=dict)
     textures: tuple[str, ...] = ("leaves", "clouds")
     family: int = 0
+    clips: str | None = None
 
 
 _DISTRACTED: Final = MappingProxyType({"background": 0.7, "movers": 3, "correlated": 0.5, "shake": 2})
@@ -107,20 +113,27 @@ SCENES: Final[Mapping[str, Scene]] = MappingProxyType(
 assert tuple(SCENES) == get_args(SceneName), "the type lists the scenes"
 
 
-def make_scene(name: str, textures: str | None) -> Scene:
-    """A ready scene, with other textures if some are given.
+def make_scene(name: str, textures: str | None, clips: str | None = None) -> Scene:
+    """A ready scene, with other textures or with clips if some are given.
 
     Args:
         name: Of the scene.
         textures: Generators, separated by commas.
+        clips: The hash of prepared clips; the background is as strong as in ``distracted`` if nobody says how strong.
 
     Raises:
         UnknownName: There is no such scene, or no such generator.
-        InvalidSetting: No generator is named.
+        InvalidSetting: No generator is named, both are given, or the clips are not here.
     """
     if name not in SCENES:
         raise UnknownName("scene", name, SCENES)
     scene = SCENES[name]
+    if clips is not None:
+        if textures is not None:
+            raise InvalidSetting("a background is made of textures or of clips; leave out one of the two.")
+        load_clips(clips)
+        strong = {"background": _DISTRACTED["background"], **scene.strengths}
+        return replace(scene, strengths=strong, textures=(CLIPS,), clips=clips)
     if textures is None:
         return scene
     named = tuple(one.strip() for one in textures.split(",") if one.strip())
@@ -129,7 +142,7 @@ def make_scene(name: str, textures: str | None) -> Scene:
     for one in named:
         if one not in GENERATORS:
             raise UnknownName("generator of textures", one, GENERATORS)
-    return Scene(strengths=scene.strengths, textures=named, family=scene.family)
+    return replace(scene, textures=named)
 
 
 def strengths(values: Mapping[str, Scalar]) -> dict[str, float]:
@@ -155,11 +168,24 @@ def episode_values(
     """
     given, varying = dict(fixed), tuple(vary)
     kind = given.pop(TEXTURE, None)
-    if kind is not None and kind not in GENERATORS:
-        raise UnknownName("generator of textures", str(kind), GENERATORS)
+    known = (CLIPS,) if scene.clips else tuple(GENERATORS)
+    if kind is not None and kind not in known:
+        raise UnknownName("generator of textures", str(kind), known)
     usual = {name: value for name, value in scene.strengths.items() if name not in varying}
     values = variation.values(entropy, varying, {**usual, **given})
     if values.get("background"):
         number = int(stream(entropy, TEXTURE, scene.family).integers(len(scene.textures)))
         values[TEXTURE] = kind or scene.textures[number]
     return values
+
+
+def without_paths(parameters: Mapping[str, Scalar]) -> dict[str, Scalar]:
+    """An environment's parameters with the hash of its clips in the place of their folder (``Prepared``).
+
+    Raises:
+        RecordingImportError: The clips cannot be read.
+        InvalidSetting: None of them moves.
+    """
+    if CLIPS not in parameters:
+        return dict(parameters)
+    return {**parameters, CLIPS: prepared_clips(str(parameters[CLIPS]))}

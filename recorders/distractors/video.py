@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 
 from dmotion_bench.specs import EnvSpec, Scalar
 from recorders.distractors.background import Backdrop, Textures, choice_of, chosen
+from recorders.distractors.clips import Clip, load_clips
 from recorders.distractors.movers import FAMILIES, Followers, Looks, Movers, mover_colors
 from recorders.distractors.noise import Noise
 from recorders.distractors.scenes import TEXTURE, Scene, strengths
@@ -88,7 +89,10 @@ class Video:
         self._background: Backdrop | None = None
         if strong["background"]:
             share = strong["background"]
-            self._background = Textures(numbers("background"), str(values[TEXTURE]), size=size, share=share)
+            if scene.clips:
+                self._background = Clip(numbers("background"), load_clips(scene.clips), share=share)
+            else:
+                self._background = Textures(numbers("background"), str(values[TEXTURE]), size=size, share=share)
         self._movers = Movers(numbers("movers"), int(strong["movers"]), looks) if strong["movers"] else None
         correlated = strong["correlated"]
         self._followers = Followers(numbers("correlated"), correlated, looks) if correlated else None

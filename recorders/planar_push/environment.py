@@ -109,6 +109,7 @@ class PlanarPush(PushingEnvironment):
         scene: Which of the ready scenes: ``"clean"``, ``"distracted"``, ``"unseen"``; see ``recorders.distractors``.
         background, movers, correlated, shake, noise, delay: Values of these factors; None: the scene's.
         textures: Generators of the background, separated by commas; None: the scene's.
+        clips: The hash of prepared clips, which are the background in place of textures; ``prepared`` makes it.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
     """
 
@@ -138,6 +139,7 @@ class PlanarPush(PushingEnvironment):
         scene: SceneName = "clean",
         background: float | None = None,
         textures: str | None = None,
+        clips: str | None = None,
         movers: int | None = None,
         correlated: float | None = None,
         shake: int | None = None,
@@ -172,7 +174,7 @@ class PlanarPush(PushingEnvironment):
                 "noise": noise,
                 "delay": delay,
             },
-            scene=make_scene(scene, textures),
+            scene=make_scene(scene, textures, clips),
             render_mode=render_mode,
         )
         self._shapes = [SHAPES[one.shape] for one in self.facts.objects]

@@ -60,6 +60,7 @@ class RobotPush(PushingEnvironment):
         scene: Which of the ready scenes: ``"clean"``, ``"distracted"``, ``"unseen"``; see ``recorders.distractors``.
         background, movers, correlated, shake, noise, delay: Values of these factors; None: the scene's.
         textures: Generators of the background, separated by commas; None: the scene's.
+        clips: The hash of prepared clips, which are the background in place of textures; ``prepared`` makes it.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
 
     Raises:
@@ -86,6 +87,7 @@ class RobotPush(PushingEnvironment):
         scene: SceneName = "clean",
         background: float | None = None,
         textures: str | None = None,
+        clips: str | None = None,
         movers: int | None = None,
         correlated: float | None = None,
         shake: int | None = None,
@@ -120,7 +122,7 @@ class RobotPush(PushingEnvironment):
                 "noise": noise,
                 "delay": delay,
             },
-            scene=make_scene(scene, textures),
+            scene=make_scene(scene, textures, clips),
             render_mode=render_mode,
         )
         self._solids = [SOLIDS[one.shape] for one in self.facts.objects]

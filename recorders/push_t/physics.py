@@ -5,7 +5,7 @@ kinematic and accelerates by k_p x (target - position) - k_v x velocity; nothing
 (a damping of 0), which stands for the friction of a table; walls hold the T, not the disc. The T's two rectangles have
 no friction at their sides, and its moment of inertia counts the bar twice.
 
-With pymunk 7 this moves bit by bit as ``gym-pusht`` with pymunk 6 (tests/recorders/test_push_t.py).
+With pymunk 7 this moves as ``gym-pusht`` with pymunk 6, to 1e-13 mm (tests/recorders/test_push_t.py).
 """
 
 from __future__ import annotations
@@ -19,10 +19,15 @@ from recorders.push_t.tee import BAR, PARTS, RADIUS, SIDE, Pose, clearance
 
 DT: Final = 0.01  # of a substep [s]
 SUBSTEPS: Final = 10
+INERTIA: Final = 2 * pymunk.moment_for_poly(1.0, BAR.corners)  # of the T, whose mass is 1
 STIFFNESS, DAMPING = 100.0, 20.0  # k_p [1/s^2] and k_v [1/s]: critically damped
 DISC_RADIUS: Final = 15.0  # [mm]
 WALL: Final = (5.0, SIDE - 6.0)  # where the walls' middle lines are, along x and y [mm]
 WALL_RADIUS: Final = 2.0  # [mm]
+WALLS: Final = tuple(
+    ((WALL[a], WALL[b]), (WALL[c], WALL[d])) for a, b, c, d in ((0, 1, 0, 0), (0, 0, 1, 0), (1, 0, 1, 1), (0, 1, 1, 1))
+)
+"""The ends of the walls' middle lines."""
 INSIDE: Final = (WALL[0] + WALL_RADIUS, WALL[1] - WALL_RADIUS)
 """Between the walls [mm]."""
 REACH: Final = DISC_RADIUS + 0.1  # from the disc's centre; a T that is farther away is not touched [mm]
@@ -115,19 +120,16 @@ class PushPhysics:
 
     def _enter(self) -> None:
         """Build a pymunk world in the present state."""
-        motion, space, (low, high) = self.motion, pymunk.Space(), WALL
+        motion, space = self.motion, pymunk.Space()
         space.damping = 0.0
-        for ends in (((low, high), (low, low)), ((low, low), (high, low)), ((high, low), (high, high))):
-            space.add(pymunk.Segment(space.static_body, *ends, WALL_RADIUS))
-        space.add(pymunk.Segment(space.static_body, (low, high), (high, high), WALL_RADIUS))
         self._disc = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         self._disc.position, self._disc.velocity = motion.disc, motion.velocity
-        space.add(self._disc, pymunk.Circle(self._disc, DISC_RADIUS))
-        self._tee = pymunk.Body(1.0, 2 * pymunk.moment_for_poly(1.0, BAR.corners))
+        self._tee = pymunk.Body(1.0, INERTIA)
         sides = [pymunk.Poly(self._tee, part.corners) for part in PARTS]
         self._tee.center_of_gravity = (sides[0].center_of_gravity + sides[1].center_of_gravity) / 2
         self._tee.angle = motion.tee.angle  # first: it turns about the centre of gravity
         self._tee.position = motion.tee.x, motion.tee.y
         self._tee.velocity, self._tee.angular_velocity = motion.pushed, motion.turned
-        space.add(self._tee, *sides)
+        walls = [pymunk.Segment(space.static_body, *ends, WALL_RADIUS) for ends in WALLS]
+        space.add(*walls, self._disc, pymunk.Circle(self._disc, DISC_RADIUS), self._tee, *sides)
         self._space, self._in_pymunk = space, True

@@ -53,7 +53,7 @@ def test_it_moves_as_gym_pusht_does(number: int) -> None:
         action, state, covered, reward, contacts = row[:2], row[2:7], row[7], row[8], row[9]
         _, own_reward, terminated, _, info = env.step(np.array(action))
         touched += contacts > 0
-        # to the bit where it was tried; another processor may round otherwise, and pushes multiply that
+        # to 1e-13 mm where it was tried; another processor may round otherwise, and pushes multiply that
         np.testing.assert_allclose(state_of(env)[:2], state[:2], atol=1e-9)
         np.testing.assert_allclose(state_of(env)[2:], state[2:], atol=0.5 if touched else 0)
         assert info["coverage"] == pytest.approx(covered, abs=0.02 if touched else 1e-12)

@@ -10,9 +10,6 @@ Somebody else's simulator may raise anything at any time; what it raises becomes
 from __future__ import annotations
 
 import contextlib
-import os
-import sys
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from types import MappingProxyType
@@ -24,20 +21,21 @@ from jaxtyping import Bool, UInt8
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Policy, RecordingPreset
-from dmotion_bench.errors import DmbenchError, InvalidSetting, PackageNotInstalled, RecordingFailed
+from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed
 from dmotion_bench.specs import UNPLACED_AGENT, EnvSpec, Preset, Scalar
 from dmotion_bench.storage.imports.fitting import area_mean
 from dmotion_bench.wording import shown
+from recorders.gymnasium_env.guest import quiet, unmade
 from recorders.gymnasium_env.legacy_randomness import LegacyRandomness
+from recorders.gymnasium_env.modules import import_named
 from recorders.gymnasium_env.spaces import action_spec, for_simulator
-from recorders.gymnasium_env.worlds import MODULES, PACKAGES
+from recorders.gymnasium_env.worlds import PACKAGES
 from recorders.policies import RandomPolicy, StickyPolicy
 
 RENDER_MODE: Final = "rgb_array"
 _SEEDS: Final = 2**31  # what every simulator takes: some keep a seed in 32 bits
 _SIZES: Final = range(16, 1025)  # [px]
 _USUAL_FPS: Final = 10.0
-_EGL: Final = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
 
 
 class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
@@ -154,8 +152,6 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def _wrapper(self, name: str) -> Callable[[Any], Any]:
         """The class of a wrapper that is made with the environment alone."""
-        from recorders.gymnasium_env.modules import import_named
-
         module, colon, attribute = name.partition(":")
         kind: Any = getattr(import_named(module, self.name), attribute, None) if colon else None
         if not (isinstance(kind, type) and issubclass(kind, gymnasium.Wrapper)):
@@ -270,37 +266,3 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
                 f"{self.name!r} raised {type(error).__name__} in {what!r} {self._when()}: {error}. "
                 "Nothing is recorded; mend the environment, or give it other settings with '--set'."
             ) from error
-
-
-@contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Without warnings, and without a screen: packages that draw read these variables when they are imported."""
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
-        os.environ.setdefault("MUJOCO_GL", "egl")
-        if os.environ["MUJOCO_GL"] == "egl":
-            os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
-
-
-def unmade(name: str, error: Exception) -> DmbenchError:
-    """The error for an environment that cannot be made."""
-    missing = error
-    while missing is not None and not isinstance(missing, ModuleNotFoundError):
-        missing = missing.__cause__ or missing.__context__  # type: ignore[assignment]
-    if isinstance(missing, ModuleNotFoundError) and missing.name:
-        module = missing.name.partition(".")[0]
-        extra = MODULES.get(module)
-        return PackageNotInstalled(
-            module, repr(name), f"pip install 'dmbench[{extra}]'" if extra else f"pip install {module}"
-        )
-    said = f"{type(error).__name__}: {error}".rstrip(".")
-    if any(word in said.lower() for word in ("egl", "opengl", "glfw", "osmesa", "display")):
-        return InvalidSetting(
-            f"{name!r} cannot draw without a screen here ({said}); install EGL with '{_EGL}' and set MUJOCO_GL=egl, or "
-            "MUJOCO_GL=osmesa with 'libosmesa6'."
-        )
-    return InvalidSetting(f"{name!r} cannot be made: {said}.")

@@ -22,7 +22,8 @@ from dmotion_bench.environment import Environment, Tier
 from dmotion_bench.errors import InvalidSetting, PackageNotInstalled, UnknownName, UsageError
 from dmotion_bench.specs import Scalar
 from dmotion_bench.wording import shown
-from recorders.gymnasium_env.environment import GymnasiumEnvironment, quiet, unmade
+from recorders.gymnasium_env.environment import GymnasiumEnvironment
+from recorders.gymnasium_env.guest import quiet, unmade
 from recorders.gymnasium_env.modules import import_named
 from recorders.gymnasium_env.worlds import SOURCES, WORLDS, extra_for
 

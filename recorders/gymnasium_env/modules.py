@@ -13,7 +13,7 @@ from typing import Any
 
 from dmotion_bench.errors import UsageError
 from dmotion_bench.wording import shown
-from recorders.gymnasium_env.environment import quiet, unmade
+from recorders.gymnasium_env.guest import quiet, unmade
 
 
 def import_named(module: str, wanted_by: str) -> Any:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.wording import shown
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 MOST_ACTIONS: Final = 4096  # names of discrete actions
 MOST_NUMBERS: Final = 256  # in a continuous action
 LONGEST_NAME: Final = 256  # characters
+MOST_DESCRIBED: Final = 4  # numbers
+SMALLEST: Final = float(np.finfo(np.float64).tiny)
 SLACK: Final = 1e-6
 """Share of its range by which a number may lie outside: rounding to 32 bits takes less."""
 
@@ -96,6 +98,10 @@ class Discrete:
     def fits(self, other: ActionSpec | None) -> bool:
         """Whether a model made for these actions can be given those: as many, whatever their names."""
         return isinstance(other, Discrete) and len(other) == len(self)
+
+    def describe(self, action: Any) -> str:
+        """An action in words: its name."""
+        return self.names[int(action)]
 
     def __str__(self) -> str:
         return ", ".join(self.names)
@@ -206,6 +212,15 @@ class Continuous:
         """Whether a model made for these actions can be given those: the same bounds, whatever their names."""
         return isinstance(other, Continuous) and (other.low, other.high) == (self.low, self.high)
 
+    def describe(self, action: Any) -> str:
+        """An action in words: its numbers with their names and units, rounded; of many, the first few."""
+        said = []
+        for name, number, unit, reach in zip(self.names, action, self.units, self.reach.tolist(), strict=True):
+            digits = 2 - math.floor(math.log10(max(reach, SMALLEST)))
+            said.append(f"{name} {round(float(number), digits) + 0.0:g} {unit}".rstrip())  # with 0 for -0
+        more = len(said) - MOST_DESCRIBED
+        return ", ".join(said if more <= 0 else [*said[:MOST_DESCRIBED], f"and {more} more"])
+
     def _range(self, place: int) -> str:
         return f"{self.low[place]:g} to {self.high[place]:g} {self.units[place]}".rstrip()
 
@@ -214,6 +229,20 @@ class Continuous:
 
 
 ActionSpec = Discrete | Continuous
+
+
+ActionTaken = int | tuple[float, ...]
+"""One action: the number of a discrete one, or the numbers of a continuous one in their units."""
+
+
+def as_actions(rows: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]) -> list[ActionTaken]:
+    """Actions one by one, in a form that can be compared."""
+    return [tuple(row) if isinstance(row, list) else row for row in rows.tolist()]
+
+
+def given(action: ActionTaken) -> int | Float[np.ndarray, " a"]:
+    """An action as an environment takes it."""
+    return np.array(action) if isinstance(action, tuple) else action
 
 
 def require_discrete(spec: ActionSpec | None, what: str) -> Discrete:

@@ -1,8 +1,19 @@
 """The interface that recording and control need of an environment, beyond Gymnasium.
 
-An environment is a ``gymnasium.Env`` (registered under ``dmbench/...``, passing ``check_env``) that also
-answers the questions below. It is named by an entry point of the group ``dmbench.environments`` whose value
-is the class; the class is built with the recipe's parameters as keyword arguments.
+An environment is a ``gymnasium.Env`` (passing ``check_env``) that also answers the questions below. It is named by an
+entry point of the group ``dmbench.environments`` whose value is the class; the class is built with the recipe's
+parameters as keyword arguments. A family of environments, such as ``gym:ID``, is named by an entry point of the group
+``dmbench.environment_families``.
+
+What an environment can tell is its tier, and decides which figures it gets:
+
+=========  =======================  ==================================================================================
+tier       protocol                 figures
+=========  =======================  ==================================================================================
+pixels     ``Environment``          predictions, rollouts, probes; control by pixels or features
+objects    ``ObjectEnvironment``    position errors, the objective ``centres``, control judged by distances of objects
+masks      ``MaskedEnvironment``    where the agent is
+=========  =======================  ==================================================================================
 
 Exactness: ``reset(seed=s)`` followed by a sequence of actions gives the same frames and the same states in
 every process. That is the only way in which a state is stored or restored.
@@ -12,12 +23,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from dmotion_bench.specs import EnvSpec, Episode, ObjectStates, Preset
+from dmotion_bench.specs import EnvSpec, Episode, ObjectStates, Preset, Scalar
 
 Action = int | Float[np.ndarray, " a"]
 """The number of a discrete action, or a continuous one in its units."""
@@ -38,9 +50,17 @@ class RecordingPreset:
     tasks: int
 
 
+class Tier(StrEnum):
+    """What an environment can tell; each tier tells what those before it tell, too."""
+
+    PIXELS = "pixels"
+    OBJECTS = "objects"
+    MASKS = "masks"
+
+
 @runtime_checkable
 class Environment(Protocol):
-    """A ``gymnasium.Env`` that can be recorded and controlled."""
+    """A ``gymnasium.Env`` that can be recorded and controlled: frames and actions, the tier ``pixels``."""
 
     facts: EnvSpec
     recording: ClassVar[Mapping[Preset, RecordingPreset]]
@@ -58,17 +78,90 @@ class Environment(Protocol):
     def legal_actions(self) -> Bool[np.ndarray, " a"]:
         """Which discrete actions are possible in the present state; continuous ones are not asked about."""
 
+    def render(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The present frame."""
+
+    def close(self) -> None:
+        """Free the simulator."""
+
+
+@runtime_checkable
+class ObjectEnvironment(Environment, Protocol):
+    """An environment that also knows where things are: the tier ``objects``."""
+
     def agent(self) -> ObjectStates:
         """The agent's state, k = 1."""
 
     def objects(self) -> ObjectStates:
         """The objects' states, in the order of ``facts.objects``."""
 
+
+@runtime_checkable
+class MaskedEnvironment(ObjectEnvironment, Protocol):
+    """An environment that also knows what each pixel shows: the tier ``masks``."""
+
     def masks(self) -> UInt8[np.ndarray, "h w"]:
         """What each pixel shows: 0 background, 1 agent, 2 + k object k."""
 
-    def close(self) -> None:
-        """Free the simulator."""
+
+def tier_of(kind: type[Environment] | Environment) -> Tier:
+    """The tier of an environment or of its class, by the methods that it has."""
+    if not (hasattr(kind, "agent") and hasattr(kind, "objects")):
+        return Tier.PIXELS
+    return Tier.MASKS if hasattr(kind, "masks") else Tier.OBJECTS
+
+
+@runtime_checkable
+class EnvironmentFamily(Protocol):
+    """Environments that are made by name: ``gym:ID`` is the member ``ID`` of the family ``gym``.
+
+    Attributes:
+        tier: Of every member.
+        recording: Sizes of a recording, the same for every member.
+        policies: That record every member, the default first.
+    """
+
+    tier: Tier
+    recording: Mapping[Preset, RecordingPreset]
+    policies: Sequence[str]
+
+    def member(self, name: str) -> type[Environment]:
+        """The class of a member.
+
+        Raises:
+            UnknownName: There is no such member.
+            PackageNotInstalled: It needs a package that is absent.
+        """
+
+    def worlds(self) -> Mapping[str, str]:
+        """Members that are known to work, by name, each with what it is in a line; nothing is imported for this."""
+
+
+@runtime_checkable
+class Parametrised(Protocol):
+    """An environment class whose parameters the signature of its constructor does not tell."""
+
+    @classmethod
+    def parameters(cls) -> tuple[Mapping[str, Any], bool]:
+        """The parameters' names and types, and whether others are taken, too."""
+
+    @classmethod
+    def completed(cls, parameters: Mapping[str, Scalar]) -> dict[str, Scalar]:
+        """What stands in the recipe: the parameters, and those that would otherwise be decided by another package."""
+
+
+@runtime_checkable
+class Unproven(Protocol):
+    """An environment class that may not be exact: a recording takes a sample of its episodes again and compares."""
+
+    unproven: ClassVar[bool]
+
+
+@runtime_checkable
+class Packaged(Protocol):
+    """An environment class whose frames depend on packages that ``dataset.json`` is to give the versions of."""
+
+    packages: ClassVar[tuple[str, ...]]
 
 
 @runtime_checkable
@@ -76,7 +169,19 @@ class Varied(Protocol):
     """An environment class with factors that can vary between episodes (``dmbench record --vary``)."""
 
     factors: ClassVar[Mapping[str, str]]
-    """Factors of variation by their names, each with what it is and what it is drawn from, in a line."""
+    """Factors of variation by their names, each with what it is and what it is drawn from, in a line.
+
+    A factor with the name ``specs.DELAY`` is the number of steps by which frames lag behind the world.
+    """
+
+
+@runtime_checkable
+class Prepared(Protocol):
+    """An environment class with parameters that name files, which a recipe may not: it holds their hash instead."""
+
+    @classmethod
+    def prepared(cls, parameters: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
+        """Constructor arguments as somebody typed them, with a hash of what was found in the place of each path."""
 
 
 @runtime_checkable
@@ -103,6 +208,17 @@ class Restorable(Protocol):
 
     def restore(self, snapshot: Any) -> None:
         """Return to this state, so that ``agent``, ``objects`` and the next ``step`` are as they were there."""
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """An environment whose next frames depend on more than where agent and objects are, such as on earlier frames.
+
+    Asked only where frames are kept: states with the same places and the same memory have the same next frames.
+    """
+
+    def memory(self) -> bytes:
+        """A name of all else that decides the next frames; equal where they are."""
 
 
 @runtime_checkable
@@ -136,6 +252,17 @@ class Judging(Protocol):
 
     def task_measure(self, start: ObjectStates, goal: ObjectStates) -> TaskMeasure:
         """The measure of a task by its objects' states at the start and at the goal."""
+
+
+@runtime_checkable
+class SetsGoal(Protocol):
+    """An environment that may set the goal of its control tasks itself, such as a place that is marked in it.
+
+    The goal of others is what was recorded some frames after a task's start.
+    """
+
+    def task_goal(self) -> tuple[UInt8[np.ndarray, "h w 3"], ObjectStates] | None:
+        """The picture and the objects' states at the goal of the present episode; None for the recorded ones."""
 
 
 @runtime_checkable

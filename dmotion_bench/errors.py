@@ -13,6 +13,7 @@
     │   ├── DatasetVersionUnknown     written by another version of the format
     │   ├── CacheNotWritable          what is derived from a data set can be kept nowhere; another folder helps
     │   └── RecipeMismatch            the folder holds a data set made by another recipe
+    ├── RecordingFailed               an environment or a policy failed in the middle of an episode
     ├── RecordingImportError          a foreign recording that cannot be read
     │   └── RecordingTruncated        it ends in the middle
     ├── LabelsNotAvailable            labels/ is not there, or the budget does not allow them
@@ -122,6 +123,10 @@ class CacheNotWritable(DatasetError):
 
 class RecipeMismatch(DatasetError):
     """The folder holds a data set that another recipe made."""
+
+
+class RecordingFailed(DmbenchError):
+    """An environment or a policy failed in the middle of an episode, so that there can be no such data set."""
 
 
 class RecordingImportError(DmbenchError):

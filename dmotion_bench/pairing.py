@@ -20,7 +20,7 @@ from jaxtyping import Float
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
 from dmotion_bench.scoring.report import REPORT_FOLDER, TRANSFERS, Report, read_report, read_report_samples
-from dmotion_bench.scoring.samples import FIGURE_COLUMNS, IDENTIFICATION_COLUMNS, column
+from dmotion_bench.scoring.samples import CONTROL, FIGURE_COLUMNS, IDENTIFICATION_COLUMNS, PICTURE_CONTROL, column
 from dmotion_bench.scoring.statistics import Estimate, paired_difference
 from dmotion_bench.wording import command
 
@@ -30,7 +30,6 @@ HIGHER_IS_BETTER: Final = frozenset(
 NEITHER_IS_BETTER: Final = frozenset({"motion_swap_change"})
 Better = Literal["first", "second"]
 Standing = Literal["behind", "tie", "unknown"]
-CONTROL: Final = "control"
 _KEY: Final = ("episode", "step", "ahead")
 _TASK_KEY: Final = ("task", "ahead")
 
@@ -157,9 +156,9 @@ def _of_model(samples: pa.Table) -> pa.Table:
 
 
 def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
-    for metric in ("prediction", "rollout", CONTROL):
+    for metric in ("prediction", "rollout", CONTROL, PICTURE_CONTROL):
         one, other = (samples.filter(pc.equal(samples["metric"], metric)) for samples in (first, second))
-        one, other = _aligned(one, other, _TASK_KEY if metric == CONTROL else _KEY)
+        one, other = _aligned(one, other, _TASK_KEY if metric in (CONTROL, PICTURE_CONTROL) else _KEY)
         if not len(one):
             continue
         episode, ahead = column(one, "episode"), column(one, "ahead")
@@ -169,6 +168,9 @@ def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
             everything = np.ones(len(one), bool)
             parts += [(name, name, everything) for name in FIGURE_COLUMNS]
             parts += [(name + PUSH, name, pushed) for name in FIGURE_COLUMNS if name not in IDENTIFICATION_COLUMNS]
+        elif metric == PICTURE_CONTROL:
+            steps = [step for step in np.unique(ahead).tolist() if step > 0]
+            parts += [(f"control_picture_distance[{step}]", "control_distance", ahead == step) for step in steps]
         elif metric == CONTROL:
             steps = [step for step in np.unique(ahead).tolist() if step > 0]  # at the start all are 1 away
             parts += [(f"control_distance[{step}]", "control_distance", ahead == step) for step in steps]

@@ -1,5 +1,7 @@
 """Registered environments, models, objectives, solvers and speeds: names to what they stand for, by entry points.
 
+``FAMILY:MEMBER`` names an environment of a family, which decides itself what its members are.
+
 Nothing is imported until a name is asked for, so listing names costs no torch and no simulator.
 """
 
@@ -13,12 +15,13 @@ from dmotion_bench.errors import DmbenchError, UnknownName
 
 if TYPE_CHECKING:
     from dmotion_bench.benchmarks.result import Result
-    from dmotion_bench.environment import Environment
+    from dmotion_bench.environment import Environment, EnvironmentFamily
     from dmotion_bench.learning.model import ForwardModel
     from dmotion_bench.planning.objectives.base import Objective
     from dmotion_bench.planning.solvers.base import Solver
 
 ENVIRONMENTS = "dmbench.environments"
+FAMILIES = "dmbench.environment_families"
 MODELS = "dmbench.models"
 OBJECTIVES = "dmbench.objectives"
 SOLVERS = "dmbench.solvers"
@@ -26,6 +29,7 @@ SPEEDS = "dmbench.speeds"
 
 LISTED = {
     ENVIRONMENTS: "dmbench list environments",
+    FAMILIES: "dmbench list environments",
     MODELS: "dmbench list models",
     OBJECTIVES: "dmbench score --help",
     SOLVERS: "dmbench score --help",
@@ -81,14 +85,46 @@ def speed(name: str) -> Callable[[float], Iterable[Result]]:
     return loaded
 
 
-def environment_class(name: str) -> type[Environment]:
-    """The class of an environment.
+def family_names() -> list[str]:
+    """The names of all installed families of environments."""
+    return names(FAMILIES)
+
+
+def environment_family(name: str) -> EnvironmentFamily:
+    """A family of environments.
 
     Raises:
         UnknownName: Nothing is registered under this name.
     """
+    loaded: EnvironmentFamily = _load(FAMILIES, "family of environments", name)
+    return loaded
+
+
+def is_environment(name: str) -> bool:
+    """Whether an environment of this name, or its family, is installed."""
+    family, colon, _ = name.partition(":")
+    return family in family_names() if colon else name in environment_names()
+
+
+def environment_class(name: str) -> type[Environment]:
+    """The class of an environment, or of a member of a family.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    family, colon, member = name.partition(":")
+    if colon:
+        return environment_family(family).member(member)
     loaded: type[Environment] = _load(ENVIRONMENTS, "environment", name)
     return loaded
+
+
+def usual_policy(name: str) -> str | None:
+    """The policy that an environment is recorded by if nobody names one; None for an environment that is not here."""
+    try:
+        return environment_class(name).default_policy
+    except DmbenchError:
+        return None
 
 
 def environment_versions(name: str) -> Mapping[int, str]:

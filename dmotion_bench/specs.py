@@ -25,6 +25,9 @@ IMPORTED = "imported"
 VERSION = "version"
 """The parameter of an environment's constructor that says which of its versions it is; see ``Versioned``."""
 
+DELAY = "delay"
+"""The factor of variation that says by how many steps an episode's frames lag behind the states of its world."""
+
 MOST_THREADS = 1024  # that a training computes with
 
 MASK_BACKGROUND = 0
@@ -97,8 +100,8 @@ class ObjectStates:
     Attributes:
         position: [m], world frame; NaN for an object that no longer exists.
         orientation: Unit quaternion x y z w; NaN likewise.
-        pixel: Centre (x, y) in the picture [px], with pixel (0, 0)'s centre at (0, 0); NaN likewise.
-        visible: Fraction of the object's own pixels that nothing hides, 0 for one that is gone.
+        pixel: Centre (x, y) in the picture [px], with pixel (0, 0)'s centre at (0, 0); NaN for one that is not shown.
+        visible: Fraction of the object's own pixels that nothing hides, 0 for one that is not shown.
     """
 
     position: Float[np.ndarray, "*t k 3"]
@@ -118,7 +121,8 @@ class EpisodeLabels:
         agent: The agent's states, k = 1.
         objects: In the order of ``EnvSpec.objects``.
         masks: 0 background, 1 agent, 2 + k object k.
-        factors: The episode's factors of variation, empty by default.
+        factors: The episode's factors of variation, empty by default. With a ``DELAY`` of d, ``pixel``, ``visible`` and
+            ``masks`` at frame i are of what the frame shows, the world d steps earlier; all else is of frame i.
     """
 
     actions: Int[np.ndarray, "t-1"] | Float[np.ndarray, "t-1 a"]
@@ -127,6 +131,42 @@ class EpisodeLabels:
     objects: ObjectStates
     masks: UInt8[np.ndarray, "t h w"]
     factors: Mapping[str, Scalar] = field(default_factory=dict)
+
+
+UNPLACED_AGENT = ObjectSpec(name="agent", shape="unknown", color=(0, 0, 0))
+"""The agent where nothing says where it is: in imported recordings and in environments of the tier ``pixels``."""
+
+
+def unplaced_labels(
+    actions: Int[np.ndarray, "t-1"] | Float[np.ndarray, "t-1 a"],
+    shape: tuple[int, ...],
+    factors: Mapping[str, Scalar] | None = None,
+) -> EpisodeLabels:
+    """Labels with actions alone: no objects, an agent at an unknown place, and masks that show nothing.
+
+    Args:
+        actions: Of the episode.
+        shape: Frames, rows and columns of its video.
+        factors: Its factors of variation.
+    """
+    return EpisodeLabels(
+        actions=actions,
+        pushed=np.zeros(len(actions), bool),
+        agent=nowhere(shape[0], 1),
+        objects=nowhere(shape[0], 0),
+        masks=np.zeros(shape, np.uint8),
+        factors=factors or {},
+    )
+
+
+def nowhere(t: int, k: int) -> ObjectStates:
+    """States of ``k`` things over ``t`` frames that say nothing."""
+    return ObjectStates(
+        position=np.full((t, k, 3), np.nan),
+        orientation=np.full((t, k, 4), np.nan),
+        pixel=np.full((t, k, 2), np.nan),
+        visible=np.zeros((t, k)),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +216,12 @@ class DatasetRecipe:
         """The version of the environment: its parameter ``version``, 1 where the recipe names none."""
         version = self.parameters.get(VERSION, 1)
         return version if isinstance(version, int) else 1
+
+
+def delay_of(factors: Mapping[str, Scalar]) -> int:
+    """By how many steps the frames of an episode with these factors lag; a value that cannot be counts as none."""
+    delay = factors.get(DELAY, 0)
+    return delay if isinstance(delay, int) and delay > 0 else 0
 
 
 def episode_seed(seed: int, episode: int) -> int:

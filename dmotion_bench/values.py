@@ -1,13 +1,47 @@
-"""Values from the text of a command line, each parsed as the type of its field, without guessing."""
+"""Values of configs: parsed from the text of a command line as the type of their field, and held to their bounds.
+
+Only where nobody says the type (``Any``) is it the first that the text can be: none, truth, a number, a word.
+"""
 
 from __future__ import annotations
 
 import math
 import types
 import typing
+from collections.abc import Callable, Iterable
 from typing import Any, Union
 
 from dmotion_bench.errors import InvalidSetting
+
+
+def require_bounds(
+    config: object,
+    *,
+    from_one: Iterable[str] = (),
+    above_zero: Iterable[str] = (),
+    from_zero: Iterable[str] = (),
+    below_one: Iterable[str] = (),
+) -> None:
+    """Check fields of a config that hold numbers.
+
+    Args:
+        config: Whose fields are checked.
+        from_one, above_zero, from_zero, below_one: Names of fields; the last are shares, from zero to below one.
+
+    Raises:
+        InvalidSetting: A number is out of its bounds, or not finite.
+    """
+    rules: tuple[tuple[Iterable[str], Callable[[float], bool], str], ...] = (
+        (from_one, lambda number: number >= 1, "must be 1 or more"),
+        (above_zero, lambda number: number > 0, "must be above zero"),
+        (from_zero, lambda number: number >= 0, "cannot be below zero"),
+        (below_one, lambda number: 0 <= number < 1, "must be in [0, 1)"),
+    )
+    for names, fits, rule in rules:
+        for name in names:
+            number = getattr(config, name)
+            if not (fits(number) and number < math.inf):
+                raise InvalidSetting(f"{name} is {number}; it {rule}.")
 
 
 def parse_value(key: str, text: str, wanted: Any) -> Any:
@@ -16,6 +50,8 @@ def parse_value(key: str, text: str, wanted: Any) -> Any:
     Raises:
         InvalidSetting: It is not of the type ``wanted``.
     """
+    if wanted is Any:
+        return _read(text)
     origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
     if origin in (Union, types.UnionType):
         if text == "none" and type(None) in arguments:
@@ -41,4 +77,19 @@ def parse_value(key: str, text: str, wanted: Any) -> Any:
         if not math.isfinite(value):
             raise InvalidSetting(f"{key} is {text!r}; it must be finite.")
         return value
+    return text
+
+
+def _read(text: str) -> Any:
+    """What a text looks like."""
+    known = {"none": None, "true": True, "false": False}
+    if text.lower() in known:
+        return known[text.lower()]
+    for kind in (int, float):
+        try:
+            value = kind(text)
+        except ValueError:
+            continue
+        if math.isfinite(value):
+            return value
     return text

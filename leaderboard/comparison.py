@@ -13,9 +13,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Float, Int
 
-from dmotion_bench.pairing import CONTROL, Difference, better, compare_runs, scored
+from dmotion_bench.pairing import Difference, better, compare_runs, scored
 from dmotion_bench.scoring.figures import PUSH
-from dmotion_bench.scoring.samples import column
+from dmotion_bench.scoring.samples import CONTROL, column
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
 
 __all__ = ["Difference", "better", "compare_runs", "difference_by_episode", "scored", "sums_by_episode"]

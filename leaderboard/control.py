@@ -15,26 +15,30 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from jaxtyping import Int, UInt8
+from jaxtyping import UInt8
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import HasScript
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent
-from dmotion_bench.planning.earlier import present_planning, present_settings
+from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent, known_actions
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
+from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
 from dmotion_bench.planning.tasks import Problem, World, load_problems, task_environment
 from dmotion_bench.scoring.control import QUICK, ControlScoring, agent_of, control_samples, score_control
+from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution
-from dmotion_bench.scoring.samples import column
+from dmotion_bench.scoring.samples import column, vectors
 from dmotion_bench.storage.dataset import Dataset
 from leaderboard.verdict import SHOWN, Findings, short
 
 METRIC: Final = "control"
 FIGURES: Final = "control_"
 """How the names of control's figures and settings begin."""
+
+NOTHING: Final = "none"
+"""In place of a continuous action where none was taken."""
 
 PLANNED: Final = 3
 """Steps of a group of tasks that are planned anew."""
@@ -53,11 +57,29 @@ def actions_of(samples: pa.Table) -> dict[str, list[dict[str, Any]]]:
 
 
 def _tasks(rows: pa.Table) -> Iterator[dict[str, Any]]:
-    task, ahead, action = (column(rows, name) for name in ("task", "ahead", "action"))
+    task, ahead, actions = column(rows, "task"), column(rows, "ahead"), vectors(rows, "command")
+    actions = column(rows, "action") if actions is None else actions
     for number in np.unique(task).tolist():
         mine = np.flatnonzero(task == number)
-        taken = action[mine[np.argsort(ahead[mine])]][:-1]  # behind the last moment stands no action
-        yield {"task": int(number), "actions": " ".join(str(int(one)) for one in taken)}
+        taken = actions[mine[np.argsort(ahead[mine])]][:-1]  # behind the last moment stands no action
+        yield {"task": int(number), "actions": " ".join(map(_text, taken))}
+
+
+def _text(action: Any) -> str:
+    """An action in an entry; numbers of continuous ones are as short as they can be and still read back bit for bit."""
+    if not np.ndim(action):
+        return str(int(action))
+    return NOTHING if np.isnan(action).any() else ",".join(repr(float(number)) for number in action)
+
+
+def _read(text: str, spec: ActionSpec) -> int | list[float] | None:
+    """The action that ``_text`` wrote; None if it is none of the environment's."""
+    if isinstance(spec, Discrete):
+        return int(text) if text.lstrip("-").isdigit() and -1 <= int(text) < len(spec) else None
+    if text == NOTHING:
+        return [float("nan")] * spec.width
+    numbers = [float(number) for number in text.split(",")]
+    return numbers if spec.fault(np.array([numbers])) is None else None
 
 
 def check_control(
@@ -92,8 +114,11 @@ def check_control(
     scoring = _scoring(check)
     if scoring is None:
         return
-    if not isinstance(dataset.spec.actions, Discrete):
-        check.missing.append("control: continuous actions are not kept with an entry, so they cannot be repeated")
+    if isinstance(dataset.spec.actions, Continuous) and not _are_kept(content[METRIC]):
+        check.missing.append(
+            "control: the entry was made before continuous actions were kept, so they cannot be repeated; score the "
+            "run again with 'dmbench score' and build the entry anew"
+        )
         return
     problems = load_problems(dataset, scoring.tasks)
     if check.entry.planned_by == CONTROL_VERSION and content.get("planning"):
@@ -102,10 +127,10 @@ def check_control(
             check.expect(f"planning.{part}", said.get(part), own)
     found = dict[str, pa.Table]()
     for name in sorted({MODEL, *content[METRIC]}):
-        actions = _actions(check, name, problems, scoring.steps, len(dataset.spec.actions))
+        actions = _actions(check, name, problems, scoring.steps, known_actions(dataset.spec))
         if actions is None:
             continue
-        repeater = _Repeater(actions)
+        repeater = _Repeater(actions, known_actions(dataset.spec))
         result = _control(repeater, problems, dataset, scoring, how, f"control by {name}, again")
         found[name] = control_samples(name, result)
         if name == MODEL and anew and check.entry.planned_by == CONTROL_VERSION:
@@ -150,19 +175,25 @@ def _are_settings(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(one, str) for one in value)
 
 
+def _are_kept(control: Mapping[str, Any]) -> bool:
+    """Whether an entry of continuous actions holds them; those of before say -1, as of no action, everywhere."""
+    return not control or any(one["actions"].strip("-1 ") for tasks in control.values() for one in tasks)
+
+
 def _actions(
-    check: Findings, name: str, problems: Sequence[Problem], steps: int, known: int
-) -> dict[int, list[int]] | None:
+    check: Findings, name: str, problems: Sequence[Problem], steps: int, spec: ActionSpec
+) -> dict[int, Taken] | None:
     """The entry's actions by task; None if they do not fit the tasks."""
     said = {one["task"]: one["actions"].split() for one in check.entry.content[METRIC].get(name, ())}
     if list(said) != [problem.number for problem in problems]:
         check.wrong.append(f"control of {name}: the actions are those of other tasks than the first {len(problems)}")
         return None
-    actions = {task: [int(one) for one in taken] for task, taken in said.items()}
-    if any(len(taken) != steps or not all(-1 <= one < known for one in taken) for taken in actions.values()):
-        check.wrong.append(f"control of {name}: a task has not {steps} actions of {known}")
+    actions = {task: [_read(one, spec) for one in taken] for task, taken in said.items()}
+    if any(len(taken) != steps or None in taken for taken in actions.values()):
+        of = f"of {len(spec)}" if isinstance(spec, Discrete) else f"within {spec}"
+        check.wrong.append(f"control of {name}: a task has not {steps} actions {of}")
         return None
-    return actions
+    return {task: np.array(taken) for task, taken in actions.items()}
 
 
 def _same_figures(check: Findings, name: str, table: pa.Table) -> None:
@@ -189,6 +220,10 @@ def _same_rows(check: Findings, name: str, stored: pa.Table, found: pa.Table) ->
     wrong = np.zeros(len(found), np.bool_)
     for part in ("episode", "step", "action", "control_lost"):
         wrong |= column(stored, part) != column(found, part)
+    commands, repeated = vectors(stored, "command"), vectors(found, "command")
+    if commands is not None and repeated is not None:
+        same = commands.shape == repeated.shape and ((commands == repeated) | np.isnan(commands) & np.isnan(repeated))
+        wrong |= ~np.all(same, axis=-1)
     said, mine = (column(table, "control_distance").astype(np.float64) for table in (stored, found))
     wrong |= ~np.isclose(said, mine, rtol=ROUNDING, atol=ROUNDING)
     if wrong.any():
@@ -202,7 +237,7 @@ def _plan_anew(
     dataset: Dataset,
     problems: Sequence[Problem],
     scoring: ControlScoring,
-    actions: Mapping[int, Sequence[int]],
+    actions: Mapping[int, Taken],
     differing: float,
     how: Execution,
 ) -> None:
@@ -211,7 +246,7 @@ def _plan_anew(
     first = groups[int(check.entry.content["weights"][:8], 16) % len(groups)]
     group = problems[first : first + scoring.group]
     model = agent_of(run.model.laid_out(), dataset, scoring, how.device)
-    witness = _Repeater(actions, model)
+    witness = _Repeater(actions, known_actions(dataset.spec), model)
     few = ControlScoring(steps=min(PLANNED, scoring.steps), seed=scoring.seed, group=scoring.group)
     _control(witness, group, dataset, few, how, "control, planned anew")
     if len(witness.otherwise) > differing * witness.asked:
@@ -228,6 +263,7 @@ class _Repeater(SimulatorAgent):
 
     Args:
         actions: By task.
+        spec: What can be done.
         asked_too: Asked in vain: its action is compared, not taken, so that one that was rounded otherwise does not
             lead all that follow elsewhere.
 
@@ -236,8 +272,8 @@ class _Repeater(SimulatorAgent):
         otherwise: Where it would have acted otherwise.
     """
 
-    def __init__(self, actions: Mapping[int, Sequence[int]], asked_too: Agent | None = None) -> None:
-        self._actions, self._agent = actions, asked_too
+    def __init__(self, actions: Mapping[int, Taken], spec: ActionSpec, asked_too: Agent | None = None) -> None:
+        self._actions, self._spec, self._agent = actions, spec, asked_too
         self.asked, self.otherwise = 0, list[str]()
 
     def reset(self, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]) -> None:
@@ -245,7 +281,7 @@ class _Repeater(SimulatorAgent):
         if self._agent is not None:
             self._agent.reset(first, goals)
 
-    def observe(self, actions: Int[np.ndarray, " b"], frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """The other agent sees what the recorded actions lead to."""
         if self._agent is not None:
             self._agent.observe(actions, frames)
@@ -257,11 +293,19 @@ class _Repeater(SimulatorAgent):
         if self._agent is None:
             return Decision(action=taken)
         wanted = self._agent.act(context)
-        for world, one, other in zip(worlds, taken.tolist(), wanted.action.tolist(), strict=True):
+        for world, one, other in zip(worlds, taken, wanted.action, strict=True):
             self.asked += 1
-            if one != other:
-                self.otherwise.append(f"task {world.problem.number}, step {step}: {one}, and it plans {other}")
+            if not self._same(one, other):
+                said = f"{_text(one)}, and it plans {_text(other)}"
+                self.otherwise.append(f"task {world.problem.number}, step {step}: {said}")
         return Decision(action=taken, plan=wanted.plan)
+
+    def _same(self, one: Any, other: Any) -> bool:
+        """Whether two actions are the same; numbers are, up to rounding, as shares of their ranges."""
+        if isinstance(self._spec, Discrete):
+            return bool(one == other)
+        one, other = (self._spec.normalise(np.asarray(action)) for action in (one, other))
+        return bool(np.allclose(one, other, rtol=0, atol=ROUNDING, equal_nan=True))
 
 
 def _control(

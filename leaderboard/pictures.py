@@ -21,19 +21,24 @@ import torch
 from jaxtyping import UInt8
 from PIL import Image
 
-from dmotion_bench.actions import require_discrete
+from dmotion_bench.actions import ActionTaken, as_actions
 from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelRequest
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.planning.agents import known_actions
 from dmotion_bench.scoring.prediction import predicting
-from dmotion_bench.scoring.samples import column
+from dmotion_bench.scoring.samples import column, vectors
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import shortened
 
 PUSHES: Final = 2
 OTHERS: Final = 1
 LARGEST_SIDE: Final = 512  # [px]
+LONGEST_ACTION: Final = 200
+"""Characters of what a picture says of its action."""
 _SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 
 
@@ -43,16 +48,19 @@ class Step:
 
     episode: int
     step: int
-    action: int
+    action: ActionTaken
     pushed: bool
 
 
 def choose_steps(samples: pa.Table) -> list[Step]:
     """The steps that are shown, pushes first; none where no single step was scored, or actions are not known."""
     rows = samples.filter(pc.and_(pc.equal(samples["predictor"], "model"), pc.equal(samples["metric"], "prediction")))
-    episode, step, action = (column(rows, name) for name in ("episode", "step", "action"))
-    if not np.isfinite(action).all():
+    episode, step = column(rows, "episode"), column(rows, "step")
+    commands = vectors(rows, "command")
+    taken = column(rows, "action") if commands is None else commands
+    if not np.isfinite(taken).all():
         return []
+    actions = as_actions(taken.astype(np.int64) if commands is None else taken)
     pushed = column(rows, "pushed").astype(bool)
     order = np.lexsort((step, episode))
     chosen: list[Step] = []
@@ -62,7 +70,7 @@ def choose_steps(samples: pa.Table) -> list[Step]:
             continue
         spread = np.unique(((np.arange(count) + 0.5) / count * len(places)).astype(np.int64))
         chosen += [
-            Step(episode=int(episode[row]), step=int(step[row]), action=int(action[row]), pushed=wanted)
+            Step(episode=int(episode[row]), step=int(step[row]), action=actions[row], pushed=wanted)
             for row in places[spread].tolist()
         ]
     return chosen
@@ -90,8 +98,8 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
         return []
     frames = np.stack([dataset.video(one.episode)[one.step - 1 : one.step + 2] for one in steps])
     images = to_model(torch.from_numpy(frames))
-    action = torch.tensor([one.action for one in steps])
-    names = require_discrete(dataset.spec.actions, "an entry").names
+    spec = known_actions(dataset.spec)
+    action = as_tensor(np.array([one.action for one in steps]))
     model = run.model.to("cpu").laid_out().eval()
     with using_threads(run.threads), predicting(torch.device("cpu")):
         predicted = to_pixels(model.predict(images[:, 0], images[:, 1], action)).numpy()
@@ -99,7 +107,7 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
         {
             "episode": one.episode,
             "step": one.step,
-            "action": names[one.action],
+            "action": _name(spec.describe(one.action)),
             "pushed": one.pushed,
             "current": to_png(frames[place, 1]),
             "truth": to_png(frames[place, 2]),
@@ -107,6 +115,10 @@ def take_pictures(run: Run, dataset: Dataset, samples: pa.Table) -> list[dict[st
         }
         for place, one in enumerate(steps)
     ]
+
+
+def _name(action: str) -> str:
+    return action if len(action) <= LONGEST_ACTION else shortened(action, LONGEST_ACTION - 40)
 
 
 def to_png(frame: UInt8[np.ndarray, "h w 3"]) -> str:

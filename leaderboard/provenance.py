@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from dmotion_bench.planning.earlier import present_planning
+from dmotion_bench.scoring.earlier_planning import present_planning
 from leaderboard.board import Board
 from leaderboard.columns import control_columns, count, interval, number
 from leaderboard.entry import Entry

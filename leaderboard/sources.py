@@ -8,7 +8,7 @@ from typing import Final
 
 from dmotion_bench.errors import DmbenchError, RunMismatch
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.earlier import present_planning
+from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.transfer import training_of, transferable

@@ -13,7 +13,8 @@ Positions are in cells, called metres: x to the right, y downwards, cell (0, 0) 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
@@ -23,8 +24,8 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Policy, RecordingPreset
-from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.recording.rollout import policy_generator
+from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.recording.rollout import policy_generator, record_episode
 from dmotion_bench.specs import (
     EnvSpec,
     Episode,
@@ -32,11 +33,25 @@ from dmotion_bench.specs import (
     ObjectSpec,
     ObjectStates,
     Preset,
+    Scalar,
 )
 from recorders import grid_drawing
+from recorders.distractors import (
+    FACTORS,
+    Picture,
+    SceneName,
+    Video,
+    episode_values,
+    make_scene,
+    make_video,
+    without_paths,
+)
+from recorders.expert_policy import ExpertPolicy
 from recorders.grid_drawing import CELLS, SIZE, Drawn, Version
 from recorders.policies import RandomPolicy
+from recorders.push_policy import PushPolicy
 from recorders.pushing_script import PushingScript
+from recorders.variation import Variation, explained, named_factors
 
 ACTIONS: Final = Discrete(("up", "down", "left", "right"))
 FACTS: Final = EnvSpec(
@@ -56,6 +71,7 @@ FACTS: Final = EnvSpec(
 OBJECTS: Final = len(FACTS.objects)
 MOVES: Final = np.array([(0, -1), (0, 1), (-1, 0), (1, 0)])
 """What each action adds to the agent's (x, y)."""
+HEADINGS: Final = [(float(x), float(y)) for x, y in MOVES.tolist()]
 
 
 def draw(cells: Int[np.ndarray, "t n 2"], there: Bool[np.ndarray, "t n"], version: Version = 1) -> Drawn:
@@ -114,6 +130,12 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     Args:
         version: How the cells are drawn; ``versions`` says what is new in each.
+        vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
+        ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
+        scene: Which of the ready scenes: ``"clean"``, ``"distracted"``, ``"unseen"``; see ``recorders.distractors``.
+        background, movers, correlated, shake, noise, delay: Values of these factors; None: the scene's.
+        textures: Generators of the background, separated by commas; None: the scene's.
+        clips: The hash of prepared clips, which are the background in place of textures; ``prepared`` makes it.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
     """
 
@@ -125,7 +147,9 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             Preset.PAPER: RecordingPreset(episodes=700, frames=32, tasks=100),
         }
     )
-    policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType({"random": RandomPolicy})
+    policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType(
+        {"random": RandomPolicy, "object-directed": PushPolicy, "expert-correlated": ExpertPolicy}
+    )
     default_policy: ClassVar[str] = "random"
     objective: ClassVar[str] = "tracked"
     versions: ClassVar[Mapping[int, str]] = MappingProxyType(
@@ -135,19 +159,78 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         }
     )
 
-    def __init__(self, *, version: Version = 1, render_mode: str | None = None) -> None:
+    factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
+
+    def __init__(
+        self,
+        *,
+        version: Version = 1,
+        vary: str | Iterable[str] = (),
+        ranges: str = "in-distribution",
+        scene: SceneName = "clean",
+        background: float | None = None,
+        textures: str | None = None,
+        clips: str | None = None,
+        movers: int | None = None,
+        correlated: float | None = None,
+        shake: int | None = None,
+        noise: float | None = None,
+        delay: int | None = None,
+        render_mode: str | None = None,
+    ) -> None:
         if version not in self.versions:
             raise InvalidSetting(f"version is {version!r}; it can be {', '.join(map(str, self.versions))}.")
         self.facts, self._version = FACTS, version
         self.render_mode = render_mode
         self.action_space = ACTIONS.space()
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE, 3), np.uint8)
+        given = {
+            "background": background,
+            "movers": movers,
+            "correlated": correlated,
+            "shake": shake,
+            "noise": noise,
+            "delay": delay,
+        }
+        self._scene = make_scene(scene, textures, clips)
+        self._variation = Variation(FACTORS, (), ranges)
+        self._vary = named_factors(vary)
+        self._fixed = {name: value for name, value in given.items() if value is not None}
+        self._variation.check(self._vary, self._fixed)
+        self._video: Video | None = None
         self._place(starting_cells(np.random.default_rng(0)), np.ones(1 + OBJECTS, np.bool_))
+        self._seen = self._picture()
+
+    @classmethod
+    def prepared(cls, parameters: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
+        """The parameters with the hash of the clips in the place of their folder."""
+        return without_paths(parameters)
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:
         """Where each action takes the agent, in cells."""
         return MOVES.astype(np.float64)
+
+    @property
+    def goals(self) -> Float[np.ndarray, "2 2"]:
+        """The first and the last cell along x and y."""
+        return np.array([[0.0, 0.0], [CELLS - 1.0, CELLS - 1.0]])
+
+    @property
+    def area(self) -> Float[np.ndarray, "2 2"]:
+        """Likewise of the agent."""
+        return self.goals
+
+    def careful_actions(self) -> Bool[np.ndarray, " a"]:
+        """Which legal moves push nothing over the edge."""
+        legal = self.legal_actions()
+        chosen = np.flatnonzero(legal)
+        everything = (
+            np.repeat(self._cells[None], len(chosen), axis=0),
+            np.repeat(self._there[None], len(chosen), axis=0),
+        )
+        legal[chosen] = (advance(*everything, chosen)[1] == self._there).all(axis=-1)
+        return legal
 
     def script(self) -> PushingScript:
         """The rules of the reference ``scripted``."""
@@ -156,15 +239,29 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:
-        """Put agent and objects on cells of their own; there are no options."""
+        """Put agent and objects on cells of their own.
+
+        Args:
+            seed: Decides the episode.
+            options: ``"vary"`` and values of factors, which go before the constructor's.
+        """
         super().reset(seed=seed)
-        if options and options.get("vary"):
-            raise InvalidSetting(
-                "nothing varies in grid_world: it is the paper's, and a control; planar_push and robot_push have "
-                "factors of variation."
-            )
         self._place(starting_cells(self.np_random), np.ones(1 + OBJECTS, np.bool_))
-        return self.render(), {}
+        values, self._video = self._distraction(self.np_random, options or {})
+        self._seen = self._picture() if self._video is None else self._video.begin(self._picture())
+        return self.render(), {"factors": values} if values else {}
+
+    def _distraction(
+        self, generator: np.random.Generator, options: Mapping[str, Any]
+    ) -> tuple[dict[str, Scalar], Video | None]:
+        """An episode's values of factors and its video; ``generator`` is what the cells were drawn from."""
+        fixed = {**self._fixed, **options}
+        vary = named_factors(fixed.pop("vary", self._vary))
+        if not fixed and not vary and not self._scene.strengths:
+            return {}, None
+        entropy = int(generator.integers(2**63))
+        values = episode_values(self._scene, self._variation, entropy, vary, fixed)
+        return values, make_video(self._scene, values, entropy=entropy, facts=self.facts)
 
     def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
         """Move the agent; a move off the grid changes nothing and ``info["illegal"]`` says so."""
@@ -172,12 +269,15 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         if legal:
             cells, there = advance(self._cells[None], self._there[None], np.array([action]))
             self._place(cells[0], there[0])
+            self._seen = self._picture()
+            if self._video is not None:
+                self._video.step(HEADINGS[action], HEADINGS)
+                self._seen = self._video.show(self._seen)
         return self.render(), 0.0, False, False, {"illegal": not legal}
 
     def render(self) -> UInt8[np.ndarray, "h w 3"]:
         """The present frame."""
-        frame: UInt8[np.ndarray, "h w 3"] = self._drawn.frames[0].copy()
-        return frame
+        return self._seen.frame.copy()
 
     def legal_actions(self) -> Bool[np.ndarray, " a"]:
         """Which moves stay on the grid."""
@@ -194,8 +294,16 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def masks(self) -> UInt8[np.ndarray, "h w"]:
         """What each pixel shows: 0 background, 1 agent, 2 + k object k."""
-        masks: UInt8[np.ndarray, "h w"] = self._drawn.masks[0].copy()
-        return masks
+        return self._seen.masks.copy()
+
+    def memory(self) -> bytes:
+        """What the next frames depend on besides where everything is."""
+        return b"" if self._video is None else self._video.memory()
+
+    def _picture(self) -> Picture:
+        """What was drawn last, before anything distracts."""
+        frames, masks, centers, visible = self._drawn
+        return Picture(frame=frames[0], masks=masks[0], pixel=centers[0], visible=visible[0])
 
     def _place(self, cells: Int[np.ndarray, "k 2"], there: Bool[np.ndarray, " k"]) -> None:
         """Put everything where it is now, and draw it."""
@@ -203,18 +311,22 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._drawn = draw(cells[None], there[None], self._version)
 
     def _states(self, things: slice) -> ObjectStates:
-        drawn = self._drawn
-        return _states(self._cells[things], self._there[things], drawn.centers[0, things], drawn.visible[0, things])
+        seen = self._seen
+        return _states(self._cells[things], self._there[things], seen.pixel[things], seen.visible[things])
 
     @classmethod
     def generate(
         cls, seeds: Sequence[int], *, frames: int, policy: str, parameters: Mapping[str, Any]
     ) -> Iterator[Episode]:
-        """The episodes of ``seeds``, all played at once; equal to stepping with ``RandomPolicy``."""
-        version = cls(**parameters)._version  # the constructor refuses what there is not
+        """The episodes of ``seeds``, equal to stepping; with ``RandomPolicy`` all are played at once."""
+        world = cls(**parameters)  # the constructor refuses what there is not
         if policy != cls.default_policy:
-            raise InvalidSetting(f"grid_world is recorded by {cls.default_policy!r}, not {policy!r}.")
-        cells = np.stack([starting_cells(gymnasium.utils.seeding.np_random(seed)[0]) for seed in seeds])
+            if policy not in cls.policies:
+                raise UnknownName("policy of grid_world", policy, cls.policies)
+            yield from (record_episode(world, cls.policies[policy](), seed, frames) for seed in seeds)
+            return
+        generators = [gymnasium.utils.seeding.np_random(seed)[0] for seed in seeds]
+        cells = np.stack([starting_cells(generator) for generator in generators])
         there = np.ones(cells.shape[:2], np.bool_)
         draws = np.stack([policy_generator(seed).random(frames - 1) for seed in seeds])
         cells_then, there_then, actions = [cells], [there], list[Int[np.ndarray, " n"]]()
@@ -229,7 +341,28 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         every_action = np.array(actions, np.int64).reshape(frames - 1, len(seeds))
         every_cell, all_there = np.stack(cells_then), np.stack(there_then)
         for row, seed in enumerate(seeds):
-            yield _episode(every_cell[:, row], all_there[:, row], every_action[:, row], seed, version)
+            episode = _episode(every_cell[:, row], all_there[:, row], every_action[:, row], seed, world._version)
+            values, video = world._distraction(generators[row], {})
+            yield episode if video is None else _distracted(episode, values, video)
+
+
+def _distracted(episode: Episode, values: Mapping[str, Scalar], video: Video) -> Episode:
+    """An episode as its video shows it."""
+    labels = episode.labels
+    frames, masks = np.empty_like(episode.frames), np.empty_like(labels.masks)
+    pixel = np.concatenate([labels.agent.pixel, labels.objects.pixel], axis=1)
+    visible = np.concatenate([labels.agent.visible, labels.objects.visible], axis=1)
+    for moment, (frame, mask) in enumerate(zip(episode.frames, labels.masks, strict=True)):
+        drawn = Picture(frame=frame, masks=mask, pixel=pixel[moment].copy(), visible=visible[moment].copy())
+        if moment:
+            video.step(HEADINGS[labels.actions[moment - 1]], HEADINGS)
+        seen = video.show(drawn) if moment else video.begin(drawn)
+        pixel[moment], visible[moment] = seen.pixel, seen.visible
+        frames[moment], masks[moment] = seen.frame, seen.masks
+    agent = replace(labels.agent, pixel=pixel[:, :1], visible=visible[:, :1])
+    objects = replace(labels.objects, pixel=pixel[:, 1:], visible=visible[:, 1:])
+    shown = replace(labels, agent=agent, objects=objects, masks=masks, factors=values)
+    return replace(episode, frames=frames, labels=shown)
 
 
 def _episode(

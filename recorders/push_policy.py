@@ -1,4 +1,4 @@
-"""The recording policy of the pushing environments, ``push``.
+"""The recording policy ``object-directed``, which the pushing environments also call ``push``.
 
 With probability .7 one step toward an object, which is chosen anew with probability .15, else any legal move: about
 a third of the steps move an object, and an episode ends after some 40 frames because one falls, as in the paper.
@@ -10,13 +10,13 @@ direction by up to 30 degrees; any other is evenly distributed over the bounds. 
 from __future__ import annotations
 
 import math
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from dmotion_bench.actions import Continuous
-from dmotion_bench.environment import Action, Environment
+from dmotion_bench.environment import Action, Environment, ObjectEnvironment
 
 TOWARD = 0.7
 CHOOSE_ANEW = 0.15
@@ -24,8 +24,8 @@ ASTRAY = math.pi / 6  # [rad] by which a displacement misses its direction, at m
 SHORTEST = 0.5  # displacement toward an object, of the longest
 
 
-class Pushing(Protocol):
-    """What the policy needs to know beyond ``Environment``."""
+class Pushing(ObjectEnvironment, Protocol):
+    """What the policy needs to know beyond ``ObjectEnvironment``."""
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:
@@ -34,6 +34,14 @@ class Pushing(Protocol):
     @property
     def room(self) -> Float[np.ndarray, "2 2"]:
         """The least and the greatest displacement that nothing cuts short [m]."""
+
+
+@runtime_checkable
+class Careful(Protocol):
+    """An environment where one step toward an object may lose it for good."""
+
+    def careful_actions(self) -> Bool[np.ndarray, " a"]:
+        """Which legal actions lose nothing; the policy goes toward an object by these alone."""
 
 
 class PushPolicy:
@@ -45,38 +53,39 @@ class PushPolicy:
 
     def __call__(self, env: Environment, generator: np.random.Generator) -> Action:
         """The next action; ``env`` must also be ``Pushing``."""
-        if isinstance(env.facts.actions, Continuous):
-            return self._displacement(env, env.facts.actions, generator)
-        legal = [action for action, possible in enumerate(env.legal_actions().tolist()) if possible]
-        objects: list[list[float]] = env.objects().position.tolist()
+        world = cast(Pushing, env)
+        if isinstance(world.facts.actions, Continuous):
+            return self._displacement(world, world.facts.actions, generator)
+        legal = [action for action, possible in enumerate(world.legal_actions().tolist()) if possible]
+        objects: list[list[float]] = world.objects().position.tolist()
         present = [index for index, position in enumerate(objects) if not math.isnan(position[0])]
         if self._target not in present or generator.random() < CHOOSE_ANEW:
             self._target = present[int(generator.random() * len(present))] if present else None
         if self._target is not None and generator.random() < TOWARD:
-            there, here = objects[self._target], env.agent().position[0].tolist()
+            there, here = objects[self._target], world.agent().position[0].tolist()
             x, y = there[0] - here[0], there[1] - here[1]
-            self._moves = moves = self._moves or cast(Pushing, env).moves.tolist()
+            self._moves = moves = self._moves or world.moves.tolist()
             # The longer leg more often than the other, so that the way is no fixed zigzag.
+            if isinstance(env, Careful):
+                legal = np.flatnonzero(env.careful_actions()).tolist() or legal
             weights = [max(0.0, moves[action][0] * x + moves[action][1] * y) ** 2 for action in legal]
             if sum(weights) > 0:
                 return legal[_drawn(weights, generator.random())]
         return legal[int(generator.random() * len(legal))]
 
-    def _displacement(
-        self, env: Environment, spec: Continuous, generator: np.random.Generator
-    ) -> Float[np.ndarray, "2"]:
-        positions = env.objects().position[:, :2]
+    def _displacement(self, world: Pushing, spec: Continuous, generator: np.random.Generator) -> Float[np.ndarray, "2"]:
+        positions = world.objects().position[:, :2]
         present = np.flatnonzero(~np.isnan(positions[:, 0])).tolist()
         if self._target not in present or generator.random() < CHOOSE_ANEW:
             self._target = present[int(generator.random() * len(present))] if present else None
         low, high = np.asarray(spec.low), np.asarray(spec.high)
         if self._target is not None and generator.random() < TOWARD:
-            x, y = positions[self._target] - env.agent().position[0, :2]
+            x, y = positions[self._target] - world.agent().position[0, :2]
             direction = math.atan2(y, x) + generator.uniform(-ASTRAY, ASTRAY)
             way = float(high.min()) * generator.uniform(SHORTEST, 1) * np.array([np.cos(direction), np.sin(direction)])
         else:
             way = generator.uniform(low, high)
-        least, greatest = cast(Pushing, env).room
+        least, greatest = world.room
         displacement: Float[np.ndarray, "2"] = np.clip(way, np.maximum(low, least), np.minimum(high, greatest))
         return displacement
 

@@ -6,9 +6,10 @@ A subclass says how an episode is built, how a step is simulated, and how the sc
 from __future__ import annotations
 
 import colorsys
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -20,6 +21,9 @@ from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.specs import EnvSpec, ObjectSpec, ObjectStates, Preset, Scalar
+from recorders.distractors import Picture, Scene, Video, VideoState, episode_values, make_video, without_paths
+from recorders.expert_policy import ExpertPolicy
+from recorders.policies import RandomPolicy
 from recorders.push_policy import PushPolicy
 from recorders.pushing_script import PushingScript
 from recorders.table_lattice import Lattice, Place
@@ -47,12 +51,14 @@ class Snapshot:
         place: Of the pusher.
         moment: Steps since the episode's start.
         positions, orientations: Of the objects, as ``ObjectStates`` has them.
+        video: What the next frames depend on besides; None where nothing distracts.
     """
 
     place: Place
     moment: int
     positions: Float[np.ndarray, "k 3"]
     orientations: Float[np.ndarray, "k 4"]
+    video: VideoState | None = None
 
 
 class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
@@ -71,7 +77,8 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         lattice: Where the pusher can stand.
         vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
         ranges: What they are drawn from, one of ``variation.Ranges``.
-        fixed: Values of factors for every episode; None leaves the usual one.
+        fixed: Values of factors for every episode; None leaves the scene's, or the usual one.
+        scene: What distracts in its video.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
     """
 
@@ -83,7 +90,9 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             Preset.PAPER: RecordingPreset(episodes=6000, frames=101, tasks=104),
         }
     )
-    policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType({"push": PushPolicy})
+    policies: ClassVar[Mapping[str, Callable[[], Policy]]] = MappingProxyType(
+        {"push": PushPolicy, "random": RandomPolicy, "object-directed": PushPolicy, "expert-correlated": ExpertPolicy}
+    )
     default_policy: ClassVar[str] = "push"
     objective: ClassVar[str] = "tracked"
     factors: ClassVar[Mapping[str, str]] = MappingProxyType({})
@@ -97,6 +106,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         vary: str | Iterable[str],
         ranges: str,
         fixed: Mapping[str, float | None],
+        scene: Scene,
         render_mode: str | None,
     ) -> None:
         self.facts = facts
@@ -110,9 +120,17 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._vary = named_factors(vary)
         self._fixed = {name: value for name, value in fixed.items() if value is not None}
         self._variation.check(self._vary, self._fixed)
+        self._scene = scene
+        self._video: Video | None = None
+        self._seen: Picture | None = None
         self._factors: dict[str, Scalar] = {}
         self._place: Place = (0, 0)
         self._moment = 0
+
+    @classmethod
+    def prepared(cls, parameters: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
+        """The parameters with the hash of the clips in the place of their folder."""
+        return without_paths(parameters)
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:
@@ -132,10 +150,15 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         fixed = {**self._fixed, **(options or {})}
         vary = named_factors(fixed.pop("vary", self._vary))
         entropy = int(self.np_random.integers(2**63))
-        self._factors = self._variation.values(entropy, vary, fixed)
+        self._factors = episode_values(self._scene, self._variation, entropy, vary, fixed)
         self._moment = 0
         self._place = self._begin(np.random.default_rng([entropy, 0]), np.random.default_rng([entropy, 1]))
+        self._video = make_video(
+            self._scene, self._factors, entropy=entropy, facts=self.facts, surroundings=self._surroundings()
+        )
         self._frame, self._masks = self._draw()
+        if self._video is not None:
+            self._see(self._video.begin(self._undistracted()))
         self._drawn_as_is = True
         return self._frame.copy(), {"factors": dict(self._factors)}
 
@@ -143,6 +166,20 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     def room(self) -> Float[np.ndarray, "2 2"]:
         """The least and the greatest displacement along x and y that nothing cuts short [m]."""
         return self.lattice.room(self._place)
+
+    @property
+    def goals(self) -> Float[np.ndarray, "2 2"]:
+        """The least and the greatest place along x and y that an object may be pushed to [m]."""
+        origin, places = np.asarray(self.lattice.origin), np.asarray(self.lattice.places)
+        goals: Float[np.ndarray, "2 2"] = origin + self.lattice.step * np.stack([0 * places + 1, places - 2])
+        return goals
+
+    @property
+    def area(self) -> Float[np.ndarray, "2 2"]:
+        """The least and the greatest place along x and y where the pusher can be [m]."""
+        return np.array(
+            [self.lattice.at((0, 0)), self.lattice.at((self.lattice.places[0] - 1, self.lattice.places[1] - 1))]
+        )
 
     def step(self, action: Any) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
         """Move the pusher; ``info["illegal"]`` says that a move would have left its area.
@@ -154,8 +191,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """
         illegal = self.advance(action)
         if not self._drawn_as_is:
-            self._frame, self._masks = self._draw()
-            self._drawn_as_is = True
+            self._show()
         return self._frame.copy(), 0.0, self._terminated(), False, {"illegal": illegal}
 
     def advance(self, action: Any) -> bool:
@@ -166,11 +202,45 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """
         place, illegal = self._after(action)
         if not illegal or isinstance(self.actions, Continuous):
+            if self._video is not None:
+                self._video.step(*(self._directions(action) if self._video.follows else ((0.0, 0.0), None)))
             self._place = place
             self._moment += 1
             self._push(self.lattice.at(self._place))
             self._drawn_as_is = False
+            if self._video is not None and self._video.delay:  # this moment is to be shown later
+                self._show()
         return illegal
+
+    def _show(self) -> None:
+        """Draw the present moment, and what its frame shows."""
+        self._frame, self._masks = self._draw()
+        if self._video is not None:
+            self._see(self._video.show(self._undistracted()))
+        self._drawn_as_is = True
+
+    def _undistracted(self) -> Picture:
+        """What was drawn last, before anything distracts."""
+        agent, objects = self._agent(), self._objects()
+        return Picture(
+            frame=self._frame,
+            masks=self._masks,
+            pixel=np.concatenate([agent.pixel, objects.pixel]),
+            visible=np.concatenate([agent.visible, objects.visible]),
+        )
+
+    def _see(self, seen: Picture) -> None:
+        self._seen, self._frame, self._masks = seen, seen.frame, seen.masks
+
+    def _directions(self, action: Any) -> tuple[tuple[float, float], list[tuple[float, float]] | None]:
+        """Where an action points in the picture (x, y), of length 1 or (0, 0), and where all do, if they are few."""
+        ways = np.asarray(action, np.float64)[None] if isinstance(self.actions, Continuous) else self.moves
+        here = np.asarray(self.lattice.at(self._place))
+        seen = self._projected(np.concatenate([here[None], here + ways]))
+        steps: list[list[float]] = (seen[1:] - seen[0]).tolist()
+        lengths = [math.hypot(x, y) for x, y in steps]
+        headings = [(x / far, y / far) if far else (0.0, 0.0) for (x, y), far in zip(steps, lengths, strict=True)]
+        return (headings[0], None) if isinstance(self.actions, Continuous) else (headings[int(action)], headings)
 
     def _after(self, action: Any) -> tuple[Place, bool]:
         """Where an action leads, and whether it would leave the pusher's area."""
@@ -193,29 +263,58 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """What each pixel's centre shows: 0 background, 1 agent, 2 + k object k."""
         return self._masks.copy()
 
+    def agent(self) -> ObjectStates:
+        """The pusher's state, k = 1."""
+        return self._as_seen(self._agent(), slice(1))
+
+    def objects(self) -> ObjectStates:
+        """The objects' states; where something distracts, ``pixel`` and ``visible`` are of what the frame shows."""
+        return self._as_seen(self._objects(), slice(1, None))
+
+    def _as_seen(self, states: ObjectStates, things: slice) -> ObjectStates:
+        if self._video is None or self._seen is None:
+            return states
+        return replace(states, pixel=self._seen.pixel[things].copy(), visible=self._seen.visible[things].copy())
+
+    def memory(self) -> bytes:
+        """What the next frames depend on besides where everything is."""
+        drifting = self._moment.to_bytes(8, "little") if self._factor("distractors") else b""
+        return drifting if self._video is None else self._video.memory()
+
     def snapshot(self) -> Snapshot:
         """Where everything is; all of it is at rest."""
-        objects = self.objects()
+        objects = self._objects()
         return Snapshot(
             place=self._place,
             moment=self._moment,
             positions=objects.position.copy(),
             orientations=objects.orientation.copy(),
+            video=None if self._video is None else self._video.state(),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
         """Put everything where it was; it is drawn at the next step."""
         self._place, self._moment = snapshot.place, snapshot.moment
         self._put(snapshot, self.lattice.at(snapshot.place))
+        if self._video is not None and snapshot.video is not None:
+            self._video.restore(snapshot.video)
         self._drawn_as_is = False
 
     @abstractmethod
-    def agent(self) -> ObjectStates:
-        """The pusher's state, k = 1."""
+    def _agent(self) -> ObjectStates:
+        """The pusher's state as it was drawn, k = 1."""
 
     @abstractmethod
-    def objects(self) -> ObjectStates:
-        """The objects' states."""
+    def _objects(self) -> ObjectStates:
+        """The objects' states as they were drawn."""
+
+    @abstractmethod
+    def _projected(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Where the pusher is seen in the picture [px] when it stands at these places [m]."""
+
+    @abstractmethod
+    def _surroundings(self) -> tuple[int, int, int]:
+        """The colour (RGB) around the picture in this episode."""
 
     @abstractmethod
     def _begin(self, placement: np.random.Generator, distraction: np.random.Generator) -> Place:

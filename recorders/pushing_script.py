@@ -34,30 +34,31 @@ class PushingScript:
 
     def watch(self, env: Environment) -> None:
         """Take down the places [m] that the agent is kept from."""
-        barred = ~env.legal_actions()
-        self._walls += list(env.agent().position[0, :2] + cast(Pushing, env).moves[barred])
+        world = cast(Pushing, env)
+        self._walls += list(world.agent().position[0, :2] + world.moves[~world.legal_actions()])
 
     def act(self, env: Environment, goal: ObjectStates) -> Action | None:
         """The next step of a walk or a push; ``env`` must also be ``Pushing``.
 
         Where actions are displacements, it is one of a whole step.
         """
-        chosen = next(_choices(_Surroundings(env, goal, self._walls)), None)
-        if chosen is None or not isinstance(env.facts.actions, Continuous):
+        world = cast(Pushing, env)
+        chosen = next(_choices(_Surroundings(world, goal, self._walls)), None)
+        if chosen is None or not isinstance(world.facts.actions, Continuous):
             return chosen
-        move: Float[np.ndarray, "2"] = cast(Pushing, env).moves[chosen]
+        move: Float[np.ndarray, "2"] = world.moves[chosen]
         return move
 
 
 class _Surroundings:
     """The places of all objects relative to the agent, in units of one step."""
 
-    def __init__(self, env: Environment, goal: ObjectStates, walls: Sequence[Float[np.ndarray, "2"]]) -> None:
-        moves = cast(Pushing, env).moves
+    def __init__(self, world: Pushing, goal: ObjectStates, walls: Sequence[Float[np.ndarray, "2"]]) -> None:
+        moves = world.moves
         self.step = float(np.linalg.norm(moves, axis=1).mean())
         self.moves: list[Node] = [(round(float(x)), round(float(y))) for x, y in moves / self.step]
-        here = env.agent().position[0, :2]
-        objects = env.objects().position[:, :2]
+        here = world.agent().position[0, :2]
+        objects = world.objects().position[:, :2]
         wanted = goal.position[:, :2]
         counted = ~np.isnan(objects[:, 0]) & ~np.isnan(wanted[:, 0])
         self.others = (objects[~np.isnan(objects[:, 0])] - here) / self.step

@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 
 from dmotion_bench.actions import Discrete, require_discrete
-from dmotion_bench.specs import IMPORTED, DatasetRecipe
+from dmotion_bench.specs import IMPORTED, UNPLACED_AGENT, DatasetRecipe, unplaced_labels
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.imports.imported_actions import action_labels
-from dmotion_bench.storage.imports.importing import AGENT
 from dmotion_bench.storage.shard import Footage
 from dmotion_bench.storage.writer import DatasetWriter
 
@@ -49,7 +47,7 @@ def write_import(
         frames, taken = picture(source.video(episode)), source.states(episode).actions
         for steps in np.array_split(np.arange(len(frames)), cut):
             here = frames[steps]
-            labels = None if numbers is None else action_labels(numbers[taken[steps[:-1]]], here.shape[:3])
+            labels = None if numbers is None else unplaced_labels(numbers[taken[steps[:-1]]], here.shape[:3])
             parts.append(Footage(frames=here, labels=labels))
     height, width = parts[0].frames.shape[1:3]
     recipe = DatasetRecipe(
@@ -65,7 +63,7 @@ def write_import(
         **{
             "id": IMPORTED,
             "actions": Discrete(given) if given else None,
-            "agent": AGENT,
+            "agent": UNPLACED_AGENT,
             "objects": (),
             "agent_has_color": False,
         }

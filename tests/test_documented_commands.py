@@ -55,6 +55,7 @@ ELSEWHERE = {
     "leaderboard results": "tests/leaderboard/test_results.py",
     "tiny-latents": "tests/test_third_party.py",
     "--executor ray": "tests/recording/test_executors.py",
+    "record gym:": "tests/recorders/test_gymnasium_env.py",
     "--action-fields": "tests/storage/test_import_continuous.py",
 }
 """Commands that a test of their own runs: by a part of them, where."""

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import typer
 
 from dmotion_bench.cli.options import AsJson
+
+if TYPE_CHECKING:
+    from dmotion_bench.environment import RecordingPreset
+    from dmotion_bench.specs import Preset
 
 listing = typer.Typer(help="List environments, models, data sets and runs.", no_args_is_help=True)
 
@@ -30,25 +36,46 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
 
 @listing.command()
 def environments(as_json: AsJson = False) -> None:
-    """List the environments that can be recorded, and the factors that can vary in them."""
-    from dmotion_bench.environment import Varied
-    from dmotion_bench.registry import environment_class, environment_names, environment_versions
+    """List the environments, what they tell (the tier), their policies, and the factors that can vary in them."""
+    from dmotion_bench.environment import Varied, tier_of
+    from dmotion_bench.registry import (
+        environment_class,
+        environment_family,
+        environment_names,
+        environment_versions,
+        family_names,
+    )
 
     rows: list[dict[str, object]] = []
     for name in environment_names():
         kind = environment_class(name)
-        presets = ", ".join(f"{preset.value} {made.episodes} episodes" for preset, made in kind.recording.items())
+        presets = _presets(kind.recording)
         summary = (kind.__doc__ or "").strip().splitlines()[0]
         factors: dict[str, str] = dict(kind.factors) if isinstance(kind, Varied) else {}
         varied = factors if as_json else ", ".join(factors) or "nothing"
-        rows.append({"environment": name, "presets": presets, "--vary": varied, "what": summary})
+        policies = sorted(kind.policies, key=lambda policy, kind=kind: policy != kind.default_policy)  # type: ignore[misc]
+        row: dict[str, object] = {"environment": name, "tier": tier_of(kind).value, "presets": presets}
+        row |= {"policies": policies if as_json else ", ".join(policies)}
+        rows.append(row | {"--vary": varied, "what": summary})
         if as_json:
             rows[-1]["versions"] = dict(environment_versions(name)) or {1: summary}
+    for name in family_names():
+        family = environment_family(name)
+        presets, nothing = _presets(family.recording), {} if as_json else "nothing"
+        for member, what in family.worlds().items():
+            row = {"environment": f"{name}:{member}", "tier": family.tier.value, "presets": presets}
+            row |= {"policies": list(family.policies) if as_json else ", ".join(family.policies)}
+            rows.append(row | {"--vary": nothing, "what": what} | ({"versions": {1: what}} if as_json else {}))
     if as_json:
         rows = [{"factors" if key == "--vary" else key: value for key, value in row.items()} for row in rows]
     _show("environments", rows, as_json, "none is installed.")
     if not as_json and rows:
+        typer.echo("gym:ID records any Gymnasium environment that draws pictures; those above are known to work.")
         typer.echo("'dmbench list environments --json' tells what each factor means and which values it takes.")
+
+
+def _presets(recording: Mapping[Preset, RecordingPreset]) -> str:
+    return ", ".join(f"{preset.value} {made.episodes} episodes" for preset, made in recording.items())
 
 
 @listing.command()

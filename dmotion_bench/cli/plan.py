@@ -114,8 +114,8 @@ def _solve(
 
     from dmotion_bench.cli.live import live_recording
     from dmotion_bench.cli.progress import progress_bar
+    from dmotion_bench.learning.driving import predicted
     from dmotion_bench.planning.choices import make_solver
-    from dmotion_bench.planning.driving import predicted
     from dmotion_bench.planning.dynamics.model import in_units
     from dmotion_bench.planning.mpc import ControlProgress, ControlSettings, Scene, control
     from dmotion_bench.planning.tasks import task_environment

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.actions import Continuous, Discrete
+from dmotion_bench.cli.arrows import Arrows, arrows_of, by_number
+
 if TYPE_CHECKING:
     import numpy as np
 
-    from dmotion_bench.actions import ActionSpec
-    from dmotion_bench.planning.tasks import ActionTaken
+    from dmotion_bench.actions import ActionSpec, ActionTaken
     from dmotion_bench.storage.dataset import Dataset
 
 ARROWS = ("up", "down", "left", "right")
@@ -74,13 +76,14 @@ def play(
     dataset = Dataset.open(opened.dataset_path)
     if dataset.spec.actions is None:
         raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
-    known = moves(dataset.spec.actions)
+    actions = dataset.spec.actions
+    known = moves(actions, arrows_of(dataset, actions) if isinstance(actions, Continuous) else None)
     chosen = int(dataset.split("test")[0]) if episode is None and len(dataset.split("test")) else episode or 0
 
     import torch
 
     from dmotion_bench.cli.live import live_recording
-    from dmotion_bench.planning.driving import Drive
+    from dmotion_bench.learning.driving import Drive
     from dmotion_bench.viewing.drive import drive_blueprint, log_drive
 
     start = dataset.video(chosen)[0]
@@ -107,21 +110,23 @@ def play(
     typer.echo("", err=True)
 
 
-def moves(actions: ActionSpec) -> list[Move]:
+def moves(actions: ActionSpec, arrows: Arrows | None = None) -> list[Move]:
     """What a user can choose from: every discrete action, or each number of a continuous one at its two bounds.
 
-    An arrow key takes the discrete action of its name. Of a continuous action, left and right take the first number to
-    its lower and upper bound, down and up the second. The other numbers are 0 then, or the bound next to it.
-    """
-    from dmotion_bench.actions import Discrete
+    An arrow key takes the discrete action of its name. Of a continuous action it takes a number to one of its bounds;
+    the other numbers are 0 then, or the bound next to it.
 
+    Args:
+        actions: What can be done.
+        arrows: The arrow keys of continuous actions; ``by_number`` by default.
+    """
     if isinstance(actions, Discrete):
         return [Move(number, name, name if name in ARROWS else "") for number, name in enumerate(actions.names)]
     idle = [min(max(0.0, low), high) for low, high in zip(actions.low, actions.high, strict=True)]
-    arrows = {(0, 0): "left", (0, 1): "right", (1, 0): "down", (1, 1): "up"}
+    arrows = by_number(actions) if arrows is None else arrows
     found = []
     for place, (name, unit) in enumerate(zip(actions.names, actions.units, strict=True)):
-        for upper, bound in enumerate((actions.low[place], actions.high[place])):
+        for upper, bound in ((False, actions.low[place]), (True, actions.high[place])):
             action = tuple(float(bound if other == place else number) for other, number in enumerate(idle))
             found.append(Move(action, f"{name}={bound:.3g}{unit}", arrows.get((place, upper), "")))
     return found

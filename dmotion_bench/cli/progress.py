@@ -72,8 +72,9 @@ class ProgressDisplay:
         for name, job in jobs.items():
             if name not in self._jobs:
                 self._jobs[name] = self._bar.add_task(job.what, total=job.total, status=job.status)
-            shown = {"description": job.what, "completed": job.done, "total": job.total, "status": job.status}
-            self._bar.update(self._jobs[name], **shown)
+            self._bar.update(
+                self._jobs[name], description=job.what, completed=job.done, total=job.total, status=job.status
+            )
         self.update(task, status="; ".join(f"{job.what} {_share(job)}" for job in jobs.values()))
 
     def add_task(self, description: str, *, total: float | None = None, status: str = "") -> TaskID:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -39,7 +40,13 @@ def register(app: typer.Typer) -> None:
 
 
 def record(
-    environment: Annotated[str, typer.Argument(help="The environment's name; 'dmbench list environments' lists them.")],
+    environment: Annotated[
+        str,
+        typer.Argument(
+            help="The environment's name, or gym:ID for any Gymnasium environment; 'dmbench list environments' lists "
+            "them."
+        ),
+    ],
     preset: Annotated[
         Preset,
         typer.Option(
@@ -62,12 +69,20 @@ def record(
     seed: Annotated[
         int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the episodes: the same seed records the same bytes.")
     ] = 0,
+    size: Annotated[
+        int | None,
+        typer.Option(min=16, max=1024, help="Side of the frames in pixels; for gym:ID. Default: 128."),
+    ] = None,
+    frame_skip: Annotated[
+        int | None,
+        typer.Option(min=1, help="How often an action is taken between two frames; for gym:ID. Default: 1."),
+    ] = None,
     vary: Annotated[
         str,
         typer.Option(
             metavar="FACTOR,FACTOR...",
-            help="Factors that differ between episodes, separated by commas: friction, mass, colour, light, camera, "
-            "distractors. Default: none.",
+            help="Factors that differ between episodes, separated by commas, such as light,background. "
+            "'dmbench list environments' lists them. Default: none.",
         ),
     ] = "",
     ranges: Annotated[
@@ -77,6 +92,13 @@ def record(
             help="Values that the factors of --vary take: the usual range, or only values outside of it.",
         ),
     ] = "in-distribution",
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            help="Policy that chooses the actions: random, sticky, object-directed, expert-correlated, or another that "
+            "'dmbench list environments' names, or MODULE:FUNCTION. Default: the environment's."
+        ),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -86,8 +108,8 @@ def record(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with -varied or -shifted at the end if "
-            "factors vary."
+            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with the scene and the policy at the end "
+            "if they are not the usual ones, and with -varied or -shifted if factors vary."
         ),
     ] = None,
     workers: Annotated[
@@ -122,9 +144,13 @@ def record(
         seed=seed,
         vary=vary.split(","),
         ranges=ranges,
+        policy=policy,
         settings=settings or (),
+        size=size,
+        frame_skip=frame_skip,
     )
-    folder = out or Workspace.current().data / f"{environment}-{preset.value}{_suffix(recipe)}"
+    name = re.sub(r"[^\w.-]+", "-", environment)
+    folder = out or Workspace.current().data / f"{name}-{preset.value}{_suffix(recipe)}"
     if workers is None and executor == "local":
         workers = available_workers()
     hands = make_executor(
@@ -147,7 +173,7 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
     """Print the result of a recording."""
     from dmotion_bench.storage.dataset import Dataset
 
-    tasks = len(Dataset.open(recorded.dataset).tasks())
+    tasks, replay = len(Dataset.open(recorded.dataset).tasks()), recorded.replay
     if as_json:
         typer.echo(
             json.dumps(
@@ -159,6 +185,7 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
                     "bytes_per_frame": round(recorded.bytes_per_frame, 1),
                     "tasks": tasks,
                 }
+                | ({} if replay is None else {"repeats": replay.identical})
             )
         )
         return
@@ -167,7 +194,14 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
         f"  {recorded.episodes} episodes, {recorded.frames} frames, {recorded.bytes_per_frame:.0f} bytes a frame "
         f"with labels, {recorded.bytes / 2**20:.1f} MiB"
     )
-    if tasks_asked:
+    if replay is not None and replay.identical:
+        typer.echo(f"  recorded again, {len(replay.episodes)} episodes have the same bytes")
+    if replay is not None and not replay.identical:
+        typer.echo(
+            f"  the environment does not repeat: {replay.differs} differs when it is recorded again. So this data set "
+            "cannot be recorded again byte for byte, and it has no control tasks."
+        )
+    elif tasks_asked:
         fewer = f" of the {tasks_asked} asked for; for more, record more or longer episodes"
         typer.echo(f"  {tasks} control tasks{fewer if tasks < tasks_asked else ''}")
     if recorded.made.frames:
@@ -181,10 +215,14 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
 
 
 def _suffix(recipe: DatasetRecipe) -> str:
-    """The ending of a folder's default name that keeps recordings with varied factors apart from others."""
-    if not recipe.vary:
-        return ""
-    return f"-{recipe.parameters.get('ranges', 'varied')}"
+    """The ending of a folder's default name that keeps recordings under other conditions apart from others."""
+    from dmotion_bench.registry import environment_class
+
+    scene, policy = recipe.parameters.get("scene", ""), environment_class(recipe.environment).default_policy
+    parts = [str(scene), recipe.policy if recipe.policy != policy else ""]
+    if recipe.vary:
+        parts.append(str(recipe.parameters.get("ranges", "varied")))
+    return "".join(f"-{part}" for part in parts if part)
 
 
 def record_with_progress(

@@ -32,6 +32,7 @@ WORDS = {
     "hit_at_1": "H@1",
     "reciprocal_rank": "MRR",
     "control_distance": "control, distance",
+    "control_picture_distance": "control, difference of pictures",
     "control_success": "control, tasks solved",
     "control_lost": "control, objects lost",
 }
@@ -53,7 +54,7 @@ def show_report(report: Report, run: Path) -> None:
         rows.append((_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others))
     show_figures(_headline(report), ("figure", "mean ± std", "95% interval", "n", *beside), rows)
     console = stdout_console()
-    for name in (*beside, "trained_on", "actions", "positions", "rollout", "split"):
+    for name in (*beside, "trained_on", "actions", "positions", "control", "rollout", "split"):
         if name in report.remarks:
             console.print(f"  {name.replace('_', ' ')}: {report.remarks[name]}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
@@ -84,7 +85,7 @@ def _show_board(reports: Mapping[Path, Report]) -> None:
     paths = sorted(reports, key=lambda path: _mse(reports[path]))
     here = [reports[path] for path in paths]
     furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
-    columns = (*OVERVIEW, furthest, "control_distance[100]")
+    columns = (*OVERVIEW, furthest, "control_distance[100]", "control_picture_distance[100]")
     shown = [name for name in columns if any(name in report.figures for report in here)]
     shown = shown or ["mse_true_motion"]  # all there is where actions are not known
     behind = _behind(paths, here) if "mse" in shown else {}
@@ -162,7 +163,7 @@ def _headline(report: Report) -> str:
 def _is_shown(name: str) -> bool:
     if "_objects" in name or name.startswith("rollout_position_error_paper"):
         return False
-    if name.startswith("control_distance"):
+    if name.startswith(("control_distance", "control_picture_distance")):
         return name.endswith(tuple(f"[{step}]" for step in CONTROL_STEPS))
     return not name.startswith("rollout_") or name.endswith(tuple(f"[{ahead}]" for ahead in SHOWN_AHEAD))
 
@@ -173,7 +174,12 @@ def _words(name: str) -> str:
         return f"{WORDS.get(base, base)} {ahead} ahead"
     if name.startswith("control_"):
         base, _, at = name.rstrip("]").partition("[")
-        how = {"control_distance": f" after {at} steps", "control_success": f" to {at}"}.get(base, "") if at else ""
+        after = f" after {at} steps"
+        how = (
+            {"control_distance": after, "control_picture_distance": after, "control_success": f" to {at}"}.get(base, "")
+            if at
+            else ""
+        )
         return WORDS.get(base, base) + how
     if name.endswith("_push"):
         return f"{_words(name.removesuffix('_push'))}, pushes"

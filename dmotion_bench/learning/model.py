@@ -10,7 +10,6 @@ Images are ``Float[b c h w]`` in [-1, 1]. Axis letters: ``b`` batch, ``t`` time,
 from __future__ import annotations
 
 import inspect
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,6 +23,7 @@ from dmotion_bench.actions import ActionSpec
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.boundary import guarded
 from dmotion_bench.specs import Preset, Supervision
+from dmotion_bench.values import require_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,20 +146,12 @@ class TrainingConfig:
         ):
             if value not in allowed:
                 raise InvalidSetting(f"{name} is {value!r}; it can be {', '.join(allowed)}.")
-        for name, number in (
-            ("epochs", self.epochs),
-            ("batch_size", self.batch_size),
-            ("learning_rate", self.learning_rate),
-            ("validations", self.validations),
-        ):
-            if not 0 < number < math.inf:
-                raise InvalidSetting(f"{name} is {number}; it must be above zero.")
-        for name, number in (("weight_decay", self.weight_decay), ("clip_norm", self.clip_norm)):
-            if not 0 <= number < math.inf:
-                raise InvalidSetting(f"{name} is {number}; it cannot be below zero.")
-        for name, share in (("hard_share", self.hard_share), ("ema", self.ema)):
-            if not 0 <= share < 1:
-                raise InvalidSetting(f"{name} is {share}; it must be in [0, 1).")
+        require_bounds(
+            self,
+            above_zero=("epochs", "batch_size", "learning_rate", "validations"),
+            from_zero=("weight_decay", "clip_norm"),
+            below_one=("hard_share", "ema"),
+        )
 
 
 ConfigT = TypeVar("ConfigT")

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -168,7 +168,7 @@ def train_side_by_side(
     threads: int = 1,
     device: str = "auto",
     progress: Path | None = None,
-) -> Iterator[Outcome]:
+) -> Generator[Outcome]:
     """Train every row, several models at a time; the outcomes come as they are ready.
 
     A run's weights are those of ``train_table`` with as many threads.

@@ -7,12 +7,11 @@
     tasks.py      stored tasks as problems: start state by replay, goal image, judged distance
     journal.py    the progress of control, on disk
     choices.py    solvers and objectives by their names, with every field settable, and as a report holds them
-    earlier.py    what earlier reports say of planning, in the words of today
-    driving.py    a model's predictions, driven by hand
-    dynamics/     what actions lead to: a forward model, the true simulator; beginnings shared in a tree
+    dynamics/     what actions lead to: a forward model, the true simulator
     objectives/   what is minimised: centres, pixels, features; for arms that push objects on a table, tabletop/
     solvers/      the search: the cross-entropy method, iCEM, random shooting, MPPI, gradients, every sequence
 
-``base.py`` in each folder is its contract. Solvers and objectives are reached through the entry points
+``base.py`` in each folder is its contract. Solvers may import objectives, objectives dynamics.
+Solvers and objectives are reached through the entry points
 ``dmbench.solvers`` and ``dmbench.objectives`` (``docs/your_planner.md``).
 """

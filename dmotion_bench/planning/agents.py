@@ -17,12 +17,14 @@ import torch
 from jaxtyping import Bool, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
-from dmotion_bench.environment import Environment, HasScript, Judging, Script
+from dmotion_bench.environment import Environment, HasScript, Script
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.dynamics.model import ModelDynamics
-from dmotion_bench.planning.dynamics.simulator import Simulation, SimulatorDynamics, TrueCost
+from dmotion_bench.planning.dynamics.simulator import Simulation, SimulatorDynamics
 from dmotion_bench.planning.objectives.base import Evaluator, Objective, Taken
+from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
 from dmotion_bench.planning.tasks import World
 from dmotion_bench.specs import EnvSpec
@@ -76,7 +78,37 @@ class SimulatorAgent(Agent):
         """The next actions."""
 
 
-class ModelAgent(Agent):
+class PlanningAgent(Agent):
+    """A solver and an objective; those who inherit from it say in which dynamics they plan.
+
+    Args:
+        spec: Of the environment.
+        solver: Searches for actions.
+        objective: What it minimises.
+    """
+
+    def __init__(self, spec: EnvSpec, solver: Solver, objective: Objective) -> None:
+        self._spec, self._solver, self._objective = spec, solver, objective
+        self._evaluator: Evaluator | None = None
+
+    def reset(self, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]) -> None:
+        """The objective begins anew."""
+        self._evaluator = self._objective.reset(self._spec, first, goals)
+
+    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
+        """The objective may remember it."""
+        assert self._evaluator is not None, "reset comes first"
+        self._evaluator.observe(actions, frames)
+
+    def plan(self, dynamics: Dynamics, context: PlanContext) -> Decision:
+        """The first action of the best plan, in the units of the environment."""
+        assert self._evaluator is not None, "reset comes first"
+        plan = self._solver.plan(dynamics, self._evaluator, context)
+        spec, action = dynamics.actions, plan.action
+        return Decision(action=spec.denormalise(action) if isinstance(spec, Continuous) else action, plan=plan)
+
+
+class ModelAgent(PlanningAgent):
     """A forward model, an objective and a solver.
 
     Args:
@@ -101,6 +133,7 @@ class ModelAgent(Agent):
         bf16: bool | None = None,
         device: torch.device | None = None,
     ) -> None:
+        super().__init__(spec, solver, objective)
         own = model.inputs.actions
         if spec.actions is None or own is None or not own.fits(spec.actions):
             raise ModelContractBroken(
@@ -109,22 +142,10 @@ class ModelAgent(Agent):
             )
         device = device or torch.device("cpu")
         self.dynamics = ModelDynamics(model.to(device).eval(), bf16=bf16, device=device)
-        self._spec, self._solver, self._objective = spec, solver, objective
-        self._evaluator: Evaluator | None = None
-
-    def reset(self, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]) -> None:
-        """The objective begins anew."""
-        self._evaluator = self._objective.reset(self._spec, first, goals)
-
-    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
-        """The objective may remember it."""
-        assert self._evaluator is not None, "reset comes first"
-        self._evaluator.observe(actions, frames)
 
     def act(self, context: PlanContext) -> Decision:
         """The first action of the best plan."""
-        assert self._evaluator is not None, "reset comes first"
-        return _decided(self.dynamics.actions, self._solver.plan(self.dynamics, self._evaluator, context))
+        return self.plan(self.dynamics, context)
 
 
 def known_actions(spec: EnvSpec) -> ActionSpec:
@@ -146,11 +167,6 @@ def was_taken(actions: Taken) -> Bool[np.ndarray, " b"]:
 def no_action(spec: ActionSpec, count: int) -> Taken:
     """Rows in which nothing is done."""
     return np.full(count, NO_ACTION) if isinstance(spec, Discrete) else np.full((count, spec.width), np.nan)
-
-
-def _decided(spec: ActionSpec, plan: Plan) -> Decision:
-    """The decision that follows from a plan: its action, in the units of the environment."""
-    return Decision(action=spec.denormalise(plan.action) if isinstance(spec, Continuous) else plan.action, plan=plan)
 
 
 def _counted(actions: ActionSpec | None) -> str:
@@ -194,52 +210,34 @@ class RandomAgent(Agent):
         return Decision(action=spec.denormalise(drawn))
 
 
-class OracleAgent(SimulatorAgent):
+class OracleAgent(PlanningAgent, SimulatorAgent):
     """Plans with the true simulator in the model's place: an upper bound for models.
 
     Args:
         spec: Of the environment.
         solver: Searches what the simulator says.
         make_env: Makes simulators to try things out in.
-        objective: None for the simulator's own measure; others look at its pictures.
+        objective: ``TrueCost``; others look at the simulator's pictures.
     """
 
     def __init__(
-        self,
-        spec: EnvSpec,
-        solver: Solver,
-        make_env: Callable[[], Environment],
-        objective: Objective | None = None,
+        self, spec: EnvSpec, solver: Solver, make_env: Callable[[], Environment], objective: Objective
     ) -> None:
-        self._spec, self._solver, self._make_env, self._objective = spec, solver, make_env, objective
-        self._evaluator: Evaluator = TrueCost()
+        super().__init__(spec, solver, objective)
+        self._make_env, self._by_images = make_env, not isinstance(objective, TrueCost)
         self._simulations: dict[int, Simulation] = {}
-
-    def reset(self, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]) -> None:
-        """The objective begins anew."""
-        if self._objective is not None:
-            self._evaluator = self._objective.reset(self._spec, first, goals)
-
-    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
-        """The objective may remember it."""
-        self._evaluator.observe(actions, frames)
 
     def act_in(self, context: PlanContext, worlds: Sequence[World]) -> Decision:
         """The first action of the best plan."""
         simulations = [self._simulation(place, world) for place, world in enumerate(worlds)]
-        dynamics = SimulatorDynamics(simulations, known_actions(self._spec))
-        return _decided(dynamics.actions, self._solver.plan(dynamics, self._evaluator, context))
+        return self.plan(SimulatorDynamics(simulations, known_actions(self._spec)), context)
 
     def _simulation(self, place: int, world: World) -> Simulation:
         """The second simulator of the task at one place of the group, set to the task's present state."""
         known = self._simulations.get(place)
         if known is None or known.problem is not world.problem:
             env = known.env if known else self._make_env()
-            if not self._spec.objects and self._objective is None and not isinstance(env, Judging):
-                raise InvalidSetting(
-                    f"{self._spec.id!r} has no objects, so the oracle has nothing to bring to a goal; use 'random'."
-                )
-            known = Simulation(env, world.problem, pictures=self._objective is not None)
+            known = Simulation(env, world.problem, pictures=self._by_images)
             self._simulations[place] = known
         known.follow(world)
         return known
@@ -290,7 +288,7 @@ def make_reference(
     Args:
         name: Of ``REFERENCES``.
         spec, make_env: Of the environment.
-        solver, objective: Of the oracle; the others ignore them.
+        solver, objective: Of the oracle, which takes ``TrueCost`` if none is given; the others ignore them.
 
     Raises:
         UnknownName: There is none of this name.
@@ -298,7 +296,7 @@ def make_reference(
     made: dict[str, Callable[[], Agent]] = {
         "idle": lambda: IdleAgent(known_actions(spec)),
         "random": lambda: RandomAgent(known_actions(spec)),
-        "oracle": lambda: OracleAgent(spec, solver, make_env, objective),
+        "oracle": lambda: OracleAgent(spec, solver, make_env, objective or TrueCost()),
         "scripted": ScriptedAgent,
     }
     if name not in made:

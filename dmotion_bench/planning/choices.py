@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
+from dataclasses import is_dataclass
 from types import MappingProxyType, ModuleType
 from typing import Any, Final
 
 from dmotion_bench import positions
 from dmotion_bench.environment import HasObjective
-from dmotion_bench.errors import DmbenchError, InvalidSetting
-from dmotion_bench.learning.settings import with_settings
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.learning.settings import to_json, with_settings
 from dmotion_bench.planning.objectives.base import Objective
 from dmotion_bench.planning.solvers.base import Solver
 from dmotion_bench.registry import environment_class, objective_class, solver_class
@@ -18,7 +19,7 @@ from dmotion_bench.specs import EnvSpec
 
 DEFAULT_SOLVER: Final = "cem"
 SIMULATOR: Final = "simulator"
-"""The oracle's own objective (``dynamics.simulator.TrueCost``)."""
+"""The name of the oracle's own objective, ``TrueCost``."""
 
 EARLIER_NAMES: Final[Mapping[str, str]] = MappingProxyType({"position": "centres", "followed": "tabletop"})
 """Objectives that had another name; it is accepted still."""
@@ -67,35 +68,37 @@ def default_objective(environment: str, spec: EnvSpec, *, needs_pixels: bool) ->
     """The name of the objective that control plans with if nobody names one.
 
     Models that draw no frames compare features. Others plan with what the environment names (``HasObjective``), which
-    is the paper's where it names none.
+    is the paper's where it names none; with features, too, if that looks for objects and there are none.
 
     Args:
         environment: Its registered name.
         spec: Its facts.
         needs_pixels: The model's.
     """
-    if not (needs_pixels and spec.objects):
+    if not needs_pixels:
         return "feature"
     kind: object = environment_class(environment)
-    return kind.objective if isinstance(kind, HasObjective) else "centres"
+    name = kind.objective if isinstance(kind, HasObjective) else "centres"
+    if not spec.objects and getattr(objective_class(name), "finds_objects", False):
+        return "feature"
+    return name
 
 
 def planning_configuration(
-    solver_name: str, solver: Solver, objective_name: str, objective: Objective | None
+    solver_name: str, solver: Solver, objective_name: str, objective: Objective
 ) -> dict[str, Any]:
     """A solver and an objective, complete, as JSON's types.
 
     Args:
         solver_name, solver: The solver.
-        objective_name, objective: The objective; None for the oracle's own.
+        objective_name, objective: The objective.
     """
-    finds = getattr(objective, "finds_objects", False)
     return {
-        "solver": {"name": solver_name, **_fields(solver)},
+        "solver": {"name": solver_name, **to_json(solver)},
         "objective": {
             "name": objective_name,
-            **({} if objective is None else _fields(objective)),
-            **(constants(positions) if finds else {}),
+            **to_json(objective),
+            **(constants(positions) if getattr(objective, "finds_objects", False) else {}),
         },
     }
 
@@ -104,18 +107,5 @@ def constants(module: ModuleType) -> dict[str, Any]:
     """The constants (``Final``) of a module as ``module.NAME``."""
     own = [name for name, kind in module.__annotations__.items() if str(kind).startswith("Final")]
     place = module.__name__.rpartition(".")[2]
-    return {f"{place}.{name}": _plain(getattr(module, name)) for name in own}
-
-
-def _fields(settings: Any) -> dict[str, Any]:
-    if not is_dataclass(settings):
-        raise InvalidSetting(f"{type(settings).__name__} is no dataclass; its settings cannot be put into a report.")
-    plain: dict[str, Any] = _plain(asdict(settings))  # type: ignore[arg-type]
+    plain: dict[str, Any] = json.loads(json.dumps({f"{place}.{name}": getattr(module, name) for name in own}))
     return plain
-
-
-def _plain(value: Any) -> Any:
-    """A value with lists in place of tuples, as it reads back from JSON."""
-    if isinstance(value, Mapping):
-        return {str(name): _plain(one) for name, one in value.items()}
-    return [_plain(one) for one in value] if isinstance(value, tuple | list) else value

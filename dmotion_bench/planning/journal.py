@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.planning.tasks import Problem, World
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.json_file import read_json
@@ -46,10 +47,27 @@ class TaskRecord:
     lost: list[int] = field(default_factory=list)
     frames: int = 0
 
+    def took(self, action: Any) -> None:
+        """Append an action: a number, or those of a continuous one, NaN for none."""
+        if not np.ndim(action):
+            self.actions.append(int(action))
+        else:
+            self.actions.append(None if np.isnan(action).any() else [float(number) for number in action])
+
     def note(self, world: World) -> None:
         """Append the present distance and the number of lost objects."""
         self.distance.append(world.distance)
         self.lost.append(world.lost)
+
+
+def as_array(spec: ActionSpec, records: Iterable[TaskRecord]) -> Any:
+    """The actions of several tasks: a row a task, a column a step; NaN where no continuous action was taken."""
+    taken = [record.actions for record in records]
+    if isinstance(spec, Discrete):
+        return np.array(taken, np.int64).reshape(len(taken), -1)
+    none = [float("nan")] * spec.width
+    plain = [[none if action is None else action for action in own] for own in taken]
+    return np.array(plain, np.float64).reshape(len(taken), -1, spec.width)
 
 
 class Journal:

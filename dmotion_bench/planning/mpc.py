@@ -13,19 +13,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 
-from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.actions import ActionSpec, Discrete, as_actions
 from dmotion_bench.environment import Environment
 from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent, known_actions, was_taken
 from dmotion_bench.planning.dynamics.base import Observation
-from dmotion_bench.planning.journal import Journal, TaskRecord
+from dmotion_bench.planning.journal import Journal, TaskRecord, as_array
 from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
-from dmotion_bench.planning.tasks import Problem, World, as_actions
+from dmotion_bench.planning.tasks import Judge, Problem, World, judge_of
+from dmotion_bench.values import require_bounds
 
 CONTROL_VERSION: Final = 1
 """The version of control: of the loop, the solvers, the objectives, the references and the judged distance.
@@ -56,10 +57,7 @@ class ControlSettings:
     group: int = GROUP
 
     def __post_init__(self) -> None:
-        from dmotion_bench.errors import InvalidSetting
-
-        if self.steps < 1 or self.group < 1:
-            raise InvalidSetting(f"steps is {self.steps} and group {self.group}; both must be 1 or more.")
+        require_bounds(self, from_one=("steps", "group"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +97,7 @@ class ControlResult:
         frames: Predicted in all.
         seconds: Of planning alone; of this run of the program.
         planned: Control steps that ``seconds`` went into.
+        judge: What the distance is of.
     """
 
     tasks: tuple[int, ...]
@@ -110,6 +109,7 @@ class ControlResult:
     frames: int
     seconds: float
     planned: int
+    judge: Judge = Judge.OBJECTS
 
 
 @dataclass(kw_only=True)
@@ -174,10 +174,11 @@ def control(
         starts=tuple(problem.task.start for problem in problems),
         distance=np.array([record.distance for record in records]).reshape(len(records), -1),
         lost=np.array([record.lost for record in records], np.int64).reshape(len(records), -1),
-        actions=_actions(loop.actions, [record.actions for record in records]),
+        actions=as_array(loop.actions, records),
         frames=sum(record.frames for record in records),
         seconds=loop.seconds,
         planned=loop.planned,
+        judge=judge_of(envs[0]) if envs else Judge.OBJECTS,
     )
 
 
@@ -185,108 +186,88 @@ def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
     """Solve one group of tasks, starting from the step that the journal has reached."""
     records = loop.journal.records(problems)
     loop.records.update(records)
-    if all(len(record.actions) >= loop.settings.steps for record in records.values()):
+    done = min(len(record.actions) for record in records.values())
+    if done >= loop.settings.steps:
         loop.on_progress()
         return
-    worlds = [World(env, problem) for env, problem in zip(loop.envs, problems, strict=False)]
+    group = _Group(loop, problems)
     memory = loop.journal.memory(problems)
-    eyes = _Eyes(worlds, loop.actions)
-    loop.agent.reset(eyes.first, eyes.goals)
-    _show(loop.agent, worlds)
-    for past in _actions(loop.actions, [record.actions for record in records.values()]).swapaxes(0, 1):
-        _act(loop.agent, worlds, eyes, past)
-    for record, world in zip(records.values(), worlds, strict=True):
+    for past in as_array(loop.actions, records.values()).swapaxes(0, 1):
+        group.act(past)
+    for record, world in zip(records.values(), group.worlds, strict=True):
         if not record.distance:
             record.note(world)
-    for step in range(len(next(iter(records.values())).actions), loop.settings.steps):
-        generators = tuple(task_generator(loop.settings.seed, problem, step) for problem in problems)
+    for step in range(done, loop.settings.steps):
         context = PlanContext(
-            observation=eyes.observation(step), generators=generators, blocked=eyes.blocked.copy(), memory=memory
+            observation=group.observation(step),
+            generators=tuple(task_generator(loop.settings.seed, problem, step) for problem in problems),
+            blocked=group.blocked.copy(),
+            memory=memory,
         )
         began = time.perf_counter()
-        decision = _decide(loop.agent, context, worlds)
+        decision = group.decide(context)
         loop.seconds += time.perf_counter() - began
-        loop.planned += len(worlds)
-        distance = np.array([world.distance for world in worlds])
-        loop.watch(Scene(context=context, decision=decision, worlds=worlds, distance=distance))
-        _act(loop.agent, worlds, eyes, decision.action)
-        memory = decision.plan.memory if decision.plan else None
-        frames = decision.plan.frames if decision.plan else 0
-        for place, (record, world) in enumerate(zip(records.values(), worlds, strict=True)):
-            record.actions.append(_plain(decision.action[place]))
-            record.frames += frames // len(worlds) + (place < frames % len(worlds))
+        loop.planned += len(problems)
+        distance = np.array([world.distance for world in group.worlds])
+        loop.watch(Scene(context=context, decision=decision, worlds=group.worlds, distance=distance))
+        group.act(decision.action)
+        memory, frames = (decision.plan.memory, decision.plan.frames) if decision.plan else (None, 0)
+        for place, (record, world) in enumerate(zip(records.values(), group.worlds, strict=True)):
+            record.took(decision.action[place])
+            record.frames += frames // len(problems) + (place < frames % len(problems))
             record.note(world)
         loop.journal.write(records, memory, last=step + 1 == loop.settings.steps)
         loop.on_progress()
 
 
-def _decide(agent: Agent, context: PlanContext, worlds: Sequence[World]) -> Decision:
-    """Ask the agent for its actions; only references that declare it are given the simulator."""
-    return agent.act_in(context, worlds) if isinstance(agent, SimulatorAgent) else agent.act(context)
-
-
-def _show(agent: Agent, worlds: Sequence[World]) -> None:
-    if isinstance(agent, SimulatorAgent):
-        agent.watch(worlds)
-
-
-def _act(agent: Agent, worlds: Sequence[World], eyes: _Eyes, actions: Taken) -> None:
-    """Take actions, and let the agent see what they lead to."""
-    for world, action, taken in zip(worlds, as_actions(actions), was_taken(actions).tolist(), strict=True):
-        if taken:
-            world.step(action)
-    frames = eyes.after(worlds, actions)
-    agent.observe(actions, frames)
-    _show(agent, worlds)
-
-
-class _Eyes:
-    """What is seen of a group of tasks: images alone.
+class _Group:
+    """Some tasks side by side, and what their agent sees: images alone, unless it declares that it needs more.
 
     Attributes:
-        first, goals: The images at the start, and those that are wanted.
+        worlds: Their simulators.
         blocked: Actions that left the image as it is, since it last changed.
     """
 
-    def __init__(self, worlds: Sequence[World], actions: ActionSpec) -> None:
-        count = len(actions) if isinstance(actions, Discrete) else 0
-        self.first: UInt8[np.ndarray, "b h w 3"] = np.stack([world.frame for world in worlds])
-        self.goals = np.stack([world.problem.goal_frame for world in worlds])
-        self.blocked: Bool[np.ndarray, "b a"] = np.zeros((len(worlds), count), np.bool_)
-        self._current = self._previous = self.first
-
-    def after(self, worlds: Sequence[World], actions: Taken) -> UInt8[np.ndarray, "b h w 3"]:
-        """Look at the images after some actions."""
-        frames = np.stack([world.frame for world in worlds])
-        changed = (frames != self._current).any(axis=(1, 2, 3))
-        self.blocked[changed] = False
-        if self.blocked.shape[1]:
-            for place in np.flatnonzero(~changed & was_taken(actions)).tolist():
-                self.blocked[place, actions[place]] = True
-        still = ~changed[:, None, None, None]
-        self._previous = np.where(still, self._previous, self._current)
-        self._current = frames
-        return frames
+    def __init__(self, loop: _Loop, problems: Sequence[Problem]) -> None:
+        self._agent = loop.agent
+        self.worlds = [World(env, problem) for env, problem in zip(loop.envs, problems, strict=False)]
+        self._goals = np.stack([problem.goal_frame for problem in problems])
+        self._current = self._previous = np.stack([world.frame for world in self.worlds])
+        count = len(loop.actions) if isinstance(loop.actions, Discrete) else 0
+        self.blocked: Bool[np.ndarray, "b a"] = np.zeros((len(problems), count), np.bool_)
+        self._agent.reset(self._current, self._goals)
+        self._show()
 
     def observation(self, step: int) -> Observation:
         """What an agent is given after ``step`` actions."""
-        return Observation(previous=self._previous, current=self._current, goals=self.goals, step=step)
+        return Observation(previous=self._previous, current=self._current, goals=self._goals, step=step)
 
+    def decide(self, context: PlanContext) -> Decision:
+        """Ask the agent for its actions; only references that declare it are given the simulators."""
+        if isinstance(self._agent, SimulatorAgent):
+            return self._agent.act_in(context, self.worlds)
+        return self._agent.act(context)
 
-def _plain(action: Any) -> int | list[float] | None:
-    """An action as the journal keeps it."""
-    if not np.ndim(action):
-        return int(action)
-    return None if np.isnan(action).any() else [float(number) for number in action]
+    def act(self, actions: Taken) -> None:
+        """Take actions, and let the agent see what they lead to."""
+        taken = was_taken(actions)
+        for world, action, is_one in zip(self.worlds, as_actions(actions), taken.tolist(), strict=True):
+            if is_one:
+                world.step(action)
+        frames = np.stack([world.frame for world in self.worlds])
+        changed = (frames != self._current).any(axis=(1, 2, 3))
+        self.blocked[changed] = False
+        if self.blocked.shape[1]:
+            for place in np.flatnonzero(~changed & taken).tolist():
+                self.blocked[place, actions[place]] = True
+        self._previous = np.where(changed[:, None, None, None], self._current, self._previous)
+        self._current = frames
+        self._agent.observe(actions, frames)
+        self._show()
 
-
-def _actions(spec: ActionSpec, records: Sequence[Sequence[Any]]) -> Any:
-    """The actions of several tasks that the journal keeps, as an array: a row a task, a column a step."""
-    if isinstance(spec, Discrete):
-        return np.array(records, np.int64).reshape(len(records), -1)
-    none = [float("nan")] * spec.width
-    plain = [[none if action is None else action for action in own] for own in records]
-    return np.array(plain, np.float64).reshape(len(records), -1, spec.width)
+    def _show(self) -> None:
+        if isinstance(self._agent, SimulatorAgent):
+            self._agent.watch(self.worlds)
 
 
 def task_generator(seed: int, problem: Problem, step: int) -> np.random.Generator:

@@ -1,31 +1,35 @@
 """Stored control tasks as problems: the start state, the goal image, and the distance from the goal.
 
 A start state is reached by replay: the environment is reset with the episode's seed and takes the recorded actions.
+The goal is a later frame of the episode, unless the environment sets one itself (``environment.SetsGoal``).
+
 The distance that control is judged by is the environment's to supply (``environment.Judging``): 1 at the start, 0 at
 the goal. Where it supplies none, it comes from the simulator's positions: the sum over objects of how far each is from
 its place at the goal, divided by the same at the start. An object that is lost on the way counts 1, as much as
 everything together at the start: a task that loses one cannot count as solved. The agent's own place does not count.
+
+An environment that tells no positions is judged by its pictures: the mean squared difference of the frame from the goal
+image, divided by the same at the start. A figure of that kind has a name of its own (``Judge``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from dmotion_bench.environment import Environment, Judging, TaskMeasure
+from dmotion_bench.actions import ActionTaken, as_actions, given
+from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, SetsGoal, TaskMeasure
 from dmotion_bench.errors import DatasetError, UnknownName
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
-from dmotion_bench.specs import DatasetRecipe, ObjectStates
+from dmotion_bench.specs import DatasetRecipe, ObjectStates, delay_of
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command
-
-ActionTaken = int | tuple[float, ...]
-"""The number of a discrete action, or a continuous one in its units."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +43,8 @@ class Problem:
         vary: Factors of variation that the episode was recorded with.
         opening: The recorded actions that lead to the start.
         start_frame, goal_frame: What is seen there.
-        start_objects, goal_objects: The objects there.
+        start_objects, goal_objects: The objects there; where frames lag behind the world, the goal's are those that
+            the goal's frame shows.
     """
 
     number: int
@@ -63,6 +68,14 @@ class Problem:
         return self.goal_objects.position
 
 
+class Judge(StrEnum):
+    """What judges how far a task is from its goal."""
+
+    OWN = "environment"  # Judging.task_measure
+    OBJECTS = "objects"
+    PICTURES = "pictures"
+
+
 class ObjectDistances:
     """The judged distance of environments that supply none: how far the objects are from their places at the goal.
 
@@ -77,17 +90,17 @@ class ObjectDistances:
 
     def distance(self, env: Environment) -> float:
         """Summed over objects, divided by the same at the start; a lost object adds 1."""
-        positions = env.objects().position
+        positions = _positions(env)
         off, present = self._off(positions), ~np.isnan(positions[:, 0])
         return float(off[self._counted & present].sum() / self._initial) + self.lost(env)
 
     def lost(self, env: Environment) -> int:
         """The number of objects that were lost although the goal needs them."""
-        return int((self._counted & np.isnan(env.objects().position[:, 0])).sum())
+        return int((self._counted & np.isnan(_positions(env)[:, 0])).sum())
 
     def cost(self, env: Environment) -> float:
         """Summed squared distances [m^2]; a lost object is as far away as all objects together at the start."""
-        positions = env.objects().position
+        positions = _positions(env)
         off = np.where(np.isnan(positions[:, 0]), self._initial, self._off(positions))
         return float(np.square(off[self._counted]).sum())
 
@@ -96,11 +109,55 @@ class ObjectDistances:
         return off
 
 
+def _positions(env: Environment) -> Float[np.ndarray, "k 3"]:
+    """Of the objects [m]; whoever judges by objects has asked whether the environment tells them."""
+    assert isinstance(env, ObjectEnvironment), "pictures judge an environment that tells no positions"
+    return env.objects().position
+
+
+class PictureDistance:
+    """The judged distance of environments that tell no positions: how different the frame is from the goal image.
+
+    Nothing is known about what the difference is of: the agent counts as much as the same number of other pixels.
+
+    Args:
+        start, goal: What is seen at a task's start and goal.
+    """
+
+    def __init__(self, start: UInt8[np.ndarray, "h w 3"], goal: UInt8[np.ndarray, "h w 3"]) -> None:
+        self._goal = goal.astype(np.float64)
+        self._initial = self._off(start)
+
+    def distance(self, env: Environment) -> float:
+        """Mean squared difference from the goal image, divided by the same at the start."""
+        return self.cost(env) / self._initial if self._initial else 0.0
+
+    def lost(self, env: Environment) -> int:
+        """Nothing: a picture does not tell."""
+        return 0
+
+    def cost(self, env: Environment) -> float:
+        """Mean squared difference from the goal image, of pixel values 0-255."""
+        return self._off(env.render())
+
+    def _off(self, frame: UInt8[np.ndarray, "h w 3"]) -> float:
+        return float(np.square(frame - self._goal).mean())
+
+
+def judge_of(env: Environment) -> Judge:
+    """What judges the tasks of an environment."""
+    if isinstance(env, Judging):
+        return Judge.OWN
+    return Judge.OBJECTS if env.facts.objects and isinstance(env, ObjectEnvironment) else Judge.PICTURES
+
+
 def measure_of(env: Environment, problem: Problem) -> TaskMeasure:
-    """How the environment, or in its stead ``ObjectDistances``, judges a problem."""
+    """How the environment judges a problem, or in its stead its objects or its pictures."""
     if isinstance(env, Judging):
         return env.task_measure(problem.start_objects, problem.goal_objects)
-    return ObjectDistances(problem.start_objects, problem.goal_objects)
+    if judge_of(env) is Judge.OBJECTS:
+        return ObjectDistances(problem.start_objects, problem.goal_objects)
+    return PictureDistance(problem.start_frame, problem.goal_frame)
 
 
 def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None = None) -> list[Problem]:
@@ -126,11 +183,35 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
     for number in numbers:
         if not 0 <= number < len(tasks):
             raise UnknownName("task", str(number), [f"0 to {len(tasks) - 1}"])
-    return [_problem(dataset, number, tasks[number]) for number in numbers]
+    return _with_own_goals(dataset.recipe, [_problem(dataset, number, tasks[number]) for number in numbers])
+
+
+def _with_own_goals(recipe: DatasetRecipe, problems: list[Problem]) -> list[Problem]:
+    """The problems with the goals that the environment sets itself, if it does."""
+    kind: object = environment_class(recipe.environment)
+    if not isinstance(kind, SetsGoal):
+        return problems
+    env = task_environment(recipe)
+    try:
+        return [_with_own_goal(env, problem) for problem in problems]
+    finally:
+        env.close()
+
+
+def _with_own_goal(env: Environment, problem: Problem) -> Problem:
+    env.reset(seed=problem.seed, options=_options(problem))
+    goal = env.task_goal() if isinstance(env, SetsGoal) else None
+    return problem if goal is None else replace(problem, goal_frame=goal[0], goal_objects=goal[1])
+
+
+def _options(problem: Problem) -> dict[str, list[str]] | None:
+    """What a problem's episode is reset with, besides its seed."""
+    return {"vary": list(problem.vary)} if problem.vary else None
 
 
 def _problem(dataset: ReadableDataset, number: int, task: ControlTask) -> Problem:
     video, states = dataset.video(task.episode), dataset.states(task.episode)
+    shown, seen = (_at(states.objects, step) for step in (max(0, task.goal - delay_of(states.factors)), task.goal))
     return Problem(
         number=number,
         task=task,
@@ -140,7 +221,7 @@ def _problem(dataset: ReadableDataset, number: int, task: ControlTask) -> Proble
         start_frame=video[task.start],
         goal_frame=video[task.goal],
         start_objects=_at(states.objects, task.start),
-        goal_objects=_at(states.objects, task.goal),
+        goal_objects=replace(shown, pixel=seen.pixel, visible=seen.visible),
     )
 
 
@@ -196,7 +277,7 @@ class World:
 
 def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = ()) -> UInt8[np.ndarray, "h w 3"]:
     """Bring an environment to a problem's start and take some more actions; returns the image there."""
-    frame = env.reset(seed=problem.seed, options={"vary": list(problem.vary)} if problem.vary else None)[0]
+    frame = env.reset(seed=problem.seed, options=_options(problem))[0]
     for action in (*as_actions(problem.opening), *actions):
         frame = take(env, action)
     return frame
@@ -205,13 +286,3 @@ def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = (
 def take(env: Environment, action: ActionTaken) -> UInt8[np.ndarray, "h w 3"]:
     """Take an action; returns the image after it."""
     return env.step(given(action))[0]
-
-
-def given(action: ActionTaken) -> int | Float[np.ndarray, " a"]:
-    """An action as an environment takes it."""
-    return np.array(action) if isinstance(action, tuple) else action
-
-
-def as_actions(rows: Int[np.ndarray, " t"] | Float[np.ndarray, "t a"]) -> list[ActionTaken]:
-    """Actions one by one, in a form that can be compared: numbers, or of continuous ones tuples."""
-    return [tuple(row) if isinstance(row, list) else row for row in rows.tolist()]

@@ -16,8 +16,9 @@ from typing import Literal
 from dmotion_bench.errors import PackageNotInstalled, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import SerialExecutor
+from dmotion_bench.recording.policies import OWN
 from dmotion_bench.recording.session import ShardJob, environment_facts, record_shard
-from dmotion_bench.registry import environment_names
+from dmotion_bench.registry import is_environment
 from dmotion_bench.storage.atomic import sync_folder
 from dmotion_bench.storage.check import CheckReport, cache_damages, check_dataset
 from dmotion_bench.storage.dataset import Dataset
@@ -85,8 +86,8 @@ def _delete_cache(path: Path) -> None:
 def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor) -> bool:
     """Replace shards by ones that the recipe makes, if those have the same bytes; all of them or none."""
     manifest, path = report.manifest, report.dataset
-    if manifest.salvaged or manifest.recipe.environment not in environment_names():
-        return False
+    if manifest.salvaged or not is_environment(manifest.recipe.environment) or OWN in manifest.recipe.policy:
+        return False  # and nothing is imported because a file names it
     staging = path / _STAGING
     with held(path):
         shutil.rmtree(staging, ignore_errors=True)

@@ -6,15 +6,32 @@ from a stream of the same seed. Environments that are ``EpisodeGenerator`` make 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from typing import Final, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from dmotion_bench.environment import Action, Environment, EpisodeGenerator, Policy
-from dmotion_bench.errors import InvalidSetting, UnknownName
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels, ObjectStates, Scalar, episode_seed
+from dmotion_bench.environment import (
+    Action,
+    Environment,
+    EpisodeGenerator,
+    MaskedEnvironment,
+    ObjectEnvironment,
+    Policy,
+)
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.recording.policies import find_policy
+from dmotion_bench.specs import (
+    DatasetRecipe,
+    EnvSpec,
+    Episode,
+    EpisodeLabels,
+    ObjectStates,
+    Scalar,
+    episode_seed,
+    unplaced_labels,
+)
 
 _POLICY_STREAM: Final = 0x70F1  # sets the policy's random numbers apart from the environment's
 
@@ -36,17 +53,6 @@ def make_environment(kind: type[Environment], recipe: DatasetRecipe) -> Environm
         raise InvalidSetting(f"{recipe.environment!r} cannot be made: {error}.") from None
 
 
-def find_policy(kind: type[Environment], recipe: DatasetRecipe) -> Callable[[], Policy]:
-    """The function that makes the recipe's policy.
-
-    Raises:
-        UnknownName: The environment has no such policy.
-    """
-    if recipe.policy not in kind.policies:
-        raise UnknownName(f"policy of {recipe.environment}", recipe.policy, kind.policies)
-    return kind.policies[recipe.policy]
-
-
 def record_episodes(
     kind: type[Environment], recipe: DatasetRecipe, episodes: Sequence[int]
 ) -> Generator[Episode, None, None]:
@@ -54,7 +60,7 @@ def record_episodes(
     seeds = [episode_seed(recipe.seed, episode) for episode in episodes]
     make_policy = find_policy(kind, recipe)
     at_once: object = kind
-    if isinstance(at_once, EpisodeGenerator) and not recipe.vary:
+    if isinstance(at_once, EpisodeGenerator) and not recipe.vary and recipe.policy in kind.policies:
         yield from at_once.generate(seeds, frames=recipe.frames, policy=recipe.policy, parameters=recipe.parameters)
         return
     env = make_environment(kind, recipe)
@@ -70,35 +76,64 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     generator = policy_generator(seed)
     frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
     factors = {name: _plain(value) for name, value in info.get("factors", {}).items()}
-    images, masks, agents, objects = _Film(frame), _Film(env.masks()), [env.agent()], [env.objects()]
+    images, witness = _Film(frame), _Witness(env)
     actions: list[Action] = []
     ended: Literal["truncated", "terminated"] = "truncated"
-    while len(objects) < frames:
+    while len(actions) < frames - 1:
         action = policy(env, generator)
         frame, _, terminated, truncated, _ = env.step(action)
         actions.append(action)
         images.append(frame)
-        masks.append(env.masks())
-        agents.append(env.agent())
-        objects.append(env.objects())
+        witness.look()
         if terminated:
             ended = "terminated"
         if terminated or truncated:
             break
-    states = _stacked(objects)
-    return Episode(
-        frames=images.developed(),
-        labels=EpisodeLabels(
-            actions=_recorded(env.facts, actions),
-            pushed=_pushed(states, env.facts.push_threshold),
-            agent=_stacked(agents),
+    film = images.developed()
+    labels = witness.labels(_recorded(env.facts, actions), film.shape[:3], factors)
+    return Episode(frames=film, labels=labels, seed=seed, ended=ended)
+
+
+class _Witness:
+    """Collects what an environment tells beside its frames: nothing, positions, or positions and masks."""
+
+    def __init__(self, env: Environment) -> None:
+        self._located = env if isinstance(env, ObjectEnvironment) else None
+        self._masked = env if isinstance(env, MaskedEnvironment) else None
+        self._threshold = env.facts.push_threshold
+        self._agents, self._objects = list[ObjectStates](), list[ObjectStates]()
+        self._masks = _Film(self._masked.masks()) if self._masked else None
+        self._note_states()
+
+    def look(self) -> None:
+        """Ask about the present state."""
+        self._note_states()
+        if self._masked is not None and self._masks is not None:
+            self._masks.append(self._masked.masks())
+
+    def _note_states(self) -> None:
+        if self._located is not None:
+            self._agents.append(self._located.agent())
+            self._objects.append(self._located.objects())
+
+    def labels(
+        self,
+        actions: Int[np.ndarray, " s"] | Float[np.ndarray, "s a"],
+        shape: tuple[int, ...],
+        factors: Mapping[str, Scalar],
+    ) -> EpisodeLabels:
+        """All of it, with the actions, of a video of this shape."""
+        if self._located is None:
+            return unplaced_labels(actions, shape, factors)
+        states = _stacked(self._objects)
+        return EpisodeLabels(
+            actions=actions,
+            pushed=_pushed(states, self._threshold),
+            agent=_stacked(self._agents),
             objects=states,
-            masks=masks.developed(),
+            masks=np.zeros(shape, np.uint8) if self._masks is None else self._masks.developed(),
             factors=factors,
-        ),
-        seed=seed,
-        ended=ended,
-    )
+        )
 
 
 def _recorded(facts: EnvSpec, actions: Sequence[Action]) -> Int[np.ndarray, " s"] | Float[np.ndarray, "s a"]:

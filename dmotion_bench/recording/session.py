@@ -8,11 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from dmotion_bench.environment import Packaged, Unproven
+from dmotion_bench.errors import RecordingFailed, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import SerialExecutor
-from dmotion_bench.recording.rollout import find_policy, make_environment, record_episodes
+from dmotion_bench.recording.policies import find_policy
+from dmotion_bench.recording.replay import replay_sample
+from dmotion_bench.recording.rollout import make_environment, record_episodes
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
+from dmotion_bench.storage.manifest import Replay
 from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
 from dmotion_bench.storage.writer import DatasetWriter, deleted
 from dmotion_bench.workspace import AnyPath
@@ -61,6 +66,7 @@ class Recorded:
         episodes, frames: Of the whole data set.
         bytes: Of all its shards.
         made: What this run did of it.
+        replay: Whether the recording repeats; None where the environment is known to be exact.
     """
 
     dataset: Path
@@ -68,6 +74,7 @@ class Recorded:
     frames: int
     bytes: int
     made: Progress
+    replay: Replay | None = None
 
     @property
     def bytes_per_frame(self) -> float:
@@ -125,21 +132,45 @@ def record_dataset(
         executor: Who makes the shards; this process by default.
         on_progress: Called at the start and after each shard.
     """
-    path, spec = Path(path), environment_facts(recipe)
-    with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
-        start, frames = time.perf_counter(), 0
-        episodes = recipe.episodes - sum(len(writer.episodes_of(index)) for index in writer.missing)
-        progress = Progress(episodes=episodes, total=recipe.episodes, frames=0, seconds=0.0)
+    path, spec, executor = Path(path), environment_facts(recipe), executor or SerialExecutor()
+    kind: object = environment_class(recipe.environment)
+    packages = kind.packages if isinstance(kind, Packaged) else ()
+    with DatasetWriter.create_or_resume(path, recipe, spec, packages) as writer:
+        try:
+            progress = _record_missing(writer, executor, on_progress)
+        except (RecordingFailed, UsageError):  # the same would happen again
+            writer.withdraw()
+            raise
+        replay = None if writer.complete is None else writer.complete.replay
+        if writer.complete is None and isinstance(kind, Unproven) and kind.unproven:
+            replay = replay_sample(writer, executor)
+        writer.finish(replay=replay)
+        return Recorded(
+            dataset=path,
+            episodes=recipe.episodes,
+            frames=writer.frames,
+            bytes=writer.bytes,
+            made=progress,
+            replay=replay,
+        )
+
+
+def _record_missing(writer: DatasetWriter, executor: Executor, on_progress: Callable[[Progress], None]) -> Progress:
+    """Make the shards that are not there."""
+    recipe, start, frames = writer.recipe, time.perf_counter(), 0
+    episodes = recipe.episodes - sum(len(writer.episodes_of(index)) for index in writer.missing)
+    progress = Progress(episodes=episodes, total=recipe.episodes, frames=0, seconds=0.0)
+    on_progress(progress)
+    jobs = [
+        ShardJob(dataset=writer.path.absolute(), recipe=recipe, spec=writer.spec, index=index)
+        for index in writer.missing
+    ]
+    for receipt in executor.map_unordered(record_shard, jobs):
+        writer.add(receipt)
+        frames += receipt.frames
+        episodes += len(receipt.rows)
+        progress = Progress(
+            episodes=episodes, total=recipe.episodes, frames=frames, seconds=time.perf_counter() - start
+        )
         on_progress(progress)
-        jobs = [ShardJob(dataset=path.absolute(), recipe=recipe, spec=spec, index=index) for index in writer.missing]
-        results = (executor or SerialExecutor()).map_unordered(record_shard, jobs)
-        for receipt in results:
-            writer.add(receipt)
-            frames += receipt.frames
-            episodes += len(receipt.rows)
-            progress = Progress(
-                episodes=episodes, total=recipe.episodes, frames=frames, seconds=time.perf_counter() - start
-            )
-            on_progress(progress)
-        writer.finish()
-        return Recorded(dataset=path, episodes=recipe.episodes, frames=writer.frames, bytes=writer.bytes, made=progress)
+    return progress

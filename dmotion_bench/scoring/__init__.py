@@ -2,21 +2,23 @@
 
 ::
 
-    score.py            scores a model, and writes the report of a run
-    transitions.py      held-out triplets and rollouts, in batches
-    prediction.py       predictions of models and references, measured frame by frame
-    references.py       the references: predictors without learning, and published results
-    frame_measures.py   everything that is measured on a predicted frame
-    pixels.py           MSE, PSNR and SSIM of two pictures
-    position_errors.py  distances between predicted and true objects
-    identification.py   whether a model found the agent and its motion
-    latent_ranking.py   whether a model predicts the right point of its own latent space
-    explanation.py      what can be measured on video whose actions are not known
-    control.py          how near a model and a planner bring the objects to their goals
-    transfer.py         scoring on another data set than the one of the training
-    overlap.py          which episodes of an import show what a run was trained on
-    samples.py          the samples: one row for each predicted frame
-    statistics.py       means, and their 95% intervals over episodes
-    figures.py          the figures of a report, computed from the samples
-    report.py           report.json and samples.parquet on disk
+    score.py             scores a model, and writes the report of a run
+    transitions.py       held-out triplets and rollouts, in batches
+    prediction.py        predictions of models and references, measured frame by frame
+    references.py        the references: predictors without learning, and published results
+    frame_measures.py    everything that is measured on a predicted frame
+    pixels.py            MSE, PSNR and SSIM of two pictures
+    position_errors.py   distances between predicted and true objects
+    identification.py    whether a model found the agent and its motion
+    latent_ranking.py    whether a model predicts the right point of its own latent space
+    explanation.py       what can be measured on video whose actions are not known
+    control.py           how near a model and a planner bring the objects to their goals
+    earlier_planning.py  what earlier reports say of planning, in the words of today
+    tiers.py             which figures need more than an environment tells
+    transfer.py          scoring on another data set than the one of the training
+    overlap.py           which episodes of an import show what a run was trained on
+    samples.py           the samples: one row for each predicted frame
+    statistics.py        means, and their 95% intervals over episodes
+    figures.py           the figures of a report, computed from the samples
+    report.py            report.json and samples.parquet on disk
 """

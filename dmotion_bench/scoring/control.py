@@ -1,7 +1,8 @@
 """Control: how near to their goals a model and a planner bring the objects in a hundred steps.
 
 A task's figure is its normalised distance: 1 at the start, 0 at the goal, from the simulator's positions, whatever
-the model saw (``planning/tasks.py``). What becomes of the samples of it stands in ``figures.py``.
+the model saw (``planning/tasks.py``). What becomes of the samples of it stands in ``figures.py``. Where an environment
+tells no positions its pictures judge, and samples and figures have names of their own.
 
 The references say what a figure means: ``idle`` (1 by definition), ``random``, ``scripted`` (rules that read the
 simulator) and ``oracle`` (the same solver with the true simulator as its model). They depend on the data set alone,
@@ -36,7 +37,6 @@ from dmotion_bench.planning.choices import (
     planning_configuration,
     present_name,
 )
-from dmotion_bench.planning.earlier import NOT_SETTINGS, earlier_name, earlier_planning, present_settings
 from dmotion_bench.planning.journal import Journal
 from dmotion_bench.planning.mpc import (
     CONTROL_VERSION,
@@ -48,14 +48,15 @@ from dmotion_bench.planning.mpc import (
     control,
 )
 from dmotion_bench.planning.objectives.base import Objective
-from dmotion_bench.planning.tasks import load_problems, task_environment
+from dmotion_bench.planning.objectives.true_cost import TrueCost
+from dmotion_bench.planning.tasks import Judge, load_problems, task_environment
+from dmotion_bench.scoring.earlier_planning import NOT_SETTINGS, earlier_name, earlier_planning, present_settings
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import CONTROL_OF_CODE
-from dmotion_bench.scoring.samples import SampleRows
+from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.workspace import cache_folder
 
-METRIC: Final = "control"
 QUICK: Final = ("idle", "random", "scripted")
 """References that take seconds."""
 
@@ -101,9 +102,9 @@ class ControlScoring:
     def to_json(self) -> dict[str, Any]:
         """The settings as a report stores them: with a prefix, and with the version of control."""
         own = asdict(self) | {"version": CONTROL_VERSION}
-        return {f"{METRIC}_{name}": list(one) if isinstance(one, tuple) else one for name, one in own.items()}
+        return {f"{CONTROL}_{name}": list(one) if isinstance(one, tuple) else one for name, one in own.items()}
 
-    def planned_with(self, dataset: ReadableDataset, *, needs_pixels: bool | None) -> tuple[str, Objective | None]:
+    def planned_with(self, dataset: ReadableDataset, *, needs_pixels: bool | None) -> tuple[str, Objective]:
         """The objective's name, and the objective.
 
         Args:
@@ -111,7 +112,7 @@ class ControlScoring:
             needs_pixels: The model's; None for the true simulator in a model's place, which has its own.
         """
         if self.objective is None and needs_pixels is None:
-            return SIMULATOR, None
+            return SIMULATOR, TrueCost()
         name = self.objective
         if name is None:
             name = default_objective(dataset.recipe.environment, dataset.spec, needs_pixels=bool(needs_pixels))
@@ -126,7 +127,7 @@ class ControlScoring:
     def from_json(cls, settings: Mapping[str, Any]) -> ControlScoring:
         """Read the settings back from those of a report, which may be an earlier one."""
         present = present_settings(settings)
-        read: dict[str, Any] = {one.name: present[f"{METRIC}_{one.name}"] for one in fields(cls)}
+        read: dict[str, Any] = {one.name: present[f"{CONTROL}_{one.name}"] for one in fields(cls)}
         for name in ("planner_set", "objective_set"):
             read[name] = tuple(read[name])
         return cls(**read)
@@ -235,20 +236,25 @@ def known_references(dataset: ReadableDataset, scoring: ControlScoring) -> tuple
 
 
 def control_samples(predictor: str, result: ControlResult) -> pa.Table:
-    """The samples of control: one row for each task and step, including the start; continuous actions are left out."""
-    moments = result.distance.shape[1]
-    rows = SampleRows(METRIC, predictor)
+    """The samples of control: one row for each task and step, including the start."""
+    moments, discrete = result.distance.shape[1], result.actions.ndim == 2
+    by_pictures = result.judge is Judge.PICTURES
+    rows = SampleRows(PICTURE_CONTROL if by_pictures else CONTROL, predictor)
     for place, (task, episode) in enumerate(zip(result.tasks, result.episodes, strict=True)):
+        taken = result.actions[place]
+        nothing = np.full((1, *taken.shape[1:]), -1 if discrete else np.nan)
+        actions = np.concatenate([taken, nothing.astype(taken.dtype)])  # behind the last moment stands no action
         rows.add(
             {
                 "episode": np.full(moments, episode),
                 "step": np.full(moments, result.starts[place]),
                 "ahead": np.arange(moments),
-                "action": np.append(result.actions[place], -1) if result.actions.ndim == 2 else np.full(moments, -1),
+                "action": actions if discrete else np.full(moments, -1),
+                **({} if discrete else {"command": actions}),
                 "task": np.full(moments, task),
                 "control_distance": result.distance[place],
-                "control_lost": result.lost[place],
             }
+            | ({} if by_pictures else {"control_lost": result.lost[place]})
         )
     return rows.table()
 
@@ -261,11 +267,10 @@ def agent_of(
 ) -> Agent:
     """Whoever acts: a model with its solver and objective, or a reference by its name."""
     solver = make_solver(scoring.planner, scoring.planner_set)
+    needs_pixels = None if isinstance(model, str) else model.needs_pixels
+    _, objective = scoring.planned_with(dataset, needs_pixels=needs_pixels)
     if isinstance(model, str):
-        _, wanted = scoring.planned_with(dataset, needs_pixels=None)
-        return make_reference(model, dataset.spec, lambda: task_environment(dataset.recipe), solver, wanted)
-    name, objective = scoring.planned_with(dataset, needs_pixels=model.needs_pixels)
-    assert objective is not None, f"{name} is the oracle's alone"
+        return make_reference(model, dataset.spec, lambda: task_environment(dataset.recipe), solver, objective)
     return ModelAgent(model, dataset.spec, solver, objective, device=device)
 
 
@@ -313,7 +318,7 @@ def _place(name: str, dataset: ReadableDataset, key: Mapping[str, Any]) -> Path:
 def _earlier_keys(key: Mapping[str, Any], scoring: ControlScoring) -> list[dict[str, Any]]:
     """The keys by which earlier releases kept the same results.
 
-    At first the version was a hash of the code; then a report said ``planner`` and ``cost`` (``planning/earlier.py``).
+    At first the version was a hash of the code; then a report said ``planner`` and ``cost`` (``earlier_planning``).
     """
     planning = earlier_planning(key["planning"])
     if planning is None:

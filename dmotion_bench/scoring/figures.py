@@ -8,8 +8,10 @@ import pyarrow.compute as pc
 
 from dmotion_bench.scoring.identification import motion_within_over_between
 from dmotion_bench.scoring.samples import (
+    CONTROL,
     FIGURE_COLUMNS,
     IDENTIFICATION_COLUMNS,
+    PICTURE_CONTROL,
     RANK_COLUMNS,
     column,
     vectors,
@@ -29,9 +31,10 @@ Figures = dict[str, Estimate]
 def figures_of(samples: pa.Table, predictor: str, *, resamples: int = RESAMPLES, seed: int = 0) -> Figures:
     """Every figure that can be computed from a predictor's samples; figures without any value are left out."""
     mine = _where(samples, "predictor", predictor)
-    single, rollout, controlled = (_where(mine, "metric", metric) for metric in ("prediction", "rollout", "control"))
+    single, rollout, controlled = (_where(mine, "metric", metric) for metric in ("prediction", "rollout", CONTROL))
     found = _single_steps(single, resamples, seed) if len(single) else {}
     found |= _rollouts(rollout, resamples, seed)
+    found |= _control_by_pictures(_where(mine, "metric", PICTURE_CONTROL), resamples, seed)
     return found | _control(controlled, resamples, seed)
 
 
@@ -86,4 +89,20 @@ def _control(samples: pa.Table, resamples: int, seed: int) -> Figures:
         values[f"control_success[{limit}]"] = (distance[final] <= limit).astype(np.float64)
     values["control_lost"] = column(samples, "control_lost")[final].astype(np.float64)
     estimates = {name: bootstrap.mean(one) for name, one in values.items()}
+    return {name: estimate for name, estimate in estimates.items() if estimate is not None}
+
+
+def _control_by_pictures(samples: pa.Table, resamples: int, seed: int) -> Figures:
+    """The mean difference from the goal image over tasks after each step: it says nothing about tasks that are solved.
+
+    Pictures may differ a lot where little is wrong, and little where much is.
+    """
+    if not len(samples):
+        return {}
+    ahead, distance = column(samples, "ahead"), column(samples, "control_distance").astype(np.float64)
+    bootstrap = EpisodeBootstrap(column(samples, "episode")[ahead == ahead.max()], resamples=resamples, seed=seed)
+    estimates = {
+        f"control_picture_distance[{step}]": bootstrap.mean(distance[ahead == step])
+        for step in range(1, int(ahead.max()) + 1)
+    }
     return {name: estimate for name, estimate in estimates.items() if estimate is not None}

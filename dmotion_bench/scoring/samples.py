@@ -6,7 +6,8 @@
 ``episode, step``  the action taken at frame ``step`` leads to the predicted frame ``step + 1``
 ``ahead``          predicted so many steps after the last true frame: 1 for single steps
 ``action, pushed`` the recorded action, and whether it moves an object; null for a continuous action
-``command``        the numbers of a continuous action, in their units; only there if actions are continuous
+``command``        the numbers of a continuous action, in their units, null for none; only there if actions are
+                   continuous
 figures            as in the report; null where the frame has no value (see ``position_errors``)
 ``distance``       of each thing's centre [px], objects first, then the agent if it has a colour; null if not in both
 ``found``          whether the prediction shows each thing; ``found_truth`` the true frame
@@ -14,12 +15,15 @@ figures            as in the report; null where the frame has no value (see ``po
 ``motion``         phi^0 of the true triplet, or any other latent action
 ================== ==================================================================================
 
+In reports of control on continuous actions that were written before they were kept, ``command`` is missing.
+
 A figure of the report is the mean of its column over the rows of its predictor and metric: all of them, those with
 ``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``.
 
 In control a row is one moment of one task: ``task`` is its number, ``episode`` and ``step`` where it starts, ``ahead``
 how many steps have been taken, ``action`` the next (-1 for none, or a continuous one), ``control_distance`` and
-``control_lost`` how things stand then.
+``control_lost`` how things stand then. The ``metric`` is ``"control_pictures"`` where pictures judge, since the
+environment tells no positions; its figures have other names (``figures.py``).
 """
 
 from __future__ import annotations
@@ -42,6 +46,8 @@ from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.parquet_file import read_parquet
 from dmotion_bench.wording import shown
 
+CONTROL: Final = "control"
+PICTURE_CONTROL: Final = "control_pictures"
 PIXEL_COLUMNS = ("mse", "psnr", "ssim")
 POSITION_COLUMNS = ("position_error_paper", "position_error", "miss_rate", "false_positive_rate")
 OBJECT_COLUMNS = tuple(name + OBJECTS_ONLY for name in POSITION_COLUMNS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
@@ -18,8 +19,8 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
-from dmotion_bench.planning.earlier import present_planning, present_settings
 from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks
+from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
@@ -42,8 +43,9 @@ from dmotion_bench.scoring.report import (
     read_report_samples,
     write_report,
 )
-from dmotion_bench.scoring.samples import SCHEMA
+from dmotion_bench.scoring.samples import PICTURE_CONTROL, SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
+from dmotion_bench.scoring.tiers import refused
 from dmotion_bench.scoring.transfer import report_folder, training_of, transfer_remark, transferable
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import VERSION, SplitName
@@ -261,7 +263,7 @@ def score_run(
                 settings=settings,
                 how=how,
                 references=references,
-                earlier=samples.filter(pc.is_in(samples["metric"], pa.array(set(true) - set(metrics), pa.string()))),
+                earlier=_of_groups(samples, set(true) - set(metrics)),
                 journal=(journal := folder / "control.json"),
             )
         scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*true, *metrics))))
@@ -284,6 +286,12 @@ def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa
         if samples is not None:
             return report, samples
     return None, SCHEMA.empty_table()
+
+
+def _of_groups(samples: pa.Table, metrics: Collection[str]) -> pa.Table:
+    """The samples of some groups of figures."""
+    names = {*metrics, *((PICTURE_CONTROL,) if "control" in metrics else ())}
+    return samples.filter(pc.is_in(samples["metric"], pa.array(sorted(names), pa.string())))
 
 
 def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ...]) -> ScoreSettings:
@@ -316,13 +324,24 @@ def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Map
 def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
     result = run.result or {}
     own = training_of(run, dataset)
-    published = None if own else published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
+    others = own or isinstance(dataset.spec.actions, Continuous)  # the paper's actions are discrete
+    published = None if others else published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
     reference = {name: _json(figures) for name, figures in scores.reference.items()}
     remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
+    left_out = refused(dataset.spec, dataset.recipe, metrics, scores.figures)
     if dataset.spec.actions is None:
         remarks["actions"] = EXPLAINED
     elif not dataset.spec.objects and not dataset.spec.agent_has_color:
-        remarks["positions"] = "where the agent and the objects are is not known, so no figure is about them"
+        remarks["positions"] = (
+            "where the agent and the objects are is not known, so no figure is about them: " + left_out
+        )
+    elif left_out:
+        remarks["positions"] = f"the environment does not tell everything: {left_out}"
+    if any(name.startswith("control_picture") for name in scores.figures):
+        remarks["control"] = (
+            "control_picture_distance is the mean squared difference from the goal image, 1 at the start; the "
+            "environment tells no positions, so it is no distance of objects, and no task counts as solved"
+        )
     if own:
         remarks["trained_on"] = transfer_remark(run, dataset)
     if published is not None:

@@ -163,8 +163,9 @@ def _content_damages(
     if rows is None:
         return
     listed = rows.of_shard(index)
-    if labels != "missing" and listed != list(receipt.rows):
-        yield Damage(file=name, shard=index, what=f"holds other episodes than {EPISODES} says")
+    if labels != "missing" and listed != list(receipt.rows):  # the shard itself is as it was recorded
+        yield Damage(file=EPISODES, shard=None, what=f"describes other episodes than {name} holds")
+        return
     dataset = Dataset(path, manifest, rows)
     for row in listed:
         try:

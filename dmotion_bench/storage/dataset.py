@@ -21,8 +21,8 @@ from dmotion_bench.specs import Episode, EpisodeLabels, SplitName
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile, read_messages
-from dmotion_bench.storage.messages import StateLabels, chunk_limit, decode_masks, decode_video
-from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, read_states, shard_path
+from dmotion_bench.storage.messages import StateLabels, chunk_limit, decode_masks
+from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, read_states, read_video, shard_path
 from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
 from dmotion_bench.storage.tasks import ControlTask
@@ -112,11 +112,9 @@ class Dataset:
         row = self._row(episode)
         file = shard_path(self.path, VIDEO, row.shard)
         try:
-            frames = np.empty((row.frames, self.spec.height, self.spec.width, 3), np.uint8)
-            decode_video(read_messages(file, row.video, chunk_limit=chunk_limit(self.spec)), frames)
+            return read_video(file, row.video, self.spec, row.frames)
         except (DamagedFile, FileNotFoundError, MemoryError) as damage:
             raise corrupt(self.path, file, damage) from None
-        return frames
 
     def states(self, episode: int) -> StateLabels:
         """An episode's labels without its masks, which take most of the time to read.

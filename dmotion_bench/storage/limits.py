@@ -16,6 +16,7 @@ MOST_TASKS: Final = 100_000
 MOST_SHARD_EPISODES: Final = 10_000
 MOST_OBJECTS: Final = 253  # a mask has a byte a pixel, and 0 and 1 are taken
 MOST_FACTORS: Final = 256
+MOST_REPLAYED: Final = 100
 MOST_PARAMETERS: Final = 200_000  # an import names its files here
 MOST_VERSIONS: Final = 256
 LONGEST_NAME: Final = 256  # characters

@@ -24,7 +24,7 @@ from dmotion_bench.errors import (
     DatasetVersionUnknown,
     InvalidSetting,
 )
-from dmotion_bench.registry import environment_versions
+from dmotion_bench.registry import environment_versions, usual_policy
 from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe, EnvSpec, ObjectSpec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
@@ -50,6 +50,24 @@ class ShardEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Replay:
+    """What came of recording a sample of the episodes again, where an environment may not be exact.
+
+    Attributes:
+        episodes: The sample.
+        differs: The first difference, such as ``"frame 3 of episode 0"``; empty if the bytes were the same.
+    """
+
+    episodes: tuple[int, ...]
+    differs: str = ""
+
+    @property
+    def identical(self) -> bool:
+        """Whether the same frames and actions were recorded again."""
+        return not self.differs
+
+
+@dataclass(frozen=True, kw_only=True)
 class Manifest:
     """The content of ``dataset.json``.
 
@@ -61,6 +79,7 @@ class Manifest:
         tables: Hashes of ``episodes.parquet`` and ``tasks.parquet``.
         versions: Of the packages that had a part in the recording.
         salvaged: Whether episodes were lost and the rest was kept, so that the recipe no longer tells all.
+        replay: Whether the recording repeats; None where the environment is known to be exact.
     """
 
     recipe: DatasetRecipe
@@ -70,6 +89,7 @@ class Manifest:
     tables: Mapping[str, FileFacts] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     salvaged: bool = False
+    replay: Replay | None = None
 
     @property
     def fingerprint(self) -> str:
@@ -97,7 +117,7 @@ class Manifest:
                 }
                 for shard in self.shards
             ],
-        }
+        } | ({} if self.replay is None else {"replay": dataclasses.asdict(self.replay)})
 
     def require_possible(self) -> None:
         """See that such a data set can be written and read again.
@@ -173,6 +193,8 @@ def record_words(recipe: DatasetRecipe, dataset: Path) -> list[str]:
         words += [f"--{name}", str(getattr(recipe, name))]
     if recipe.vary:
         words += ["--vary", ",".join(recipe.vary)]
+    if recipe.policy != usual_policy(recipe.environment):
+        words += ["--policy", recipe.policy]
     version = {VERSION: recipe.version} if environment_versions(recipe.environment) else {}
     for key, value in (version | dict(recipe.parameters)).items():
         words += ["--ranges", str(value)] if key == "ranges" else ["--set", f"{key}={value}"]
@@ -200,7 +222,13 @@ def _manifest(fields: Fields) -> Manifest:
         shards=tuple(_shard(Fields(one, "a shard")) for one in fields.many("shards")),
         tables={name: _facts(tables.inner(name)) for name in fields.pairs("tables")},
         versions={name: str(value) for name, value in fields.pairs("versions").items()},
+        replay=None if fields.value("replay") is None else _replay(fields.inner("replay")),
     )
+
+
+def _replay(fields: Fields) -> Replay:
+    episodes = fields.many("episodes")
+    return Replay(episodes=fields.wholes("episodes", len(episodes)), differs=fields.text("differs"))
 
 
 def _recipe(fields: Fields) -> DatasetRecipe:

@@ -24,6 +24,7 @@ from dmotion_bench.storage.limits import (
     MOST_FRAMES,
     MOST_OBJECTS,
     MOST_PARAMETERS,
+    MOST_REPLAYED,
     MOST_SHARD_EPISODES,
     MOST_TASKS,
     MOST_VERSIONS,
@@ -51,6 +52,11 @@ def check_manifest(manifest: Manifest, tables: Collection[str]) -> None:
     """
     check_spec(manifest.spec)
     check_recipe(manifest.recipe, manifest.spec)
+    if manifest.replay is not None:
+        _check_count("the replayed episodes", len(manifest.replay.episodes), 1, MOST_REPLAYED)
+        for episode in manifest.replay.episodes:
+            _check_count("a replayed episode", episode, 0, manifest.recipe.episodes - 1)
+        _check_texts("replay.differs", [manifest.replay.differs], LONGEST_TEXT)
     _check_count("versions", len(manifest.versions), 0, MOST_VERSIONS)
     _check_texts("versions", [*manifest.versions, *manifest.versions.values()], LONGEST_NAME)
     if set(manifest.tables) != (set(tables) if manifest.complete else set()):

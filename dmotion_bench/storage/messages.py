@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 from google.protobuf.message import DecodeError
+from google.protobuf.unknown_fields import UnknownFieldSet
 from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, require_discrete
@@ -40,6 +41,7 @@ from dmotion_bench.storage.schema import (
     STATES,
 )
 from dmotion_bench.wording import shown
+from dmotion_bench.workspace import DATASET_MANIFEST
 
 _CAMERA: Final = 1
 _LABEL_NUMBER: Final = {topic: number for number, (topic, _) in enumerate(LABEL_CHANNELS, start=1)}
@@ -271,11 +273,16 @@ class _ActionsDecoder:
 
     def decode(self, view: MessageView) -> bool:
         """Take one message; says whether something was pushed."""
+        kind, wanted = ("continuous", CONTINUOUS_ACTION) if isinstance(self._spec, Continuous) else ("discrete", ACTION)
+        message = _parse(wanted.new(), view, view.channel, _MESSAGE_OVERHEAD)
+        if len(UnknownFieldSet(message)):  # protobuf itself would read another type's message as action 0
+            raise DamagedFile(
+                f"holds an action at step {self.count} that is no {wanted.name}, the type of {kind} actions, "
+                f"and {DATASET_MANIFEST} says that they are {kind}"
+            )
         if isinstance(self._spec, Continuous):
-            message = _parse(CONTINUOUS_ACTION.new(), view, view.channel, _MESSAGE_OVERHEAD)
             action, known = list(message.values), len(message.values) == self._spec.width
         else:
-            message = _parse(ACTION.new(), view, view.channel, _MESSAGE_OVERHEAD)
             action = message.action
             known = self._spec is not None and 0 <= action < len(self._spec)
         if self.count == len(self._table) or not known:

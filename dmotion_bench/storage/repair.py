@@ -64,7 +64,7 @@ def rebuild_tables(path: Path, manifest: Manifest) -> None:
     """
     receipts = [scan_shard(path, manifest.spec, index) for index in range(len(manifest.shards))]
     with DatasetWriter(path, manifest.recipe, manifest.spec, receipts, FolderLock(path)) as writer:
-        writer.finish(salvaged=manifest.salvaged, made_with=manifest.versions)
+        writer.finish(salvaged=manifest.salvaged, made_with=manifest.versions, replay=manifest.replay)
 
 
 def salvage(path: Path) -> Salvaged:

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from dmotion_bench.errors import DatasetError
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, Episode, EpisodeLabels
+from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode, EpisodeLabels, delay_of
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.limits import LAST_NS, MOST_EPISODES, MOST_SHARD_EPISODES, longest_episode, most_frames
 from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections, read_messages
@@ -26,12 +26,13 @@ from dmotion_bench.storage.messages import (
     StateLabels,
     chunk_limit,
     decode_states,
+    decode_video,
     encode_masks,
     encode_states,
     encode_video,
 )
 from dmotion_bench.storage.schema import VIDEO_CHANNELS, label_channels
-from dmotion_bench.storage.tasks import Candidate, candidates
+from dmotion_bench.storage.tasks import Candidate, candidates, picture_candidates
 from dmotion_bench.wording import shown
 
 VIDEO: Final = "video"
@@ -201,7 +202,7 @@ def write_shard(
                 labels.metadata(f"masks {number}", {"episode": str(number)})
                 spans[2] = labels.chunks(encode_masks(truth.masks, start_ns, step_ns))
                 interactions = int(truth.pushed.sum())
-                possible = candidates(truth.objects.position, truth.pushed, spec.push_threshold)
+                possible = _possible_tasks(spec, truth, episode.frames)
             rows.append(
                 EpisodeRow(
                     episode=number,
@@ -226,6 +227,21 @@ def write_shard(
     return ShardReceipt(index=index, rows=tuple(rows), video=video_facts, labels=label_facts, candidates=tuple(found))
 
 
+def _judged_by_pictures(spec: EnvSpec) -> bool:
+    """Whether tasks are chosen by what is seen: nothing tells where objects are, and there is somewhere to act."""
+    return not spec.objects and spec.id != IMPORTED
+
+
+def _possible_tasks(
+    spec: EnvSpec, labels: EpisodeLabels | StateLabels, frames: UInt8[np.ndarray, "t h w 3"] | None
+) -> tuple[Candidate, ...]:
+    """What could be control tasks in an episode."""
+    if _judged_by_pictures(spec):
+        return () if frames is None else picture_candidates(frames)
+    delay = delay_of(labels.factors)
+    return candidates(labels.objects.position, labels.pushed, spec.push_threshold, delay=delay)
+
+
 def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
     """The receipt of an existing shard, read from its files.
 
@@ -247,7 +263,8 @@ def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
             if number not in states or number not in masks:
                 raise DamagedFile(f"has no labels for episode {number}")
             truth = read_states(labels_path, states[number].span, spec, row.frames)
-            possible = candidates(truth.objects.position, truth.pushed, spec.push_threshold)
+            pictures = read_video(video_path, row.video, spec, row.frames) if _judged_by_pictures(spec) else None
+            possible = _possible_tasks(spec, truth, pictures)
             row = replace(
                 row,
                 states=states[number].span,
@@ -309,6 +326,13 @@ def ended_as(word: str) -> Ended:
 def read_states(path: Path, span: Span, spec: EnvSpec, frames: int) -> StateLabels:
     """An episode's labels without its masks."""
     return decode_states(read_messages(path, span, chunk_limit=chunk_limit(spec)), spec, frames)
+
+
+def read_video(path: Path, span: Span, spec: EnvSpec, frames: int) -> UInt8[np.ndarray, "t h w 3"]:
+    """An episode's frames."""
+    pictures = np.empty((frames, spec.height, spec.width, 3), np.uint8)
+    decode_video(read_messages(path, span, chunk_limit=chunk_limit(spec)), pictures)
+    return pictures
 
 
 def file_facts(path: Path) -> FileFacts:

@@ -8,15 +8,19 @@ The original asks for at least 15 interactions (steps in which an object moves) 
 Grid World 31 random moves give about three, so a task there has at least two; in every environment the
 stretches with 15 or more come first, and the pushing environments' data sets have enough of them. A task
 never loses an object that is there at its start.
+
+Where no positions are known an interaction is a step that changes the picture. The pictures at the start and at the
+goal must differ at least as much as the episode's frames usually do from one step to the next.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 GOAL_DISTANCE: Final = 29  # frames, the original's
 ENOUGH_INTERACTIONS: Final = 15  # the original's
@@ -41,7 +45,7 @@ class Candidate(NamedTuple):
 
 
 def candidates(
-    positions: Float[np.ndarray, "t k 3"], pushed: Bool[np.ndarray, "t-1"], threshold: float
+    positions: Float[np.ndarray, "t k 3"], pushed: Bool[np.ndarray, "t-1"], threshold: float, *, delay: int = 0
 ) -> tuple[Candidate, ...]:
     """The stretches of an episode that could be tasks, the best first.
 
@@ -49,6 +53,7 @@ def candidates(
         positions: Of the objects [m]; NaN for one that is gone.
         pushed: Whether an object moved in each step.
         threshold: An object that is displaced by more than this counts as displaced [m].
+        delay: Steps by which the goal's picture lags: the task is to do what it shows.
     """
     last, gone = len(positions) - 1, np.isnan(positions[..., 0])
     before = np.concatenate([[0], np.cumsum(pushed)])
@@ -59,9 +64,37 @@ def candidates(
         goal, interactions = int(goals[start]), int(interacting[start])
         if (gone[goal] & ~gone[start]).any():
             continue
-        moved = np.linalg.norm(positions[goal] - positions[start], axis=-1)[~gone[start]]
+        moved = np.linalg.norm(positions[max(0, goal - delay)] - positions[start], axis=-1)[~gone[start]]
         if (moved > threshold).any():
             found.append(Candidate(start, goal, interactions))
+    return _spaced(found, last)
+
+
+def picture_candidates(frames: UInt8[np.ndarray, "t h w 3"]) -> tuple[Candidate, ...]:
+    """The stretches of an episode that could be tasks by its pictures alone, the best first."""
+    last = len(frames) - 1
+    if last < 1:
+        return ()
+    steps = np.array([_difference(*pair) for pair in itertools.pairwise(frames)])
+    before = np.concatenate([[0], np.cumsum(steps > 0)])
+    goals = np.minimum(np.arange(last) + GOAL_DISTANCE, last)
+    changes = before[goals] - before[:-1]
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    found = []
+    for start in np.flatnonzero(changes >= FEWEST_INTERACTIONS).tolist():
+        goal = int(goals[start])
+        if _difference(frames[start], frames[goal]) >= usual:
+            found.append(Candidate(start, goal, int(changes[start])))
+    return _spaced(found, last)
+
+
+def _difference(one: UInt8[np.ndarray, "h w 3"], other: UInt8[np.ndarray, "h w 3"]) -> float:
+    """Mean squared difference of two pictures."""
+    return float(np.square(one.astype(np.int32) - other).mean())
+
+
+def _spaced(found: list[Candidate], last: int) -> tuple[Candidate, ...]:
+    """The best candidates of an episode whose starts are far enough apart."""
     found.sort(key=lambda one: (-one.interactions, one.start))
     spaced: list[Candidate] = []
     near = np.zeros(last + START_SPACING, np.bool_)  # whether a start would be too near to one that is taken

@@ -6,7 +6,9 @@ and describes itself, so a killed recording goes on from what it finds.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -15,11 +17,12 @@ from dmotion_bench.errors import DatasetError, RecipeMismatch, UsageError
 from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.lock import ANOTHER_FOLDER, FolderLock
-from dmotion_bench.storage.manifest import Manifest, ShardEntry, record_words
+from dmotion_bench.storage.manifest import Manifest, Replay, ShardEntry, record_words
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.shard import (
     LABELS,
     VIDEO,
+    EpisodeRow,
     Footage,
     ShardReceipt,
     file_facts,
@@ -50,23 +53,38 @@ class DatasetWriter:
     """
 
     def __init__(
-        self, path: Path, recipe: DatasetRecipe, spec: EnvSpec, receipts: Iterable[ShardReceipt], lock: FolderLock
+        self,
+        path: Path,
+        recipe: DatasetRecipe,
+        spec: EnvSpec,
+        receipts: Iterable[ShardReceipt],
+        lock: FolderLock,
+        packages: tuple[str, ...] = (),
     ) -> None:
         self.path, self.recipe, self.spec = path, recipe, spec
+        self._packages = (*_PACKAGES, *(name for name in packages if name not in _PACKAGES))
+        self._begun_here = False
         self._receipts = {receipt.index: receipt for receipt in receipts}
         self._lock: FolderLock | None = lock
         self._standing: Manifest | None = None
 
     @classmethod
-    def create_or_resume(cls, path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> DatasetWriter:
+    def create_or_resume(
+        cls, path: Path, recipe: DatasetRecipe, spec: EnvSpec, packages: tuple[str, ...] = ()
+    ) -> DatasetWriter:
         """Start a new data set, or continue the one in the folder.
+
+        Args:
+            path: The folder.
+            recipe, spec: Of the data set.
+            packages: Whose versions also stand in ``dataset.json``.
 
         Raises:
             RecipeMismatch: What stands there was made by another recipe, or is larger.
             InvalidSetting: There can be no such data set.
             UsageError: The folder holds something else.
         """
-        begun = Manifest(recipe=recipe, spec=spec, versions=versions(_PACKAGES))
+        begun = Manifest(recipe=recipe, spec=spec, versions=versions((*_PACKAGES, *packages)))
         begun.require_possible()
         existing = path.is_dir() and any(path.iterdir())
         if existing and not (path / DATASET_MANIFEST).is_file():
@@ -86,7 +104,8 @@ class DatasetWriter:
                 _check_recipe(standing, recipe, spec, path)
                 _remove_leftovers(path)
                 receipts = list(_standing_shards(path, recipe, spec))
-            writer = cls(path, recipe, spec, receipts, lock)
+            writer = cls(path, recipe, spec, receipts, lock, packages)
+            writer._begun_here = not existing
             if not writer.missing:
                 writer._standing = standing
             else:
@@ -139,24 +158,50 @@ class DatasetWriter:
             pass
         raise deleted(self.path)
 
-    def finish(self, *, salvaged: bool = False, made_with: Mapping[str, str] | None = None) -> Manifest:
+    def row(self, episode: int) -> EpisodeRow:
+        """Where an episode that is written stands."""
+        index = episode // self.recipe.shard_episodes
+        return self._receipts[index].rows[episode - self.episodes_of(index)[0]]
+
+    @property
+    def complete(self) -> Manifest | None:
+        """The manifest in the folder, if it says that the very data set asked for is complete."""
+        standing = self._standing
+        return standing if standing is not None and standing.complete and standing.recipe == self.recipe else None
+
+    def withdraw(self) -> None:
+        """Delete what was written, if the data set was begun by this writer: there can be no such data set."""
+        if not self._begun_here:
+            return
+        for folder in (VIDEO, LABELS):
+            shutil.rmtree(self.path / folder, ignore_errors=True)
+        (self.path / DATASET_MANIFEST).unlink(missing_ok=True)
+        _remove_leftovers(self.path)
+        with contextlib.suppress(OSError):  # somebody put something there meanwhile
+            self.path.rmdir()
+
+    def finish(
+        self, *, salvaged: bool = False, made_with: Mapping[str, str] | None = None, replay: Replay | None = None
+    ) -> Manifest:
         """Write the tables and declare the data set complete; every shard must be there.
 
         Args:
             salvaged: Whether episodes were lost on the way here.
             made_with: The versions of packages to state; those of this process if left out.
+            replay: Whether the recording repeats, if that was tried; one that does not has no control tasks.
         """
         if self.missing:
             raise DatasetError(f"{len(self.missing)} shards of {str(self.path)!r} are still missing.")
         self._require_there()
         _remove_leftovers(self.path)
-        if self._standing is not None and self._standing.complete and self._standing.recipe == self.recipe:
-            return self._standing
+        if self.complete is not None:
+            return self.complete
         receipts = [self._receipts[index] for index in range(shard_count(self.recipe))]
         rows = [row for receipt in receipts for row in receipt.rows]
         possible = [found for receipt in receipts for found in receipt.candidates]
         split = split_episodes(self.recipe.seed, self.recipe.episodes)
-        tasks = choose_tasks(dict(enumerate(possible)), set(split["test"].tolist()), self.recipe.tasks)
+        wanted = self.recipe.tasks if replay is None or replay.identical else 0
+        tasks = choose_tasks(dict(enumerate(possible)), set(split["test"].tolist()), wanted)
         try:
             write_episodes(self.path, rows, split)
             write_tasks(self.path, tasks)
@@ -165,7 +210,8 @@ class DatasetWriter:
                 spec=self.spec,
                 complete=True,
                 salvaged=salvaged,
-                versions=made_with or versions(_PACKAGES),
+                versions=made_with or versions(self._packages),
+                replay=replay,
                 tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
                 shards=tuple(
                     ShardEntry(episodes=len(one.rows), frames=one.frames, video=one.video, labels=one.labels)

@@ -88,38 +88,64 @@ def stamp(
     color: tuple[float, float, float],
 ) -> Stamp | None:
     """A shape at a pose [m, rad], of a colour (RGB, 0-255); None where the picture does not reach."""
-    center: list[float] = view.project(position).tolist()
-    radius = shape.radius * view.scale + 1.0
-    left, top = (max(0, math.ceil(middle - radius)) for middle in center)
-    right, bottom = (min(view.size, math.floor(middle + radius) + 1) for middle in center)
-    if left >= right or top >= bottom:
+    area = window(view, position, shape.radius)
+    if area is None:
         return None
-    x = view.line[left:right] - 256 * center[0]
-    y = view.line[top:bottom] - 256 * center[1]
+    distance = signed_distance(view, shape, position, angle, area)
+    inside = distance <= 0
+    return painted(area, covered(distance), inside, color, view.size)
+
+
+def window(view: View, position: Float[np.ndarray, "2"], radius: float) -> tuple[slice, slice] | None:
+    """The rows and columns within a radius [m] of a place [m]; None where the picture does not reach."""
+    center: list[float] = view.project(position).tolist()
+    reach = radius * view.scale + 1.0
+    left, top = (max(0, math.ceil(middle - reach)) for middle in center)
+    right, bottom = (min(view.size, math.floor(middle + reach) + 1) for middle in center)
+    return None if left >= right or top >= bottom else (slice(top, bottom), slice(left, right))
+
+
+def signed_distance(
+    view: View, shape: Shape, position: Float[np.ndarray, "2"], angle: float, area: tuple[slice, slice]
+) -> Float[np.ndarray, "h w"]:
+    """How far outside of a shape at a pose [m, rad] the pixels' centres are, in 1/256 px."""
+    center: list[float] = view.project(position).tolist()
+    rows, columns = area
+    x = view.line[columns] - 256 * center[0]
+    y = view.line[rows] - 256 * center[1]
     if len(shape.corners):
         normals, offsets = shape.walls
         cos, sin = math.cos(angle), math.sin(angle)
         facing = normals @ (view.matrix @ [[cos, -sin], [sin, cos]] / view.scale).T
         across = facing[:, 0:1] * x - (256 * view.scale * offsets)[:, None]
-        distance = (across[:, None, :] + (facing[:, 1:2] * y)[:, :, None]).max(axis=0)
+        distance: Float[np.ndarray, "h w"] = (across[:, None, :] + (facing[:, 1:2] * y)[:, :, None]).max(axis=0)
     else:
         distance = np.sqrt(x**2 + (y**2)[:, None])
         distance -= 256 * view.scale * shape.radius
-    inside = distance <= 0
-    covered = np.subtract(128, distance, out=distance)
-    np.maximum(covered, 0, out=covered)
-    np.minimum(covered, 256, out=covered)
-    coverage = np.rint(covered, out=covered).astype(np.uint16)
+    return distance
+
+
+def covered(distance: Float[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
+    """How much of each pixel a shape covers, 0-256, by its signed distance [1/256 px], which is overwritten."""
+    share = np.subtract(128, distance, out=distance)
+    np.maximum(share, 0, out=share)
+    np.minimum(share, 256, out=share)
+    coverage: UInt16[np.ndarray, "h w"] = np.rint(share, out=share).astype(np.uint16)
+    return coverage
+
+
+def painted(
+    area: tuple[slice, slice],
+    coverage: UInt16[np.ndarray, "h w"],
+    inside: Bool[np.ndarray, "h w"],
+    color: tuple[float, float, float],
+    size: int,
+) -> Stamp:
+    """A stamp of a colour (RGB, 0-255) for a picture of a width [px]."""
     channels = coverage.repeat(3, axis=1)
-    paint = channels * _row_of(color, view.size)[: 3 * (right - left)]
+    paint = channels * _row_of(color, size)[: channels.shape[1]]
     paint += np.uint16(128)
-    return Stamp(
-        window=(slice(top, bottom), slice(left, right)),
-        coverage=coverage,
-        kept=np.uint16(256) - channels,
-        paint=paint,
-        inside=inside,
-    )
+    return Stamp(window=area, coverage=coverage, kept=np.uint16(256) - channels, paint=paint, inside=inside)
 
 
 @lru_cache(maxsize=64)

@@ -16,6 +16,8 @@ from jaxtyping import Float, UInt8
 
 from dmotion_bench.environment import RecordingPreset
 from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates, Preset
+from recorders.distractors import FACTORS as VIDEO_FACTORS
+from recorders.distractors import SceneName, make_scene
 from recorders.planar_push.drawing import Stamp, View, stamp
 from recorders.planar_push.shapes import SHAPES, circle, rectangle
 from recorders.planar_push.table_physics import Piece, PlanarPhysics, Pose
@@ -88,6 +90,7 @@ FACTORS = (  # colours stay near enough to be found by them, under every light
         whole=True,
         meaning="number of grey discs that drift over the table and touch nothing",
     ),
+    *VIDEO_FACTORS,
 )
 
 
@@ -103,6 +106,10 @@ class PlanarPush(PushingEnvironment):
         ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
         friction, mass, colour, light, camera, distractors: Values of these factors, the same in every episode;
             None: the usual ones.
+        scene: Which of the ready scenes: ``"clean"``, ``"distracted"``, ``"unseen"``; see ``recorders.distractors``.
+        background, movers, correlated, shake, noise, delay: Values of these factors; None: the scene's.
+        textures: Generators of the background, separated by commas; None: the scene's.
+        clips: The hash of prepared clips, which are the background in place of textures; ``prepared`` makes it.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
     """
 
@@ -129,6 +136,15 @@ class PlanarPush(PushingEnvironment):
         light: float | None = None,
         camera: float | None = None,
         distractors: int | None = None,
+        scene: SceneName = "clean",
+        background: float | None = None,
+        textures: str | None = None,
+        clips: str | None = None,
+        movers: int | None = None,
+        correlated: float | None = None,
+        shake: int | None = None,
+        noise: float | None = None,
+        delay: int | None = None,
         render_mode: str | None = None,
     ) -> None:
         super().__init__(
@@ -151,7 +167,14 @@ class PlanarPush(PushingEnvironment):
                 "light": light,
                 "camera": camera,
                 "distractors": distractors,
+                "background": background,
+                "movers": movers,
+                "correlated": correlated,
+                "shake": shake,
+                "noise": noise,
+                "delay": delay,
             },
+            scene=make_scene(scene, textures, clips),
             render_mode=render_mode,
         )
         self._shapes = [SHAPES[one.shape] for one in self.facts.objects]
@@ -159,7 +182,7 @@ class PlanarPush(PushingEnvironment):
         self._look: tuple[float, float] | None = None
         self._object_states: ObjectStates | None = None
 
-    def agent(self) -> ObjectStates:
+    def _agent(self) -> ObjectStates:
         """The disc."""
         if self._place not in self._agents:
             _make_room(self._agents)
@@ -167,7 +190,7 @@ class PlanarPush(PushingEnvironment):
             self._agents[self._place] = self._states(place, np.zeros(1))
         return self._agents[self._place]
 
-    def objects(self) -> ObjectStates:
+    def _objects(self) -> ObjectStates:
         """The shapes; z is 0, and nothing hides anything."""
         if self._object_states is None:
             self._object_states = self._states(self._physics.positions, self._physics.angles)
@@ -263,6 +286,13 @@ class PlanarPush(PushingEnvironment):
 
     def _stamp_of(self, index: int, pose: Pose) -> Stamp | None:
         return stamp(self._view, self._shapes[index], np.array(pose[:2]), pose[2], self._colors[index])
+
+    def _projected(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        return self._view.project(places)
+
+    def _surroundings(self) -> tuple[int, int, int]:
+        red, green, blue = self._lit(FLOOR_COLOR)
+        return int(red), int(green), int(blue)
 
     def _empty_table(self) -> UInt8[np.ndarray, "h w 3"]:
         frame = np.empty((self.facts.height, self.facts.width, 3), np.uint8)

@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from dmotion_bench.specs import MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
+from recorders.distractors import SceneName, make_scene
 from recorders.pushing import Drift, PushingEnvironment, Snapshot, colored_objects, pushing_actions
 from recorders.robot_push import panda
 from recorders.robot_push.camera import Camera
-from recorders.robot_push.renderer import ArmLayer, ArmPose, Light, Picture, Renderer, Sprite
+from recorders.robot_push.renderer import BACKGROUND, ArmLayer, ArmPose, Light, Picture, Renderer, Sprite
 from recorders.robot_push.scene import (
     DISC_COLOR,
     DISC_RADIUS,
@@ -56,6 +57,10 @@ class RobotPush(PushingEnvironment):
         ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
         friction, mass, colour, light, camera, distractors: Values of these factors, the same in every episode;
             None: the usual ones, those of the paper's scene.
+        scene: Which of the ready scenes: ``"clean"``, ``"distracted"``, ``"unseen"``; see ``recorders.distractors``.
+        background, movers, correlated, shake, noise, delay: Values of these factors; None: the scene's.
+        textures: Generators of the background, separated by commas; None: the scene's.
+        clips: The hash of prepared clips, which are the background in place of textures; ``prepared`` makes it.
         render_mode: Gymnasium's; None or ``"rgb_array"``.
 
     Raises:
@@ -79,6 +84,15 @@ class RobotPush(PushingEnvironment):
         light: float | None = None,
         camera: float | None = None,
         distractors: int | None = None,
+        scene: SceneName = "clean",
+        background: float | None = None,
+        textures: str | None = None,
+        clips: str | None = None,
+        movers: int | None = None,
+        correlated: float | None = None,
+        shake: int | None = None,
+        noise: float | None = None,
+        delay: int | None = None,
         render_mode: str | None = None,
     ) -> None:
         super().__init__(
@@ -101,7 +115,14 @@ class RobotPush(PushingEnvironment):
                 "light": light,
                 "camera": camera,
                 "distractors": distractors,
+                "background": background,
+                "movers": movers,
+                "correlated": correlated,
+                "shake": shake,
+                "noise": noise,
+                "delay": delay,
             },
+            scene=make_scene(scene, textures, clips),
             render_mode=render_mode,
         )
         self._solids = [SOLIDS[one.shape] for one in self.facts.objects]
@@ -109,7 +130,7 @@ class RobotPush(PushingEnvironment):
         self._arm = panda.surface(Path(load_bullet("pybullet_data").getDataPath()) / "franka_panda" / "meshes")
         self._renderer = self._make_renderer(*self._camera_and_light())
 
-    def agent(self) -> ObjectStates:
+    def _agent(self) -> ObjectStates:
         """The rod's tip; ``visible`` speaks of arm and rod. The base, which never moves, is background."""
         position = np.array([[*self.lattice.at(self._place), ROD_BOTTOM]])
         return ObjectStates(
@@ -119,7 +140,7 @@ class RobotPush(PushingEnvironment):
             visible=np.array([self._picture.agent_visible]),
         )
 
-    def objects(self) -> ObjectStates:
+    def _objects(self) -> ObjectStates:
         """The objects; ``pixel`` is the centre of the whole silhouette, the hidden part included."""
         pixel = self._renderer.camera.project(self._physics.positions)[:, :2]
         for index, sprite in enumerate(self._sprites):
@@ -195,6 +216,13 @@ class RobotPush(PushingEnvironment):
             return None
         label = MASK_FIRST_OBJECT + index
         return self._renderer.sprite(self._solids[index], pose[:3], pose[3:], self._colors[index], label)
+
+    def _projected(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        tips = np.concatenate([places, np.full((len(places), 1), ROD_BOTTOM)], axis=1)
+        return self._renderer.camera.project(tips)[:, :2]
+
+    def _surroundings(self) -> tuple[int, int, int]:
+        return BACKGROUND
 
     def _camera_and_light(self) -> tuple[Camera, Light]:
         azimuth = np.deg2rad(self._factor("light"))

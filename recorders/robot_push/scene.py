@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from recorders.distractors import FACTORS as VIDEO_FACTORS
 from recorders.table_lattice import Lattice, TableTop
 from recorders.variation import Factor
 
@@ -71,4 +72,5 @@ FACTORS = (
         whole=True,
         meaning="number of grey discs that drift over the table and touch nothing",
     ),
+    *VIDEO_FACTORS,
 )

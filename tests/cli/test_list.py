@@ -10,6 +10,7 @@ import pytest
 from dmbench_command import dmbench
 
 from dmotion_bench.cli.tables import show_rows
+from recorders.distractors.scenes import NAMES
 from recorders.planar_push.environment import FACTORS, PlanarPush
 
 
@@ -19,12 +20,18 @@ def test_what_may_vary_stands_beside_each_environment(
     listed = json.loads(dmbench(["list", "environments", "--json"], capsys, monkeypatch).out)["environments"]
     factors = {one["environment"]: one["factors"] for one in listed}
 
-    assert factors["grid_world"] == {}
-    assert {one["environment"]: list(one["versions"]) for one in listed} == {
+    assert list(factors["grid_world"]) == list(NAMES)
+    own = [one for one in listed if ":" not in one["environment"]]
+    assert {one["environment"]: list(one["versions"]) for one in own} == {
         "grid_world": ["1", "2"],
         "planar_push": ["1"],
+        "push_t": ["1"],
         "robot_push": ["1"],
     }
+    assert {one["tier"] for one in own} == {"masks"}
+    others = {one["environment"]: one for one in listed if one not in own}
+    assert others["gym:CartPole-v1"]["tier"] == "pixels"
+    assert others["gym:CartPole-v1"]["factors"] == {}
     assert list(factors["planar_push"]) == [factor.name for factor in FACTORS]
     PlanarPush(vary=",".join(factors["planar_push"])).close()  # it takes every one of them
     assert factors["robot_push"]["mass"] == "an object's mass [kg]: 0.05 to 0.6; shifted: 0.02 to 0.04 or 0.7 to 1"
@@ -35,8 +42,9 @@ def test_the_table_names_them(capsys: pytest.CaptureFixture[str], monkeypatch: p
     table = dmbench(["list", "environments"], capsys, monkeypatch).out
 
     assert "--vary" in table
-    assert "friction, mass, colour, light, camera, distractors" in table
-    assert "nothing" in next(line for line in table.splitlines() if "grid_world" in line)
+    words = " ".join(table.split())
+    assert "friction, mass, colour, light, camera, distractors, background" in words
+    assert "expert-correlated" in words
 
 
 NAME = "runs/clasp-grid_world-small-epochs_0.3-kernel_27-20-shot-s0"

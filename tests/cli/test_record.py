@@ -59,7 +59,11 @@ def test_the_same_command_completes_and_a_larger_number_extends(run: Run, tmp_pa
     [
         (("grid_wrold",), "no environment named 'grid_wrold'; did you mean 'grid_world'?", 2),
         (("grid_world", "--preset", "tinny"), "no preset named 'tinny'; did you mean 'tiny'?", 2),
-        (("planar_push", "--vary", "ligth"), "named 'ligth'; did you mean 'light'? Known: camera, colour", 2),
+        (
+            ("planar_push", "--vary", "ligth"),
+            "named 'ligth'; did you mean 'light'? Known: background, camera",
+            2,
+        ),
         (("grid_world", "--executor", "locla"), "no executor named 'locla'; did you mean 'local'?", 2),
     ],
 )

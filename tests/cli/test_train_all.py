@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from dmbench_command import Outcome, dmbench
 from walking_square import record_walks
 
 from dmotion_bench.learning import table
+from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.specs import Supervision
 
 Command = Callable[..., Outcome]
@@ -26,7 +29,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 def test_all_rows_are_trained_once(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["ed-cnn", "lapo"])
     monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot", "2-shot"))
-    outcome = run("train", "--all", "--json")
+    outcome = run("train", "--all", "--workers", "1", "--json")
     assert (outcome.code, outcome.err) == (0, "")
     rows = json.loads(outcome.out)["rows"]
     assert [(row["model"], row["budget"], row["error"]) for row in rows] == [
@@ -38,13 +41,13 @@ def test_all_rows_are_trained_once(run: Command, tmp_path: Path, monkeypatch: py
     assert rows[0]["labels"] > rows[1]["labels"]
     assert [row["labels"] for row in rows[2:]] == [4, 8]
     assert {path.name for path in (tmp_path / "runs").iterdir()} == {Path(row["run"]).name for row in rows}
-    assert json.loads(run("train", "--all", "--json").out)["rows"] == rows
+    assert json.loads(run("train", "--all", "--workers", "1", "--json").out)["rows"] == rows
 
 
 def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["ed-cnm", "lapo"])
     monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
-    outcome = run("train", "--all")
+    outcome = run("train", "--all", "--workers", "1")
     assert outcome.code == 1
     assert "1 of 2 trainings failed: ed-cnm" in outcome.sentence()
     failed, trained = outcome.out.splitlines()[:2]
@@ -53,12 +56,37 @@ def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: p
     assert "4 labels" in trained
 
 
+def test_models_trained_beside_each_other_are_those_trained_in_turn(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table, "model_names", lambda: ["ed-cnm", "ed-cnn", "lapo"])
+    monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot", "2-shot"))
+    weights = {}
+    for workers in ("1", "2"):
+        with using_threads(1):
+            outcome = run("train", "--all", "--workers", workers, "--json")
+        assert outcome.code == 1
+        rows = json.loads(outcome.out)["rows"]
+        assert [(row["model"], row["budget"]) for row in rows] == [
+            *(("ed-cnm", ""), ("ed-cnn", "100%"), ("ed-cnn", "10%"), ("lapo", "one-shot"), ("lapo", "2-shot"))
+        ]
+        assert "did you mean 'ed-cnn'?" in rows[0]["error"]
+        runs = [Run.open(row["run"]) for row in rows[1:]]
+        weights[workers] = [own.result["weights"] for own in runs if own.result is not None]
+        assert {own.conditions.threads for own in runs if own.conditions is not None} == {1}
+        assert not list(tmp_path.glob(".jobs-*"))
+        shutil.move(tmp_path / "runs", tmp_path / f"by-{workers}")
+    assert len(weights["1"]) == 4
+    assert weights["1"] == weights["2"]
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         (("dmotion", "--all"), "leave out MODEL"),
         (("--all", "--labels", "10%", "--set", "epochs=1"), "leave out --labels and --set"),
         ((), "no model is named"),
+        (("lapo", "--workers", "2"), "--workers shares many runs among workers; give --all"),
     ],
 )
 def test_wrong_words_cost_a_sentence(run: Command, words: tuple[str, ...], says: str) -> None:

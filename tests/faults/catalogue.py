@@ -135,7 +135,7 @@ FAULTS = (
     ),
     Fault(
         name="the prefix tree mixes up the tasks' states",
-        file="dmotion_bench/planning/dynamics/prefix_tree.py",
+        file="dmotion_bench/planning/solvers/prefix_tree.py",
         right="above.gather(parent[part]), torch.from_numpy(task[part])",
         wrong="above.gather(np.sort(parent[part] * 0)), torch.from_numpy(task[part])",
         tests=("tests/planning/test_prefix_tree.py",),

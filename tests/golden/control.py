@@ -32,6 +32,7 @@ from dmotion_bench.planning.choices import (
 )
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlSettings, control
 from dmotion_bench.planning.objectives.base import Objective
+from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.solvers.base import Solver
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.solvers.exhaustive import Exhaustive
@@ -202,7 +203,7 @@ def configurations() -> dict[str, Any]:
         "objectives": {
             name: planning_configuration("cem", cem, name, make_objective(name))["objective"] for name in OBJECTIVES
         }
-        | {SIMULATOR: planning_configuration("cem", cem, SIMULATOR, None)["objective"]},
+        | {SIMULATOR: planning_configuration("cem", cem, SIMULATOR, TrueCost())["objective"]},
         "default objectives": {
             f"{name}, {'pixels' if pixels else 'features'}": default_objective(name, one, needs_pixels=pixels)
             for name, one in facts.items()

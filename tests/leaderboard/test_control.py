@@ -15,9 +15,9 @@ import pytest
 from known_model import Known, write_run
 
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.earlier import earlier_planning
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, score_reference
+from dmotion_bench.scoring.earlier_planning import earlier_planning
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.report import read_report, write_report
 from dmotion_bench.scoring.score import ScoreSettings, score_run

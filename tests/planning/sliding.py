@@ -79,6 +79,9 @@ class Sliding:
     def close(self) -> None:
         pass
 
+    def render(self) -> np.ndarray:
+        return self._frame()
+
     def _frame(self) -> np.ndarray:
         y, x = np.mgrid[:SIZE, :SIZE] / (SIZE - 1)
         frame = np.zeros((SIZE, SIZE, 3), np.uint8)

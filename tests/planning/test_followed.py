@@ -13,13 +13,13 @@ from planning.worlds import PerfectGridModel, observed
 
 from dmotion_bench.planning.choices import default_objective
 from dmotion_bench.planning.dynamics.model import ModelDynamics
-from dmotion_bench.planning.dynamics.prefix_tree import PrefixTree
 from dmotion_bench.planning.objectives.base import PARTS
 from dmotion_bench.planning.objectives.centres import CentresEvaluator
 from dmotion_bench.planning.objectives.tabletop.followed import FollowedObjects
 from dmotion_bench.planning.objectives.tabletop.objective import Tabletop, TabletopEvaluator
 from dmotion_bench.planning.objectives.tabletop.tracked import TrackedEvaluator
 from dmotion_bench.planning.objectives.tabletop.tracking import Tracker
+from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.specs import EnvSpec
 from recorders.grid_world import FACTS, draw
 

@@ -9,11 +9,11 @@ import pytest
 from golden.control import ADVICE, CASES, Case, configurations, small, stored, trace
 
 from dmotion_bench.planning.choices import make_objective, planning_configuration
-from dmotion_bench.planning.earlier import present_planning
 from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.planning.objectives.tabletop.objective import Tabletop
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.planning.solvers.cem import CrossEntropy
+from dmotion_bench.scoring.earlier_planning import present_planning
 
 ROUNDING = 1e-6
 

@@ -12,9 +12,9 @@ from planning.worlds import PerfectGridModel, Walks, observed, unseen
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ForwardModel, ModelInputs
 from dmotion_bench.planning.dynamics.model import ModelDynamics
-from dmotion_bench.planning.dynamics.prefix_tree import PrefixTree
 from dmotion_bench.planning.objectives.pixel import PixelEvaluator
 from dmotion_bench.planning.solvers.exhaustive import all_sequences
+from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 
 
 def tree_of(walks: Walks, horizon: int) -> PrefixTree:

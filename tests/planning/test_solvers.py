@@ -13,12 +13,12 @@ from planning.worlds import FarWalks, PerfectGridModel, SmoothWalks, Walks, cont
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.planning.choices import make_solver
 from dmotion_bench.planning.dynamics.model import ModelDynamics
-from dmotion_bench.planning.dynamics.prefix_tree import PrefixTree
 from dmotion_bench.planning.objectives.centres import Centres, CentresEvaluator
 from dmotion_bench.planning.solvers.base import Plan, Solver
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.solvers.exhaustive import Exhaustive, all_sequences
 from dmotion_bench.planning.solvers.icem import ImprovedCrossEntropy
+from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.planning.solvers.proposals import draw
 from recorders.grid_world import FACTS, GridWorld
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from jaxtyping import UInt8
 
 from dmotion_bench.environment import Environment, EpisodeGenerator, Versioned
-from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.recording.rollout import record_episode
 from dmotion_bench.specs import Episode, EpisodeLabels, ObjectStates, episode_seed
 from recorders.grid_drawing import CELLS, SPANS, Version
@@ -157,11 +157,19 @@ def test_every_shape_fills_its_cell(version: Version) -> None:
                 assert ys.max() + 1 == spans[row].stop
 
 
-def test_nothing_varies_and_only_random_records() -> None:
-    with pytest.raises(InvalidSetting, match="nothing varies"):
+def test_its_light_does_not_vary_and_a_policy_must_be_one_of_its_own() -> None:
+    with pytest.raises(UnknownName, match="no factor of variation named 'light'; known: background"):
         GridWorld().reset(seed=0, options={"vary": ["light"]})
-    with pytest.raises(InvalidSetting, match="'random'"):
+    with pytest.raises(UnknownName, match="no policy of grid_world named 'push'"):
         list(GridWorld.generate([0], frames=3, policy="push", parameters={}))
+
+
+@pytest.mark.parametrize("policy", ["object-directed", "expert-correlated"])
+def test_episodes_of_other_policies_are_stepped(policy: str) -> None:
+    (generated,) = GridWorld.generate([4], frames=9, policy=policy, parameters={"version": 2})
+    stepped = record_episode(GridWorld(version=2), GridWorld.policies[policy](), 4, frames=9)
+    np.testing.assert_array_equal(generated.frames, stepped.frames)
+    np.testing.assert_array_equal(generated.labels.actions, stepped.labels.actions)
 
 
 @versions

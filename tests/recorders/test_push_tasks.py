@@ -17,7 +17,7 @@ from dmotion_bench.storage.tasks import ENOUGH_INTERACTIONS, GOAL_DISTANCE
 TASKS = 3
 
 
-@pytest.fixture(scope="module", params=["planar_push", "robot_push"])
+@pytest.fixture(scope="module", params=["planar_push", "push_t", "robot_push"])
 def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("tasks") / request.param
     record_dataset(folder, recipe_for(request.param, Preset.SMALL, episodes=24, tasks=TASKS))

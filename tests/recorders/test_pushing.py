@@ -18,14 +18,15 @@ from dmotion_bench.environment import Environment
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.recording.rollout import record_episode
 from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, Episode
+from recorders.distractors.scenes import NAMES as VIDEO_FACTORS
 from recorders.planar_push import PlanarPush
 from recorders.push_policy import PushPolicy
 from recorders.pushing import PushingEnvironment
 from recorders.robot_push import RobotPush
 
 KINDS = {"robot_push": RobotPush, "planar_push": PlanarPush}
-FACTORS = ("friction", "mass", "colour", "light", "camera", "distractors")
-UNSEEN_AT_FIRST = ("friction", "mass")
+FACTORS = ("friction", "mass", "colour", "light", "camera", "distractors", *VIDEO_FACTORS)
+UNSEEN_AT_FIRST = ("friction", "mass", "delay")
 
 
 @pytest.fixture(scope="module", params=KINDS)

@@ -8,6 +8,9 @@ import json
 import shutil
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as parquet
 import pytest
 from noise_world import files_of
 
@@ -62,6 +65,22 @@ def test_labels_that_were_taken_away_come_back(dataset: Path) -> None:
     assert files_of(dataset) == before
 
 
+def test_a_forged_table_is_told_from_the_shards_and_made_again(dataset: Path) -> None:
+    before, table = files_of(dataset), dataset / "episodes.parquet"
+    rows = parquet.read_table(table)
+    name = next(name for name in rows.column_names if name.startswith("states") and "offset" in name)
+    moved = pc.add(rows[name], pa.scalar(7, rows[name].type))
+    parquet.write_table(rows.set_column(rows.column_names.index(name), rows.schema.field(name), moved), table)
+    manifest = json.loads((dataset / "dataset.json").read_text())
+    content = table.read_bytes()
+    manifest["tables"]["episodes.parquet"] |= {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    (dataset / "dataset.json").write_text(json.dumps(manifest, indent=2))
+
+    assert {(damage.file, damage.shard) for damage in check_dataset(dataset).damages} == {("episodes.parquet", None)}
+    assert repair_dataset(dataset).how == "restored"
+    assert files_of(dataset) == before
+
+
 def test_damage_that_shows_only_with_sound_tables_is_mended_as_well(dataset: Path) -> None:
     file, manifest = dataset / "labels" / "shard-00000.mcap", dataset / "dataset.json"
     before, at = file.read_bytes(), Dataset.open(dataset).rows[0].masks.offset
@@ -106,7 +125,7 @@ def test_an_environment_that_draws_differently_now_is_not_mixed_in(
 
 
 def test_an_environment_that_is_not_installed_is_no_obstacle(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(restore, "environment_names", lambda: ["something_else"])
+    monkeypatch.setattr(restore, "is_environment", lambda name: False)
     (dataset / "video" / "shard-00001.mcap").unlink()
     done = repair_dataset(dataset)
     assert done.salvaged is not None

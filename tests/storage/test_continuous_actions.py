@@ -11,8 +11,18 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from noise_world import MOVES, assert_same_episode, files_of, noise_episode, noise_lengths, noise_spec, write_noise
+from noise_world import (
+    LEFT_RIGHT,
+    MOVES,
+    assert_same_episode,
+    files_of,
+    noise_episode,
+    noise_lengths,
+    noise_spec,
+    write_noise,
+)
 
+from dmotion_bench.actions import actions_to_json
 from dmotion_bench.errors import DatasetCorrupt, InvalidSetting
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.check import check_dataset
@@ -62,6 +72,21 @@ def test_what_cannot_be_is_refused_before_anything_is_written(tmp_path: Path, va
         with pytest.raises(InvalidSetting, match=f"an episode of 'noise' holds {said}"):
             writer.write_shard(0, [wrong])
         assert not list((tmp_path / "a").rglob("*.mcap*"))
+
+
+@pytest.mark.parametrize("said", ["discrete", "continuous"])
+def test_labels_of_another_kind_than_the_manifest_says_are_refused(tmp_path: Path, said: str) -> None:
+    """Protobuf itself would read a continuous action as the discrete action 0."""
+    true, told = (LEFT_RIGHT, MOVES) if said == "continuous" else (MOVES, LEFT_RIGHT)
+    path = write_noise(tmp_path / "noise", spec=noise_spec(actions=true)).path
+    manifest = json.loads((path / "dataset.json").read_text())
+    manifest["environment"]["actions"] = actions_to_json(told)
+    (path / "dataset.json").write_text(json.dumps(manifest))
+    forged = Dataset.open(path)
+    for read in (forged.states, forged.labels, forged.episode):
+        with pytest.raises(DatasetCorrupt, match=rf"that is no .*Action, the type of {said} actions, and data"):
+            read(0)
+    assert any("shard-00000.mcap" in str(damage) for damage in check_dataset(path).damages)
 
 
 def _narrow(environment: dict[str, Any]) -> None:

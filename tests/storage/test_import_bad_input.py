@@ -281,6 +281,22 @@ def test_a_damaged_chunk_is_found_by_its_checksum(tmp_path: Path) -> None:
     refused(file, tmp_path, "is damaged near byte .*checksum does not match")
 
 
+def test_nothing_of_a_chunk_with_a_wrong_checksum_is_salvaged(tmp_path: Path) -> None:
+    frames = video(9)
+    options = MCAPWriteOptions(compression=None, chunk_size=4 * frames[0].nbytes)
+    file = foxglove_file(tmp_path / "a.mcap", frames, steady(9), options=options)
+    content = bytearray(file.read_bytes())
+    place = content.index(frames[6].tobytes()) + frames[6].nbytes // 2
+    content[place] ^= 0xFF
+    file.write_bytes(content)
+    refused(file, tmp_path, "is damaged near byte .*checksum does not match")
+
+    import_recordings([file], tmp_path / "out", ImportOptions(size=32, salvage=True))
+    found = Dataset.open(tmp_path / "out").video(0)
+    assert 3 <= len(found) <= 6
+    np.testing.assert_array_equal(found, frames[: len(found)])
+
+
 def test_a_chunk_that_declares_too_much(tmp_path: Path) -> None:
     file = by_hand(tmp_path / "a.mcap", chunk(zstandard.compress(b"\0" * 100), declared=2**40))
     refused(file, tmp_path, r"declares 1,048,576 MiB, more than the 1,024 MiB .*'--max-chunk 1048576'")

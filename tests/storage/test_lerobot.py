@@ -263,6 +263,14 @@ def test_a_video_shorter_than_its_table(source: Dataset, exported: ExportReport,
     refused(copy, tmp_path, "lacks frame 24, which its data set lists")
 
 
+def test_an_episode_that_is_listed_twice_is_refused(exported: ExportReport, tmp_path: Path) -> None:
+    copy = damaged(exported, tmp_path)
+    file = copy / "meta/episodes/chunk-000/file-000.parquet"
+    table = parquet.read_table(file)
+    parquet.write_table(pa.concat_tables([table, table.slice(2, 1)]), file)
+    refused(copy, tmp_path, "describes the episode 2 more than once")
+
+
 def test_continuous_actions_are_refused(exported: ExportReport, tmp_path: Path) -> None:
     copy = damaged(exported, tmp_path)
     table = parquet.read_table(copy / "data/chunk-000/file-000.parquet")

@@ -18,16 +18,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.environment import Environment, Restorable, Undrawn
+from dmotion_bench.actions import ActionSpec, ActionTaken, Continuous, as_actions, given
+from dmotion_bench.environment import Environment, ObjectEnvironment, Remembering, Restorable, Undrawn
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.planning.dynamics.base import Actions, Dynamics, Observation, State
-from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
-from dmotion_bench.planning.tasks import ActionTaken, Problem, World, as_actions, given, measure_of, start, take
+from dmotion_bench.planning.dynamics.base import Actions, Observation, State
+from dmotion_bench.planning.tasks import Problem, World, measure_of, start, take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +36,8 @@ class Place:
     Attributes:
         actions: What leads there from the problem's start.
         snapshot: Of the environment, where it can be restored.
-        name: Where everything is, bit by bit: places of the same name are the same.
+        name: Where everything is, bit by bit: places of the same name are the same. Of an environment that does not
+            tell it, what was done since the start: pictures that look the same may hide different velocities.
         cost: Its true cost; NaN where it was not asked for.
         picture: What is seen there, compressed; None where it was not asked for.
     """
@@ -74,7 +74,7 @@ class Simulation:
         if actions == self.here.actions:
             return
         if isinstance(self.env, Restorable):  # a restored state may differ from the true one in its last bits
-            self.here = _seen_from(world.env, actions)
+            self.here = self._seen_from(world.env, actions)
         else:
             for action in actions[len(self.here.actions) :]:
                 self.here = self.step(self.here, action)
@@ -117,19 +117,23 @@ class Simulation:
         picture = None
         if self._pictures and frame is not None:
             picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1)
-        return replace(_seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
+        return replace(self._seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
 
-
-def _seen_from(env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
-    agent, objects = env.agent(), env.objects()
-    parts = (agent.position, objects.position, objects.orientation)
-    return Place(
-        actions=actions,
-        snapshot=env.snapshot() if isinstance(env, Restorable) else None,
-        name=b"".join(np.ascontiguousarray(part).tobytes() for part in parts),
-        cost=float("nan"),
-        picture=None,
-    )
+    def _seen_from(self, env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
+        parts: tuple[np.ndarray, ...] = (np.array(actions),)
+        if isinstance(env, ObjectEnvironment):
+            agent, objects = env.agent(), env.objects()
+            parts = (agent.position, objects.position, objects.orientation)
+        name = b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+        if self._pictures and isinstance(env, Remembering):  # what moves by itself makes other pictures of a place
+            name += env.memory()
+        return Place(
+            actions=actions,
+            snapshot=env.snapshot() if isinstance(env, Restorable) else None,
+            name=name,
+            cost=float("nan"),
+            picture=None,
+        )
 
 
 class SimulatorDynamics:
@@ -189,14 +193,3 @@ class SimulatorDynamics:
 
 def _pairs(state: State) -> list[tuple[int, int]]:
     return list(zip(state[0].tolist(), state[1].tolist(), strict=True))
-
-
-class TrueCost(Memoryless):
-    """The oracle's own objective: what the simulator's state costs, whatever is seen of it."""
-
-    def step(
-        self, dynamics: Dynamics, state: State, task: Int[Tensor, " n"], action: Tensor, cost_state: CostState
-    ) -> tuple[StepCost, CostState]:
-        """The states' true costs."""
-        assert isinstance(dynamics, SimulatorDynamics), "only the oracle's dynamics knows true costs"
-        return StepCost.of(dynamics.true_costs(state)), ()

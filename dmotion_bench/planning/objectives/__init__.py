@@ -2,9 +2,10 @@
 
 ::
 
-    base.py     the contract: settings, and a memory over an episode; costs in named parts
-    centres.py  the paper's: squared distances of the objects' centres
-    pixel.py    the difference of pictures
-    feature.py  the difference of states, for models that draw no frames
-    tabletop/   for arms that push objects on a table: hidden objects, falls, exploring
+    base.py       the contract: settings, and a memory over an episode; costs in named parts
+    centres.py    the paper's: squared distances of the objects' centres
+    pixel.py      the difference of pictures
+    feature.py    the difference of states, for models that draw no frames
+    true_cost.py  the oracle's own: what the simulator says
+    tabletop/     for arms that push objects on a table: hidden objects, falls, exploring
 """

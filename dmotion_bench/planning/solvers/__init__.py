@@ -10,4 +10,7 @@
     gradient.py         gradient descent through a model, for continuous actions
     exhaustive.py       every sequence of discrete actions
     proposals.py        the distributions that sequences are drawn from
+    search.py           what solvers share: sequences are predicted once, a plan is made of the cheapest
+    prefix_tree.py      ... of discrete actions: a beginning that several sequences share is predicted once
+    rollouts.py         ... of continuous actions
 """

@@ -12,6 +12,9 @@ from jaxtyping import Bool, Float, Int
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
 from dmotion_bench.planning.objectives.base import Evaluator
 
+Sequences = Int[np.ndarray, "b _s t"] | Float[np.ndarray, "b _s t a"]
+"""Some sequences of actions for each task: of numbers, or of continuous actions in [-1, 1]; any number of them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlanContext:
@@ -29,7 +32,7 @@ class PlanContext:
     observation: Observation
     generators: tuple[np.random.Generator, ...]
     blocked: Bool[np.ndarray, "b discrete"]
-    memory: Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"] | None = None
+    memory: Sequences | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,11 +50,11 @@ class Plan:
     """
 
     action: Int[np.ndarray, " b"] | Float[np.ndarray, "b a"]
-    candidates: Int[np.ndarray, "b m t"] | Float[np.ndarray, "b m t a"]
+    candidates: Sequences
     costs: Float[np.ndarray, "b m"]
     progress: Float[np.ndarray, "b i"]
     frames: int
-    memory: Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"] | None = None
+    memory: Sequences | None = None
     parts: Mapping[str, Float[np.ndarray, "b m"]] = field(default_factory=dict)
 
 
@@ -70,10 +73,22 @@ SHOWN: Final = 5
 """How many of the best sequences a plan holds."""
 
 
+Ranked = tuple[Sequences, Float[np.ndarray, "b _s"]]
+"""Sequences and what they cost, the cheapest first."""
+
+
 def best_first(
-    sequences: Int[np.ndarray, "b s t"] | Float[np.ndarray, "b s t a"], costs: Float[np.ndarray, "b s"], count: int
-) -> tuple[Int[np.ndarray, "b m t"] | Float[np.ndarray, "b m t a"], Float[np.ndarray, "b m"]]:
-    """The ``count`` cheapest distinct sequences of each task; the best is repeated if there are too few."""
+    sequences: Sequences, costs: Float[np.ndarray, "b s"], count: int = SHOWN, *, before: Ranked | None = None
+) -> Ranked:
+    """The ``count`` cheapest distinct sequences of each task; the best is repeated if there are too few.
+
+    Args:
+        sequences, costs: To choose from.
+        count: How many are wanted.
+        before: Chosen earlier, and to be chosen from as well.
+    """
+    if before is not None:
+        sequences, costs = (np.concatenate(both, axis=1) for both in zip(before, (sequences, costs), strict=True))
     chosen, prices = [], []
     for own, price in zip(sequences, costs, strict=True):
         order, seen = [], set[bytes]()

@@ -19,8 +19,10 @@ from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.objectives.base import Evaluator
-from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, best_first
-from dmotion_bench.planning.solvers.proposals import Categorical, Gaussian, Search, Sequences, chosen, search, shifted
+from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, Ranked, Sequences, best_first
+from dmotion_bench.planning.solvers.proposals import Categorical, Gaussian, search, shifted
+from dmotion_bench.planning.solvers.search import Search
+from dmotion_bench.values import require_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,22 +57,18 @@ class CrossEntropy:
     momentum: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("samples", "horizon", "iterations", "elites"):
-            if getattr(self, name) < 1:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be 1 or more.")
+        require_bounds(
+            self,
+            from_one=("samples", "horizon", "iterations", "elites"),
+            above_zero=("initial_std",),
+            from_zero=("step_discount", "noise_exponent"),
+            below_one=("action_repeat_prob", "momentum"),
+        )
         if self.elites > self.samples or not 0 <= self.kept_elites <= self.samples:
             raise InvalidSetting(
                 f"elites is {self.elites} and kept_elites {self.kept_elites}; neither can be more than the "
                 f"{self.samples} samples, or below zero."
             )
-        for name in ("action_repeat_prob", "momentum"):
-            if not 0 <= getattr(self, name) < 1:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be in [0, 1).")
-        for name in ("step_discount", "noise_exponent"):
-            if getattr(self, name) < 0:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it cannot be below zero.")
-        if self.initial_std <= 0:
-            raise InvalidSetting(f"initial_std is {self.initial_std}; it must be above zero.")
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """Draw sequences, compute their costs and refit the distribution, ``iterations`` times."""
@@ -84,21 +82,16 @@ class CrossEntropy:
             kept = self.kept_elites if iteration else best.shape[1]
             pool = np.concatenate([best[:, :kept], drawn], axis=1)
             worth = np.concatenate([price[:, :kept], costs], axis=1)
-            proposal = proposal.fitted(chosen(pool, worth.argsort(axis=1, kind="stable")[:, : self.elites]))
-            best, price = best_first(
-                np.concatenate([best, drawn], axis=1),
-                np.concatenate([price, costs], axis=1),
-                max(SHOWN, self.kept_elites),
-            )
+            elite = worth.argsort(axis=1, kind="stable")[:, : self.elites]
+            proposal = proposal.fitted(pool[np.arange(len(pool))[:, None], elite])
+            best, price = best_first(drawn, costs, max(SHOWN, self.kept_elites), before=(best, price))
             progress.append(price[:, 0])
         shown = best[:, :SHOWN]
-        return Plan(
-            action=best[:, 0, 0],
-            candidates=shown,
-            costs=price[:, :SHOWN],
-            parts=sought.parts(shown, self._discounted(sought.costs(shown)).argmin(axis=2)),
-            progress=np.stack(progress, axis=1),
-            frames=sought.frames,
+        return sought.plan(
+            shown,
+            price[:, :SHOWN],
+            progress,
+            cheapest=self._discounted(sought.costs(shown)).argmin(axis=2),
             memory=best[:, : self.kept_elites] if self.kept_elites else None,
         )
 
@@ -123,9 +116,7 @@ class CrossEntropy:
     def _discounted(self, costs: Float[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t"]:
         return costs * (1 + self.step_discount * np.arange(costs.shape[2])) if self.step_discount else costs
 
-    def _warm_start(
-        self, dynamics: Dynamics, context: PlanContext, sought: Search
-    ) -> tuple[Sequences, Float[np.ndarray, "b m"]]:
+    def _warm_start(self, dynamics: Dynamics, context: PlanContext, sought: Search) -> Ranked:
         """The best sequences of the step before, shifted by one action, and what they cost now."""
         tasks, actions = len(context.generators), dynamics.actions
         if context.memory is None or not self.kept_elites:

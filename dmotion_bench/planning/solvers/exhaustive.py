@@ -9,9 +9,9 @@ from jaxtyping import Int
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics
-from dmotion_bench.planning.dynamics.prefix_tree import PrefixTree
 from dmotion_bench.planning.objectives.base import Evaluator
-from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, best_first
+from dmotion_bench.planning.solvers.base import Plan, PlanContext, best_first
+from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,15 +36,8 @@ class Exhaustive:
         costs = tree.costs(sequences).min(axis=2)
         refused = context.blocked & ~context.blocked.all(axis=1, keepdims=True)
         costs = np.where(refused[:, everything[:, 0]], np.inf, costs)
-        best, price = best_first(sequences, costs, SHOWN)
-        return Plan(
-            action=best[:, 0, 0],
-            candidates=best,
-            costs=price,
-            parts=tree.parts(best, tree.costs(best).argmin(axis=2)),
-            progress=price[:, :1],
-            frames=tree.frames,
-        )
+        best, costs = best_first(sequences, costs)
+        return tree.plan(best, costs, [costs[:, 0]])
 
 
 def all_sequences(actions: int, horizon: int) -> Int[np.ndarray, "s t"]:

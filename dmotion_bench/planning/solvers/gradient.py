@@ -13,10 +13,11 @@ import torch
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics
-from dmotion_bench.planning.dynamics.rollouts import Rollouts
 from dmotion_bench.planning.objectives.base import Evaluator
-from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, best_first
+from dmotion_bench.planning.solvers.base import Plan, PlanContext, Ranked, best_first
 from dmotion_bench.planning.solvers.proposals import require_continuous, shifted
+from dmotion_bench.planning.solvers.rollouts import Rollouts
+from dmotion_bench.values import require_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +37,7 @@ class GradientDescent:
     learning_rate: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("samples", "horizon", "iterations"):
-            if getattr(self, name) < 1:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be 1 or more.")
-        if self.learning_rate <= 0:
-            raise InvalidSetting(f"learning_rate is {self.learning_rate}; it must be above zero.")
+        require_bounds(self, from_one=("samples", "horizon", "iterations"), above_zero=("learning_rate",))
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """The first action of the cheapest sequence that was met on the way; it costs the minimum over its steps.
@@ -57,7 +54,7 @@ class GradientDescent:
         rows = torch.arange(tasks).repeat_interleave(self.samples)
         actions = torch.from_numpy(start).float().flatten(0, 1).to(dynamics.device).requires_grad_()
         adam = torch.optim.Adam([actions], lr=self.learning_rate)
-        best, price = start[:, :0], np.zeros((tasks, 0))
+        found: Ranked | None = None
         progress = []
         for step in range(self.iterations + 1):
             with dynamics.computing(gradients=True):
@@ -69,19 +66,12 @@ class GradientDescent:
                 )
             now = actions.detach().cpu().double().numpy().reshape(tasks, *shape)
             costs = lowest.detach().cpu().double().numpy().reshape(tasks, self.samples)
-            best, price = best_first(np.concatenate([best, now], axis=1), np.concatenate([price, costs], axis=1), SHOWN)
-            progress.append(price[:, 0])
+            found = best_first(now, costs, before=found)
+            progress.append(found[1][:, 0])
             if step < self.iterations:
                 (actions.grad,) = torch.autograd.grad(lowest.sum(), [actions])
                 adam.step()
                 with torch.no_grad():
                     actions.clamp_(-1, 1)
-        return Plan(
-            action=best[:, 0, 0],
-            candidates=best,
-            costs=price,
-            parts=rollouts.parts(best, rollouts.costs(best).argmin(axis=2)),
-            progress=np.stack(progress, axis=1),
-            frames=rollouts.frames,
-            memory=best[:, :1],
-        )
+        assert found is not None, "there is an iteration"
+        return rollouts.plan(*found, progress, memory=found[0][:, :1])

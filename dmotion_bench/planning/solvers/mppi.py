@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics
-from dmotion_bench.planning.dynamics.rollouts import Rollouts
 from dmotion_bench.planning.objectives.base import Evaluator
-from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, best_first
+from dmotion_bench.planning.solvers.base import Plan, PlanContext, Ranked, best_first
 from dmotion_bench.planning.solvers.proposals import Gaussian, require_continuous, shifted
+from dmotion_bench.planning.solvers.rollouts import Rollouts
+from dmotion_bench.values import require_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,14 +42,12 @@ class PathIntegral:
     temperature: float = 0.2
 
     def __post_init__(self) -> None:
-        for name in ("samples", "horizon", "iterations"):
-            if getattr(self, name) < 1:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be 1 or more.")
-        for name in ("std", "temperature"):
-            if getattr(self, name) <= 0:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be above zero.")
-        if self.noise_exponent < 0:
-            raise InvalidSetting(f"noise_exponent is {self.noise_exponent}; it cannot be below zero.")
+        require_bounds(
+            self,
+            from_one=("samples", "horizon", "iterations"),
+            above_zero=("std", "temperature"),
+            from_zero=("noise_exponent",),
+        )
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """Move the mean ``iterations`` times, and take its first action.
@@ -60,26 +58,17 @@ class PathIntegral:
         shape = (len(context.generators), self.horizon, require_continuous(dynamics.actions, "mppi").width)
         rollouts = Rollouts(dynamics, evaluator, context.observation)
         mean = np.zeros(shape) if context.memory is None else shifted(context.memory)[:, 0]
-        best, price = np.zeros((shape[0], 0, *shape[1:])), np.zeros((shape[0], 0))
+        found: Ranked | None = None
         progress = []
         for _ in range(self.iterations):
             around = Gaussian(mean=mean, std=np.full(shape, self.std), exponent=self.noise_exponent, momentum=0.0)
             drawn = around.draw(context.generators, self.samples, heat=0)
             costs = rollouts.costs(drawn).min(axis=2)
             mean = np.einsum("bs,bsta->bta", self._weights(costs), drawn)
-            best, price = best_first(
-                np.concatenate([best, drawn], axis=1), np.concatenate([price, costs], axis=1), SHOWN
-            )
-            progress.append(price[:, 0])
-        return Plan(
-            action=mean[:, 0],
-            candidates=best,
-            costs=price,
-            parts=rollouts.parts(best, rollouts.costs(best).argmin(axis=2)),
-            progress=np.stack(progress, axis=1),
-            frames=rollouts.frames,
-            memory=mean[:, None],
-        )
+            found = best_first(drawn, costs, before=found)
+            progress.append(found[1][:, 0])
+        assert found is not None, "there is an iteration"
+        return rollouts.plan(*found, progress, action=mean[:, 0], memory=mean[:, None])
 
     def _weights(self, costs: Float[np.ndarray, "b s"]) -> Float[np.ndarray, "b s"]:
         """The weight of each sequence; they sum to one."""

@@ -7,9 +7,9 @@ Timmer & Koenig 1995, "On generating power law noise", Astronomy and Astrophysic
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,24 +17,10 @@ from jaxtyping import Bool, Float, Int
 from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
-from dmotion_bench.planning.dynamics.prefix_tree import PrefixTree
-from dmotion_bench.planning.dynamics.rollouts import Rollouts
 from dmotion_bench.planning.objectives.base import Evaluator
-
-Sequences = Int[np.ndarray, "b s t"] | Float[np.ndarray, "b s t a"]
-
-
-@runtime_checkable
-class Search(Protocol):
-    """What sequences cost: ``PrefixTree`` for discrete actions, ``Rollouts`` for continuous ones."""
-
-    frames: int
-
-    def costs(self, sequences: Any) -> Float[np.ndarray, "b s t"]:
-        """The cost of each sequence of each task after each of its steps."""
-
-    def parts(self, sequences: Any, step: Int[np.ndarray, "b s"]) -> Mapping[str, Float[np.ndarray, "b s"]]:
-        """The parts of the cost of each sequence at one of its steps."""
+from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
+from dmotion_bench.planning.solvers.rollouts import Rollouts
+from dmotion_bench.planning.solvers.search import Search
 
 
 def search(dynamics: Dynamics, evaluator: Evaluator, observation: Observation, horizon: int) -> Search:
@@ -178,8 +164,3 @@ def draw(
 def shifted(memory: Any) -> Any:
     """Sequences of the step before, one action on, with the last action repeated; the steps are the third axis."""
     return np.concatenate([memory[:, :, 1:], memory[:, :, -1:]], axis=2)
-
-
-def chosen(sequences: Any, places: Int[np.ndarray, "b n"]) -> Any:
-    """Some of each task's sequences, by their places."""
-    return sequences[np.arange(len(sequences))[:, None], places]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.objectives.base import Evaluator
-from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, best_first
-from dmotion_bench.planning.solvers.proposals import Categorical, Sequences, search
+from dmotion_bench.planning.solvers.base import Plan, PlanContext, Sequences, best_first
+from dmotion_bench.planning.solvers.proposals import Categorical, search
+from dmotion_bench.values import require_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,23 +27,14 @@ class RandomShooting:
     horizon: int = 5
 
     def __post_init__(self) -> None:
-        for name in ("samples", "horizon"):
-            if getattr(self, name) < 1:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be 1 or more.")
+        require_bounds(self, from_one=("samples", "horizon"))
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """The cheapest sequence of those drawn; a sequence costs the minimum over its steps."""
         sought = search(dynamics, evaluator, context.observation, self.horizon)
         drawn = self._drawn(dynamics, context)
-        best, price = best_first(drawn, sought.costs(drawn).min(axis=2), SHOWN)
-        return Plan(
-            action=best[:, 0, 0],
-            candidates=best,
-            costs=price,
-            parts=sought.parts(best, sought.costs(best).argmin(axis=2)),
-            progress=price[:, :1],
-            frames=sought.frames,
-        )
+        best, costs = best_first(drawn, sought.costs(drawn).min(axis=2))
+        return sought.plan(best, costs, [costs[:, 0]])
 
     def _drawn(self, dynamics: Dynamics, context: PlanContext) -> Sequences:
         actions = dynamics.actions

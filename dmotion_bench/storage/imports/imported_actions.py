@@ -10,7 +10,6 @@ from jaxtyping import Float, Int64
 
 from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.errors import RecordingImportError
-from dmotion_bench.specs import EpisodeLabels, ObjectStates
 from dmotion_bench.storage.imports.advice import SLOWEST_HZ
 from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, in_force, ordered_names
 from dmotion_bench.storage.imports.continuous_commands import (
@@ -112,23 +111,3 @@ def step_actions(piece: Piece, commands: Commands, names: tuple[str, ...], optio
         return reduced(commands, in_force(commands, piece.t_ns), piece.t_ns, options.action_reduce)
     numbers = {name: number for number, name in enumerate(names)}
     return np.array([numbers[commands.names[index]] for index in in_force(commands, piece.t_ns)], np.int64)
-
-
-def action_labels(actions: Actions, shape: tuple[int, ...]) -> EpisodeLabels:
-    """Labels with actions alone: no objects, and an agent at an unknown place."""
-    return EpisodeLabels(
-        actions=actions,
-        pushed=np.zeros(len(actions), bool),
-        agent=_nowhere(shape[0], 1),
-        objects=_nowhere(shape[0], 0),
-        masks=np.zeros(shape, np.uint8),
-    )
-
-
-def _nowhere(t: int, k: int) -> ObjectStates:
-    return ObjectStates(
-        position=np.full((t, k, 3), np.nan),
-        orientation=np.full((t, k, 4), np.nan),
-        pixel=np.full((t, k, 2), np.nan),
-        visible=np.zeros((t, k)),
-    )

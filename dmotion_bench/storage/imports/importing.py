@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError, UsageError
-from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, ObjectSpec, Scalar
+from dmotion_bench.specs import IMPORTED, UNPLACED_AGENT, DatasetRecipe, EnvSpec, Scalar, unplaced_labels
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.advice import advice, no_episode
 from dmotion_bench.storage.imports.confinement import Confinement
@@ -24,7 +24,6 @@ from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
 from dmotion_bench.storage.imports.fitting import fitted
 from dmotion_bench.storage.imports.imported_actions import (
     Actions,
-    action_labels,
     action_spec,
     check_pace,
     commanded,
@@ -43,7 +42,6 @@ from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
 
 UNFINISHED: Final = ".importing"
-AGENT: Final = ObjectSpec(name="agent", shape="unknown", color=(0, 0, 0))
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
 
@@ -90,7 +88,7 @@ def import_recordings(
         spec = EnvSpec(
             id=IMPORTED,
             actions=action_spec(surveys, [plan.actions for plan in planned], names, options),
-            agent=AGENT,
+            agent=UNPLACED_AGENT,
             objects=(),
             height=options.size,
             width=options.size,
@@ -247,7 +245,7 @@ def _footage(
                     shown, picture = next(pictures)
                     frame = fitted(picture, options.size, options.fit)
                 frames[tick] = frame
-            labels = None if plan.actions is None else action_labels(plan.actions, frames.shape[:3])
+            labels = None if plan.actions is None else unplaced_labels(plan.actions, frames.shape[:3])
             yield Footage(frames=frames, labels=labels, start_ns=int(plan.piece.t_ns[0]) if keep_times else None)
 
 

@@ -139,8 +139,11 @@ class LeRobotLayout:
         with_video = self.kind(camera) == "video"
         found = self._episodes_v2(camera, with_video) if self.is_v2 else self._episodes_v3(camera, with_video)
         placed: list[Placed] = []
-        frames = 0
+        frames, numbers = 0, set[int]()
         for one in found:
+            if one.number in numbers:
+                raise self.bad(f"describes the episode {one.number} more than once")
+            numbers.add(one.number)
             frames += one.frames
             if frames > self._limits.frames:
                 raise self.bad("declares more frames than can be imported at once")

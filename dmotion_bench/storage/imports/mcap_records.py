@@ -101,13 +101,29 @@ class _Directory:
         return ReadDataStream(BytesIO(body.exactly(body.left)))
 
 
+@dataclass
+class _Chunks:
+    """Which of a file's chunks have been read.
+
+    Attributes:
+        most: No more than so many are read; None: all.
+        begun: So many have been.
+        usable: The first so many hold nothing that a checksum speaks against; the last of them may end early.
+    """
+
+    most: int | None = None
+    begun: int = 0
+    usable: int = 0
+
+
 class McapFile:
     """One file, read from its beginning as often as it is asked for.
 
     Args:
         path: The file.
         limits: What it may make us do.
-        salvage: Take a damaged file's messages up to the damage instead of refusing it.
+        salvage: Take a damaged file's messages up to the damage instead of refusing it; of a chunk whose checksum
+            does not match, none.
 
     Raises:
         RecordingImportError: The file is not there, cannot be read, or is no MCAP file.
@@ -115,6 +131,7 @@ class McapFile:
 
     def __init__(self, path: Path, *, limits: ImportLimits, salvage: bool = False) -> None:
         self.path, self.limits, self.salvage = path, limits, salvage
+        self._usable: int | None = None
         try:
             with path.open("rb") as file:
                 start = file.read(len(MAGIC))
@@ -150,6 +167,18 @@ class McapFile:
         return self._messages(frozenset(topics), _Directory())
 
     def _messages(self, topics: frozenset[str], known: _Directory) -> Iterator[RawMessage]:
+        """The messages; to salvage them, the file is read once before to find the chunks that can be used."""
+        if not self.salvage:
+            yield from self._read(topics, known, _Chunks())
+            return
+        if self._usable is None:
+            seen = _Chunks()
+            for _ in self._read(frozenset(), _Directory(), seen):
+                pass
+            self._usable = seen.usable
+        yield from self._read(topics, known, _Chunks(most=self._usable))
+
+    def _read(self, topics: frozenset[str], known: _Directory, chunks: _Chunks) -> Iterator[RawMessage]:
         size = self.path.stat().st_size
         with self.path.open("rb") as file:
             if self._packed:
@@ -160,7 +189,7 @@ class McapFile:
                 whole = Span(file, size, lambda distance: file.seek(distance, 1))
             try:
                 whole.exactly(len(MAGIC))
-                yield from self._walk(whole, topics, known)
+                yield from self._walk(whole, topics, known, chunks)
             except Cut:
                 if isinstance(whole, Inflated) and whole.goes_on():
                     self._damaged(file.tell(), Broken(f"it inflates to more than {MOST_INFLATED:,} times its size"))
@@ -172,6 +201,8 @@ class McapFile:
                     "import what stands before the cut with '--salvage'."
                 ) from None
             except (Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError) as error:
+                if isinstance(whole, Inflated) and whole.at_end():
+                    chunks.usable = chunks.begun  # the file ends in the middle of this one
                 self._damaged(file.tell(), error)
 
     def _damaged(self, offset: int, error: Exception) -> None:
@@ -181,15 +212,21 @@ class McapFile:
                 "import what stands before the damage with '--salvage'."
             ) from None
 
-    def _walk(self, span: Span, topics: frozenset[str], known: _Directory) -> Iterator[RawMessage]:
+    def _walk(self, span: Span, topics: frozenset[str], known: _Directory, chunks: _Chunks) -> Iterator[RawMessage]:
         while True:
             opcode, length = RECORD_HEAD.unpack(span.exactly(RECORD_HEAD.size))
             body = span.part(length)
             if opcode == Opcode.FOOTER:
                 return
             if opcode == Opcode.CHUNK:
-                with_crc, inside = self._chunk(body)
-                yield from self._walk_chunk(inside, with_crc, topics, known)
+                if chunks.begun == chunks.most:
+                    return
+                chunks.begun += 1
+                crc, inside = self._chunk(body)
+                if not crc:
+                    chunks.usable = chunks.begun
+                yield from self._walk_chunk(inside, crc, topics, known)
+                chunks.usable = chunks.begun
             else:
                 message = self._record(opcode, body, topics, known)
                 if message is not None:
@@ -305,7 +342,7 @@ class McapFile:
             file.seek(start)
             span = Span(file, size - start, lambda distance: file.seek(distance, 1))
             try:
-                for _ in self._walk(span, frozenset(), known):
+                for _ in self._walk(span, frozenset(), known, _Chunks()):
                     pass
             except (Cut, Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError):
                 return []

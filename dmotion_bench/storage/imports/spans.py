@@ -112,3 +112,10 @@ class Inflated(Span):
             return bool(self._beyond.read(1))
         except (zstandard.ZstdError, RuntimeError, EOFError, ValueError):
             return False
+
+    def at_end(self) -> bool:
+        """Whether there is no more, and nothing is wrong with what there was."""
+        try:
+            return not self._beyond.read(1)
+        except (zstandard.ZstdError, RuntimeError, EOFError, ValueError):
+            return False

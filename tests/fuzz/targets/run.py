@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+import pyarrow as pa
 import torch
 
 from dmotion_bench.actions import Discrete
@@ -215,7 +216,12 @@ def _prediction(run: Run) -> Any:
 def _samples(folder: Path) -> Any:
     report = read_report(folder)
     samples = None if report is None else read_report_samples(folder, report)
-    return None if samples is None else json.dumps(samples.to_pylist(), default=str)
+    if samples is None:
+        return None
+    written = pa.BufferOutputStream()
+    with pa.ipc.new_stream(written, samples.schema) as stream:
+        stream.write_table(samples.combine_chunks())
+    return hashlib.sha256(written.getvalue()).hexdigest()
 
 
 def _trained(path: Path, original: str) -> str:

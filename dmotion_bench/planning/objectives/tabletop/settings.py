@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, fields
 
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.values import require_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,12 +123,11 @@ class TabletopSettings:
             numbers = value if isinstance(value, tuple) else (value,)
             if any(number < 0 or not math.isfinite(number) for number in numbers):
                 raise InvalidSetting(f"{field.name} is {value}; it cannot be below zero.")
-        for name in ("table_sides", "table_patch_px", "passing_pixels", "history_side_px", "tip_rows"):
-            if getattr(self, name) < 1:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be 1 or more.")
-        for name in ("misplaced_from", "new_image", "settled_scale", "around_std", "touch_distance"):
-            if getattr(self, name) <= 0:
-                raise InvalidSetting(f"{name} is {getattr(self, name)}; it must be above zero.")
+        require_bounds(
+            self,
+            from_one=("table_sides", "table_patch_px", "passing_pixels", "history_side_px", "tip_rows"),
+            above_zero=("misplaced_from", "new_image", "settled_scale", "around_std", "touch_distance"),
+        )
         if self.table_patch_px % 2 == 0:
             raise InvalidSetting(
                 f"table_patch_px is {self.table_patch_px}; a patch has a pixel in its middle: an odd number."

@@ -7,7 +7,6 @@ whose edges are actions; a node is imagined when a sequence first goes through i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,10 +15,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from dmotion_bench.actions import require_discrete
-from dmotion_bench.planning.dynamics.base import Dynamics, Observation
+from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
-
-States = tuple[Tensor, ...]
+from dmotion_bench.planning.solvers.search import Search
 
 
 @dataclass(kw_only=True)
@@ -37,7 +35,7 @@ class _Level:
     key: Int[np.ndarray, " n"]
     task: Int[np.ndarray, " n"]
     cost: Float[np.ndarray, "n 4"]
-    chunks: list[States] = field(default_factory=list)
+    chunks: list[State] = field(default_factory=list)
     starts: list[int] = field(default_factory=list)
 
     def nodes_of(self, keys: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
@@ -49,7 +47,7 @@ class _Level:
         nodes: Int[np.ndarray, " m"] = np.where(self.key[order[place]] == keys, order[place], -1)
         return nodes
 
-    def gather(self, nodes: Int[np.ndarray, " m"]) -> States:
+    def gather(self, nodes: Int[np.ndarray, " m"]) -> State:
         """The states of some nodes, whose numbers are in ascending order."""
         chunk = np.searchsorted(self.starts, nodes, side="right") - 1
         parts = []
@@ -59,7 +57,7 @@ class _Level:
         return parts[0] if len(parts) == 1 else tuple(torch.cat(tensors) for tensors in zip(*parts, strict=True))
 
 
-class PrefixTree:
+class PrefixTree(Search):
     """Stores the predictions for some tasks from one control step on; for discrete actions.
 
     Args:
@@ -73,7 +71,6 @@ class PrefixTree:
 
     Attributes:
         actions: How many there are.
-        frames: How many states have been predicted.
     """
 
     def __init__(self, dynamics: Dynamics, evaluator: Evaluator, observation: Observation, horizon: int) -> None:
@@ -92,18 +89,8 @@ class PrefixTree:
             _Level(key=np.zeros(0, np.int64), task=np.zeros(0, np.int64), cost=nothing[:0]) for _ in range(horizon)
         ]
 
-    def costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t"]:
-        """The cost of each sequence of each task after each of its steps."""
-        return self._costs(sequences)[..., 0]
-
-    def parts(
-        self, sequences: Int[np.ndarray, "b s t"], step: Int[np.ndarray, "b s"]
-    ) -> Mapping[str, Float[np.ndarray, "b s"]]:
-        """The parts of the cost of each sequence at one of its steps."""
-        costs = np.take_along_axis(self._costs(sequences), step[..., None, None], axis=2)[:, :, 0]
-        return {name: costs[..., 1 + place] for place, name in enumerate(PARTS)}
-
-    def _costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t 4"]:
+    def stacked_costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t 4"]:
+        """See ``Search``."""
         if sequences.shape[2] > self.horizon:
             raise ValueError(f"sequences of {sequences.shape[2]} actions in a tree made for {self.horizon}")
         node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])
@@ -138,8 +125,8 @@ class PrefixTree:
         self.frames += len(keys)
 
     def _expand(
-        self, states: States, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
-    ) -> tuple[States, Float[Tensor, "n 4"]]:
+        self, states: State, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
+    ) -> tuple[State, Float[Tensor, "n 4"]]:
         """Each state after one more action, and its cost."""
         dynamics, split = self.dynamics, len(states) - self._carried
         with dynamics.computing():

@@ -20,6 +20,7 @@ from dmotion_bench.planning.choices import (
     planning_configuration,
     present_name,
 )
+from dmotion_bench.planning.objectives.true_cost import TrueCost
 
 FIELDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -114,9 +115,8 @@ def present_planning(said: Mapping[str, Any]) -> dict[str, Any]:
     solver, objective = _solver_name(planner), present_name(str(cost.pop("name", "")))
     if solver is None or objective not in CONSTANTS:
         return dict(said)
-    defaults = planning_configuration(
-        solver, make_solver(solver), objective, None if objective == SIMULATOR else make_objective(objective)
-    )
+    settings = TrueCost() if objective == SIMULATOR else make_objective(objective)
+    defaults = planning_configuration(solver, make_solver(solver), objective, settings)
     others = {name: value for name, value in said.items() if name not in ("planner", "cost")}
     return others | {
         "solver": defaults["solver"] | _renamed(planner),

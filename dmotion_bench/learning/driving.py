@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.actions import ActionTaken
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.tasks import ActionTaken
 
 
 class Drive:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -11,9 +9,10 @@ from torch import Tensor
 
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
+from dmotion_bench.planning.solvers.search import Search
 
 
-class Rollouts:
+class Rollouts(Search):
     """Predicts sequences for some tasks from one control step on, and remembers what they cost.
 
     Args:
@@ -21,9 +20,6 @@ class Rollouts:
         evaluator: Says what they cost.
         observation: Of the tasks, now.
         gradients: Whether ``predict`` is to give gradients.
-
-    Attributes:
-        frames: How many states have been predicted.
     """
 
     def __init__(
@@ -36,34 +32,18 @@ class Rollouts:
             self._start = dynamics.start(observation)
         self._known: dict[tuple[int, bytes], Float[np.ndarray, "t 4"]] = {}
 
-    def costs(self, sequences: Float[np.ndarray, "b s t a"]) -> Float[np.ndarray, "b s t"]:
-        """The cost of each sequence of each task after each of its steps; actions are in [-1, 1]."""
-        return self._costs(sequences)[..., 0]
-
-    def parts(
-        self, sequences: Float[np.ndarray, "b s t a"], step: Int[np.ndarray, "b s"]
-    ) -> Mapping[str, Float[np.ndarray, "b s"]]:
-        """The parts of the cost of each sequence at one of its steps."""
-        costs = np.take_along_axis(self._costs(sequences), step[..., None, None], axis=2)[:, :, 0]
-        return {name: costs[..., 1 + place] for place, name in enumerate(PARTS)}
-
-    def _costs(self, sequences: Float[np.ndarray, "b s t a"]) -> Float[np.ndarray, "b s t 4"]:
-        names = [[(task, one.tobytes()) for one in own] for task, own in enumerate(sequences)]
-        new = {
-            name: (task, one)
-            for task, own in enumerate(sequences)
-            for name, one in zip(names[task], own, strict=True)
-            if name not in self._known
-        }
-        rows = list(new.items())
-        for first in range(0, len(rows), self._dynamics.at_once):
-            part = rows[first : first + self._dynamics.at_once]
-            task = torch.tensor([task for _, (task, _) in part])
+    def stacked_costs(self, sequences: Float[np.ndarray, "b s t a"]) -> Float[np.ndarray, "b s t 4"]:
+        """See ``Search``."""
+        names = [(task, one.tobytes()) for task, own in enumerate(sequences) for one in own]
+        given = dict(zip(names, sequences.reshape(-1, *sequences.shape[2:]), strict=True))
+        new = [name for name in given if name not in self._known]
+        for first in range(0, len(new), self._dynamics.at_once):
+            part = new[first : first + self._dynamics.at_once]
             with self._dynamics.computing():
-                actions = torch.from_numpy(np.stack([one for _, (_, one) in part])).float()
-                found = self.predict(task, actions).cpu().double().numpy()
-            self._known |= {name: costs for (name, _), costs in zip(part, found, strict=True)}
-        return np.array([[self._known[name] for name in own] for own in names])
+                actions = torch.from_numpy(np.stack([given[name] for name in part])).float()
+                found = self.predict(torch.tensor([task for task, _ in part]), actions)
+            self._known |= dict(zip(part, found.cpu().double().numpy(), strict=True))
+        return np.array([self._known[name] for name in names]).reshape(*sequences.shape[:3], 1 + len(PARTS))
 
     def predict(self, task: Int[Tensor, " n"], actions: Float[Tensor, "n t a"]) -> Float[Tensor, "n t 4"]:
         """The costs of sequences and their parts, within ``dynamics.computing()``; gradients reach the actions."""

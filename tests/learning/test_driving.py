@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from planning.worlds import PerfectGridModel
 
+from dmotion_bench.learning.driving import Drive, predicted
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.planning.driving import Drive, predicted
 from recorders.grid_world import GridWorld
 
 ACTIONS = [3, 3, 1, 0, 2, 1]

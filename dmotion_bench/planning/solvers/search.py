@@ -1,0 +1,66 @@
+"""What all solvers share: sequences are predicted once, the cheapest are kept, and a plan is made of these."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from dmotion_bench.planning.objectives.base import PARTS
+from dmotion_bench.planning.solvers.base import Plan, Sequences
+
+
+class Search(ABC):
+    """Predicts sequences of actions for some tasks from one control step on, and remembers what they cost.
+
+    Attributes:
+        frames: How many states have been predicted.
+    """
+
+    frames: int
+
+    @abstractmethod
+    def stacked_costs(self, sequences: Any) -> Float[np.ndarray, "b s t 4"]:
+        """The cost of each sequence of each task after each of its steps, and the parts of the cost."""
+
+    def costs(self, sequences: Sequences) -> Float[np.ndarray, "b s t"]:
+        """The cost of each sequence of each task after each of its steps."""
+        return self.stacked_costs(sequences)[..., 0]
+
+    def parts(self, sequences: Sequences, step: Int[np.ndarray, "b s"]) -> Mapping[str, Float[np.ndarray, "b s"]]:
+        """The parts of the cost of each sequence at one of its steps."""
+        costs = np.take_along_axis(self.stacked_costs(sequences), step[..., None, None], axis=2)[:, :, 0]
+        return {name: costs[..., 1 + place] for place, name in enumerate(PARTS)}
+
+    def plan(
+        self,
+        best: Sequences,
+        costs: Float[np.ndarray, "b m"],
+        progress: Sequence[Float[np.ndarray, " b"]],
+        *,
+        action: Float[np.ndarray, "b a"] | None = None,
+        cheapest: Int[np.ndarray, "b m"] | None = None,
+        memory: Sequences | None = None,
+    ) -> Plan:
+        """The plan that a search ends with.
+
+        Args:
+            best, costs: The best sequences, the best first.
+            progress: The lowest cost known after each iteration.
+            action: To be taken now; by default the first of the best sequence.
+            cheapest: The step of each sequence that its cost is of; by default the one with the lowest cost.
+            memory: To be given back at the next step.
+        """
+        parts = self.parts(best, self.costs(best).argmin(axis=2) if cheapest is None else cheapest)
+        return Plan(
+            action=best[:, 0, 0] if action is None else action,
+            candidates=best,
+            costs=costs,
+            parts=parts,
+            progress=np.stack(progress, axis=1),
+            frames=self.frames,
+            memory=memory,
+        )

@@ -1,0 +1,80 @@
+"""The policy of a recording: one that the environment brings, or a function of a user's own module.
+
+A policy of one's own is named ``module:function``. Its module is imported when the recording is asked for, and only
+then: a name that stands in somebody's ``dataset.json`` imports nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from dmotion_bench.environment import Action, Environment, Policy
+from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed, UnknownName
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.wording import shown
+
+OWN: Final = ":"
+"""What stands in the name of a policy of somebody's own module."""
+
+
+def find_policy(kind: type[Environment], recipe: DatasetRecipe) -> Callable[[], Policy]:
+    """The function that makes the recipe's policy, once an episode.
+
+    Raises:
+        UnknownName: The environment has no such policy.
+        InvalidSetting: The name is of a module or function that is not there.
+    """
+    if recipe.policy in kind.policies:
+        return kind.policies[recipe.policy]
+    if OWN in recipe.policy:
+        return _own_policy(recipe.policy)
+    raise UnknownName(f"policy of {recipe.environment}", recipe.policy, kind.policies)
+
+
+def _own_policy(name: str) -> Callable[[], Policy]:
+    """A function ``(environment, generator) -> action``, or a class whose objects are called so, one an episode."""
+    module, _, attribute = name.partition(OWN)
+    try:
+        found: Any = importlib.import_module(module)
+    except Exception as error:  # somebody else's module may raise anything
+        raise InvalidSetting(
+            f"the policy {shown(name)} cannot be imported ({type(error).__name__}: {error}); write it as "
+            "MODULE:FUNCTION, with a module that 'python -c \"import MODULE\"' finds."
+        ) from error
+    policy = getattr(found, attribute, None)
+    if not callable(policy):
+        raise InvalidSetting(
+            f"the module {shown(module)} has no function {shown(attribute)}; the policy is called as "
+            "FUNCTION(environment, generator) and returns an action."
+        )
+    make: Callable[[], Any] = policy if inspect.isclass(policy) else lambda: policy
+    return lambda: _checked(name, make())
+
+
+def _checked(name: str, policy: Any) -> Policy:
+    """The policy, whose failures are sentences."""
+
+    def act(env: Environment, generator: Any) -> Action:
+        try:
+            action: Action = policy(env, generator)
+            fault = None if env.facts.actions is None else env.facts.actions.fault(np.asarray([action]), "in step")
+        except DmbenchError:
+            raise
+        except Exception as error:
+            raise RecordingFailed(
+                f"the policy {shown(name)} raised {type(error).__name__}: {error}; it is called with the environment "
+                "and a numpy.random.Generator. Nothing is recorded."
+            ) from error
+        if fault:
+            raise RecordingFailed(
+                f"the policy {shown(name)} chose {fault.replace(' in step 0', '')}; it returns one of "
+                f"{env.facts.id!r}'s actions: {env.facts.actions}. Nothing is recorded."
+            )
+        return action
+
+    return act

@@ -1,0 +1,49 @@
+"""How packages of others are used here: without warnings and without a screen, and their failures are sentences."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from typing import Final
+
+from dmotion_bench.errors import DmbenchError, InvalidSetting, PackageNotInstalled
+from recorders.gymnasium_env.worlds import MODULES
+
+_EGL: Final = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Without warnings, and without a screen: packages that draw read these variables when they are imported."""
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+        os.environ.setdefault("MUJOCO_GL", "egl")
+        if os.environ["MUJOCO_GL"] == "egl":
+            os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def unmade(name: str, error: Exception) -> DmbenchError:
+    """The error for an environment that cannot be made."""
+    missing = error
+    while missing is not None and not isinstance(missing, ModuleNotFoundError):
+        missing = missing.__cause__ or missing.__context__  # type: ignore[assignment]
+    if isinstance(missing, ModuleNotFoundError) and missing.name:
+        module = missing.name.partition(".")[0]
+        extra = MODULES.get(module)
+        return PackageNotInstalled(
+            module, repr(name), f"pip install 'dmbench[{extra}]'" if extra else f"pip install {module}"
+        )
+    said = f"{type(error).__name__}: {error}".rstrip(".")
+    if any(word in said.lower() for word in ("egl", "opengl", "glfw", "osmesa", "display")):
+        return InvalidSetting(
+            f"{name!r} cannot draw without a screen here ({said}); install EGL with '{_EGL}' and set MUJOCO_GL=egl, or "
+            "MUJOCO_GL=osmesa with 'libosmesa6'."
+        )
+    return InvalidSetting(f"{name!r} cannot be made: {said}.")

@@ -1,0 +1,49 @@
+"""Import of modules that an id or a wrapper names.
+
+Such a name may come out of somebody's ``dataset.json``. So a module is imported only if it belongs to an installed
+package that depends on Gymnasium, or to Gymnasium itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from importlib.metadata import distribution, packages_distributions
+from typing import Any
+
+from dmotion_bench.errors import UsageError
+from dmotion_bench.wording import shown
+from recorders.gymnasium_env.guest import quiet, unmade
+
+
+def import_named(module: str, wanted_by: str) -> Any:
+    """The module.
+
+    Args:
+        module: Its name, with dots.
+        wanted_by: The environment, for sentences.
+
+    Raises:
+        UsageError: It is none that may be imported.
+        PackageNotInstalled, InvalidSetting: Its import fails.
+    """
+    top = module.partition(".")[0]
+    owners = packages_distributions().get(top, [])
+    needed = {_package(one) for owner in owners for one in distribution(owner).requires or []}
+    if top != "gymnasium" and "gymnasium" not in needed:
+        said = f"of the package {owners[0]!r}, which does not" if owners else "of none"
+        raise UsageError(
+            f"the module {shown(module)}, which {wanted_by!r} names, is {said}; dmbench imports only modules of "
+            "installed packages that depend on Gymnasium, since the name may come from anybody's data set. Install "
+            "yours with 'pip install -e DIR'."
+        )
+    try:
+        with quiet():
+            return importlib.import_module(module)
+    except Exception as error:  # somebody else's module may raise anything
+        raise unmade(wanted_by, error) from error
+
+
+def _package(requirement: str) -> str:
+    """The package that a requirement names: ``gymnasium`` of ``gymnasium[mujoco]>=1.0``."""
+    return re.split(r"[^A-Za-z0-9._-]", requirement.strip(), maxsplit=1)[0].lower()

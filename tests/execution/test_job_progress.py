@@ -1,0 +1,40 @@
+"""How far jobs are: what one writes another reads, and nothing is lost but the progress where it cannot be written."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from dmotion_bench.execution.job_progress import SECONDS, JobProgress, ProgressFile, read_progress, watching
+
+
+def test_what_a_job_says_is_read_until_it_ends(tmp_path: Path) -> None:
+    now = [0.0]
+    told = ProgressFile(tmp_path / "lapo.json", clock=lambda: now[0])
+    first, second = (JobProgress(what="lapo 4", done=done, total=10.0, status="quick") for done in (1.0, 2.0))
+
+    told.tell(first)
+    told.tell(second)  # too soon
+    assert read_progress(tmp_path) == {"lapo": first}
+    now[0] += SECONDS
+    told.tell(second)
+    assert read_progress(tmp_path) == {"lapo": second}
+    told.end()
+    assert read_progress(tmp_path) == {}
+
+
+def test_files_that_cannot_be_read_or_written_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("{half")
+    (tmp_path / "b.json").write_text('{"other": 1}')
+    ProgressFile(tmp_path / "gone" / "c.json").tell(JobProgress(what="c", done=0, total=None))
+    ProgressFile(None).tell(JobProgress(what="nobody asks", done=0, total=None))
+
+    assert read_progress(tmp_path) == {}
+
+
+def test_it_is_shown_while_the_jobs_run(tmp_path: Path) -> None:
+    seen, said = threading.Event(), JobProgress(what="lapo 4", done=1, total=10)
+
+    with watching(tmp_path, lambda jobs: seen.set() if jobs == {"lapo": said} else None):
+        ProgressFile(tmp_path / "lapo.json").tell(said)
+        assert seen.wait(30)

@@ -1,0 +1,171 @@
+"""Gymnasium environments of our own: one that behaves, and one for each way of not doing so."""
+
+from __future__ import annotations
+
+import random
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
+
+
+class Slider(gymnasium.Env[np.ndarray, Any]):
+    """A white bar in a dark picture; actions 5 and 6 move it left and right, and it ends at the right edge."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
+    size: ClassVar[tuple[int, int]] = (48, 96)  # rows, columns
+
+    def __init__(self, *, render_mode: str | None = None, places: int = 12, fails_at: int = -1) -> None:
+        self.render_mode, self.places, self.fails_at = render_mode, places, fails_at
+        self.action_space: Any = Discrete(2, start=5)
+        self.observation_space = Box(0, places, (1,), np.float32)
+        self.place, self.taken = 0, list[int]()
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place, self.taken = int(self.np_random.integers(1, self.places // 2)), []
+        return self.observed(), {}
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        if len(self.taken) == self.fails_at:
+            raise FloatingPointError("the simulation diverged")
+        assert self.action_space.contains(action), action
+        self.taken.append(int(action))
+        self.place = max(0, self.place + (1 if action == 6 else -1))
+        return self.observed(), 1.0, self.place >= self.places - 1, False, {}
+
+    def observed(self) -> np.ndarray:
+        return np.array([self.place], np.float32)
+
+    def render(self) -> Any:
+        rows, columns = self.size
+        picture = np.full((rows, columns, 3), (10, 20, 31), np.uint8)
+        width = columns // self.places
+        picture[:, self.place * width : (self.place + 1) * width] = 250
+        return picture
+
+
+class Unseeded(Slider):
+    """Starts anywhere, whatever the seed."""
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place = int(np.random.default_rng().integers(0, 2**20)) % (self.places - 2)
+        return self.observed(), {}
+
+
+class Legacy(Slider):
+    """Draws from the generators that a whole process shares."""
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place = int(np.random.randint(0, 2**20)) % (self.places - 2)  # noqa: NPY002 -- as OGBench does
+        return self.observed(), {}
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        return super_step(self, 5 + (random.random() < 0.5))
+
+
+class Remembering(Slider):
+    """Draws the picture in the colour of the number of its episode, as MuJoCo's camera stays where it was at first."""
+
+    episodes = 0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+        self.episodes += 1
+        return super().reset(seed=seed)
+
+    def render(self) -> Any:
+        return super().render() - np.uint8(5 * (self.episodes > 1))
+
+
+class Growing(Slider):
+    """Draws larger pictures from the third step on."""
+
+    def render(self) -> Any:
+        picture = super().render()
+        return picture if len(self.taken) < 3 else np.concatenate([picture, picture])
+
+
+class Gray(Slider):
+    """Draws no colours."""
+
+    def render(self) -> Any:
+        return super().render()[..., 0]
+
+
+class Listing(Slider):
+    """Draws nothing."""
+
+    def render(self) -> Any:
+        return None
+
+
+class Blind(Slider):
+    """Draws text alone."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["ansi"], "render_fps": 20}
+
+
+class Keyed(Slider):
+    """Takes actions with names."""
+
+    def __init__(self, *, render_mode: str | None = None) -> None:
+        super().__init__(render_mode=render_mode)
+        self.action_space = Dict(gas=Box(0, 1, (1,)), gear=Discrete(4))
+
+
+class Buttons(Slider):
+    """Takes several buttons at once."""
+
+    def __init__(self, *, render_mode: str | None = None) -> None:
+        super().__init__(render_mode=render_mode)
+        self.action_space = MultiBinary(3)
+
+
+class Boundless(Slider):
+    """Takes any number."""
+
+    def __init__(self, *, render_mode: str | None = None) -> None:
+        super().__init__(render_mode=render_mode)
+        self.action_space = Box(-np.inf, np.inf, (2,))
+
+
+class Speed(Slider):
+    """Takes a matrix of two numbers whose sum says where to go."""
+
+    def __init__(self, *, render_mode: str | None = None) -> None:
+        super().__init__(render_mode=render_mode)
+        self.action_space = Box(-0.1, np.array([[0.3], [0.2]], np.float32), (2, 1))
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        assert self.action_space.contains(action), action
+        return super_step(self, 6 if float(action.sum()) > 0 else 5)
+
+
+def super_step(world: Slider, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    """A step of a ``Slider`` by its number."""
+    world.taken.append(action)
+    world.place = max(0, world.place + (1 if action == 6 else -1))
+    return world.observed(), 1.0, world.place >= world.places - 1, False, {}
+
+
+def register() -> None:
+    """Make them known to Gymnasium, as ``Strange/NAME-v0``."""
+    for kind in (
+        Slider,
+        Unseeded,
+        Legacy,
+        Remembering,
+        Growing,
+        Gray,
+        Listing,
+        Blind,
+        Keyed,
+        Buttons,
+        Boundless,
+        Speed,
+    ):
+        if (name := f"Strange/{kind.__name__}-v0") not in gymnasium.registry:
+            gymnasium.register(id=name, entry_point=kind, max_episode_steps=40)

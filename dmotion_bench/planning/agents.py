@@ -217,14 +217,14 @@ class OracleAgent(PlanningAgent, SimulatorAgent):
         spec: Of the environment.
         solver: Searches what the simulator says.
         make_env: Makes simulators to try things out in.
-        objective: ``TrueCost``; others look at the simulator's pictures.
+        objective: None for ``TrueCost``; others look at the simulator's pictures.
     """
 
     def __init__(
-        self, spec: EnvSpec, solver: Solver, make_env: Callable[[], Environment], objective: Objective
+        self, spec: EnvSpec, solver: Solver, make_env: Callable[[], Environment], objective: Objective | None = None
     ) -> None:
-        super().__init__(spec, solver, objective)
-        self._make_env, self._by_images = make_env, not isinstance(objective, TrueCost)
+        super().__init__(spec, solver, objective or TrueCost())
+        self._make_env, self._by_images = make_env, not isinstance(self._objective, TrueCost)
         self._simulations: dict[int, Simulation] = {}
 
     def act_in(self, context: PlanContext, worlds: Sequence[World]) -> Decision:
@@ -288,7 +288,7 @@ def make_reference(
     Args:
         name: Of ``REFERENCES``.
         spec, make_env: Of the environment.
-        solver, objective: Of the oracle, which takes ``TrueCost`` if none is given; the others ignore them.
+        solver, objective: Of the oracle; the others ignore them.
 
     Raises:
         UnknownName: There is none of this name.
@@ -296,7 +296,7 @@ def make_reference(
     made: dict[str, Callable[[], Agent]] = {
         "idle": lambda: IdleAgent(known_actions(spec)),
         "random": lambda: RandomAgent(known_actions(spec)),
-        "oracle": lambda: OracleAgent(spec, solver, make_env, objective or TrueCost()),
+        "oracle": lambda: OracleAgent(spec, solver, make_env, objective),
         "scripted": ScriptedAgent,
     }
     if name not in made:

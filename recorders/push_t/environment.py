@@ -22,7 +22,7 @@ from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates, Preset
 from recorders.push_t.drawing import DISC_COLOR, SCREEN, TEE_COLOR, background, disc_stamp, tee_stamp
 from recorders.push_t.measure import SUCCESS_COVERAGE, GoalCoverage, pose_of
-from recorders.push_t.physics import DISC_RADIUS, INSIDE, Motion, Point, PushPhysics
+from recorders.push_t.physics import DISC_RADIUS, INSIDE, Point, PushPhysics, Snapshot
 from recorders.push_t.policies import Pushing, Wandering
 from recorders.push_t.tee import GOAL, MM, SIDE, Pose, clearance, coverage
 
@@ -179,12 +179,12 @@ class PushT(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """The T by the centre of its area; z is 0, nothing hides it, and it turns from x towards y."""
         return _states(self.tee.centre, self.tee.angle, visible=1.0)
 
-    def snapshot(self) -> Motion:
+    def snapshot(self) -> Snapshot:
         """The present state."""
-        return self._physics.motion
+        return self._physics.snapshot()
 
-    def restore(self, snapshot: Motion) -> None:
-        """Return to a state; the next step differs from what it was by less than 0.1 mm in nine cases of ten."""
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a state exactly: what follows is what followed before, bit by bit."""
         self._physics.restore(snapshot)
         self._picture = None
 

@@ -36,52 +36,75 @@ Point = tuple[float, float]
 
 
 class Motion(NamedTuple):
-    """A state between two actions.
+    """Where everything is between two actions.
 
     Attributes:
         disc: [mm].
         velocity: Of the disc [mm/s].
         tee: Where the T is.
-        pushed, turned: The velocity that the last push gave the T [mm/s, rad/s]; it lasts one substep.
+        resting: Whether the T is at rest, and nothing but the disc could change that.
     """
 
     disc: Point
     velocity: Point
     tee: Pose
-    pushed: Point
-    turned: float
+    resting: bool
+
+
+class Snapshot(NamedTuple):
+    """A state between two actions, exactly.
+
+    Attributes:
+        motion: Where everything is.
+        before: Where everything was when the disc last came near a T at rest.
+        since: The targets since then, which lead from there to ``motion``.
+    """
+
+    motion: Motion
+    before: Motion
+    since: tuple[Point, ...]
 
 
 class PushPhysics:
-    """A pymunk world, built anew after a state was set, so that what follows is a function of the state alone.
+    """The motion, a function of what ``put`` was given and of the targets since, bit by bit.
 
-    (Taking shapes out and putting them back in does not do: pymunk numbers them on, and their order decides roundings.)
-    Where the disc cannot reach a T that is at rest, pymunk is not asked.
+    Pymunk remembers contacts for three substeps and undoes overlaps by a velocity of its own. Neither can be read or
+    set, so a state is restored by repeating the actions since the disc came near the T, in a new pymunk world. (Taking
+    shapes out and putting them back in does not do: pymunk numbers them on, and their order decides roundings.) Where
+    the disc cannot reach a T at rest, pymunk is not asked, and nothing has to be repeated afterwards.
     """
 
     def put(self, disc: Point, tee: Pose) -> None:
         """Everything at rest, the disc and the T there."""
-        self.restore(Motion(disc=disc, velocity=(0.0, 0.0), tee=tee, pushed=(0.0, 0.0), turned=0.0))
+        motion = Motion(disc=disc, velocity=(0.0, 0.0), tee=tee, resting=tee.within(*INSIDE))
+        self.restore(Snapshot(motion=motion, before=motion, since=()))
 
-    def restore(self, motion: Motion) -> None:
-        """Return to a state.
+    def snapshot(self) -> Snapshot:
+        """The present state."""
+        return Snapshot(motion=self.motion, before=self._before, since=self._since)
 
-        Pymunk remembers contacts for three substeps, and undoes overlaps by a velocity of its own; neither can be set.
-        So what follows while the disc pushes may differ a little from what followed before.
-        """
-        self.motion = motion
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a state."""
+        self.motion, self._before, self._since = snapshot
         self._in_pymunk = False
-        still = motion.pushed == (0.0, 0.0) and motion.turned == 0.0
-        self._at_rest = still and motion.tee.within(*INSIDE)
 
     def control(self, target: Point) -> None:
         """Let the controller pull the disc to a target [mm] for a tenth of a second."""
-        if self._at_rest and (free := self._free(target)) is not None:
-            self.motion = self.motion._replace(disc=free[0], velocity=free[1])
-            self._in_pymunk = False
+        if self.motion.resting and (free := self._free(target)) is not None:
+            self.motion = self._before = self.motion._replace(disc=free[0], velocity=free[1])
+            self._since, self._in_pymunk = (), False
             return
         if not self._in_pymunk:
             self._enter()
+        self._simulate(target)
+        self._since = (*self._since, target)
+        (x, y), (across, down), tee = self._disc.position, self._disc.velocity, self._tee
+        now = Pose(*tee.position, tee.angle)
+        untouched = now == self.motion.tee and not any(tee.velocity) and not tee.angular_velocity
+        resting = untouched and now.within(*INSIDE)
+        self.motion = Motion(disc=(x, y), velocity=(across, down), tee=now, resting=resting)
+
+    def _simulate(self, target: Point) -> None:
         disc, (goal_x, goal_y), step = self._disc, target, self._space.step
         for _ in range(SUBSTEPS):
             (x, y), (across, down) = disc.position, disc.velocity
@@ -90,17 +113,6 @@ class PushPhysics:
                 down + (STIFFNESS * (goal_y - y) - DAMPING * down) * DT,
             )
             step(DT)
-        (x, y), (across, down), pushed, tee = disc.position, disc.velocity, self._tee.velocity, self._tee
-        now = Pose(*tee.position, tee.angle)
-        untouched = now == self.motion.tee and not any(pushed) and not tee.angular_velocity
-        self._at_rest = untouched and now.within(*INSIDE)
-        self.motion = Motion(
-            disc=(x, y),
-            velocity=(across, down),
-            tee=now,
-            pushed=(pushed.x, pushed.y),
-            turned=tee.angular_velocity,
-        )
 
     def _free(self, target: Point) -> tuple[Point, Point] | None:
         """Where a disc that meets nothing is in the end, and its velocity; None where it might meet the T."""
@@ -120,7 +132,7 @@ class PushPhysics:
 
     def _enter(self) -> None:
         """Build a pymunk world in the present state."""
-        motion, space = self.motion, pymunk.Space()
+        motion, space = self._before, pymunk.Space()
         space.damping = 0.0
         self._disc = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         self._disc.position, self._disc.velocity = motion.disc, motion.velocity
@@ -129,7 +141,8 @@ class PushPhysics:
         self._tee.center_of_gravity = (sides[0].center_of_gravity + sides[1].center_of_gravity) / 2
         self._tee.angle = motion.tee.angle  # first: it turns about the centre of gravity
         self._tee.position = motion.tee.x, motion.tee.y
-        self._tee.velocity, self._tee.angular_velocity = motion.pushed, motion.turned
         walls = [pymunk.Segment(space.static_body, *ends, WALL_RADIUS) for ends in WALLS]
         space.add(*walls, self._disc, pymunk.Circle(self._disc, DISC_RADIUS), self._tee, *sides)
         self._space, self._in_pymunk = space, True
+        for target in self._since:
+            self._simulate(target)

@@ -4,6 +4,7 @@
 
     family.py             from an id to a class: finds the package, the id and its parameters
     environment.py        what a class does: frames, actions, and what may go wrong in somebody else's simulator
+    guest.py              packages of others, without warnings and without a screen
     legacy_randomness.py  the process's shared random numbers, kept apart for a simulator that draws from them
     modules.py            which modules an id may have imported
     spaces.py             action spaces as ``ActionSpec``

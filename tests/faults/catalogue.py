@@ -73,8 +73,8 @@ FAULTS = (
     Fault(
         name="the action recorded is the one that led to the frame",
         file="dmotion_bench/recording/rollout.py",
-        right="actions=_recorded(env.facts, actions),",
-        wrong="actions=np.roll(_recorded(env.facts, actions), 1, axis=0),",
+        right="witness.labels(_recorded(env.facts, actions), film",
+        wrong="witness.labels(np.roll(_recorded(env.facts, actions), 1, axis=0), film",
         tests=("tests/recording", "tests/recorders/test_planar_push.py"),
     ),
     Fault(

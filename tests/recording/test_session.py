@@ -204,7 +204,7 @@ def test_wrong_names_and_parameters_are_refused(tmp_path: Path) -> None:
         record_dataset(tmp_path / "d", dataclasses.replace(RECIPE, policy="rondom"))
     with pytest.raises(InvalidSetting, match=r"cannot be made.*cells"):
         record_dataset(tmp_path / "d", dataclasses.replace(RECIPE, parameters={"cells": 7}))
-    with pytest.raises(InvalidSetting, match="nothing varies"):
+    with pytest.raises(UnknownName, match="no factor of variation named 'light'; known: background"):
         record_dataset(tmp_path / "d", dataclasses.replace(RECIPE, vary=("light",)))
     with pytest.raises(UnknownName, match="executor"):
         make_executor("slrum", 2)

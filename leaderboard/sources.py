@@ -105,7 +105,8 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect("dataset.name", content["dataset"]["name"], dataset.name)
     check.expect("dataset.environment", check.entry.environment, dataset.recipe.environment)
     check.expect("dataset.version", check.entry.version, dataset.recipe.version)
-    published = None if elsewhere else published_for(spec.model, check.entry.environment, spec.labels)
+    environment, actions = check.entry.environment, dataset.spec.actions
+    published = None if elsewhere else published_for(spec.model, environment, spec.labels, actions=actions)
     ours = {} if published is None else {name: one.to_json() for name, one in published.figures.items()}
     check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
     if content["settings"]["split"] != "test":

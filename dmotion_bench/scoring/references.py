@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.scoring.transitions import TransitionBatch
 
@@ -90,13 +91,20 @@ def published_results() -> list[PublishedResult]:
 
 
 def published_for(
-    model: str, environment: str, labels: str, results: Iterable[PublishedResult] | None = None
+    model: str,
+    environment: str,
+    labels: str,
+    results: Iterable[PublishedResult] | None = None,
+    *,
+    actions: ActionSpec | None = None,
 ) -> PublishedResult | None:
-    """The published result of a model in an environment.
+    """The published result of a model in an environment; the papers' actions are discrete.
 
     The one with the same label budget, else the only one there is: the paper's one-shot row also stands beside our
     5-shot run (its own ``labels`` says so), but of rows for 10% and 100% none stands beside 50%.
     """
+    if isinstance(actions, Continuous):
+        return None
     found = [
         result
         for result in (published_results() if results is None else results)

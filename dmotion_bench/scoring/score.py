@@ -11,7 +11,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 
-from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
@@ -324,8 +323,8 @@ def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Map
 def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
     result = run.result or {}
     own = training_of(run, dataset)
-    others = own or isinstance(dataset.spec.actions, Continuous)  # the paper's actions are discrete
-    published = None if others else published_for(run.spec.model, dataset.recipe.environment, run.spec.labels)
+    spec, environment, actions = run.spec, dataset.recipe.environment, dataset.spec.actions
+    published = None if own else published_for(spec.model, environment, spec.labels, actions=actions)
     reference = {name: _json(figures) for name, figures in scores.reference.items()}
     remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
     left_out = refused(dataset.spec, dataset.recipe, metrics, scores.figures)

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.prediction import Execution
@@ -270,6 +271,8 @@ def test_a_published_row_stands_beside_the_run_it_belongs_to() -> None:
     assert published_for("b", "grid_world", "5-shot", rows) is rows[2]
     assert published_for("a", "grid_world", "50%", rows) is None
     assert published_for("c", "grid_world", "10%", rows) is None
+    moves = Continuous(names=("dx",), low=(-1.0,), high=(1.0,), units=("m",))
+    assert published_for("a", "grid_world", "10%", rows, actions=moves) is None
 
 
 def test_the_columns_of_the_figures_are_in_the_samples(grid: Dataset, oracle: Oracle) -> None:

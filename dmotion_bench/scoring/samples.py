@@ -136,8 +136,8 @@ def column(samples: pa.Table, name: str) -> Shaped[np.ndarray, " n"]:
 
 
 def vectors(samples: pa.Table, name: str) -> Shaped[np.ndarray, "n d"] | None:
-    """A column of equally long lists as a matrix; None where it is null."""
-    if not len(samples) or samples[name].null_count:
+    """A column of equally long lists as a matrix; None where it is null or was not written."""
+    if not len(samples) or name not in samples.column_names or samples[name].null_count:
         return None
     flat = samples[name].combine_chunks().flatten().to_numpy(zero_copy_only=False)
     matrix: Shaped[np.ndarray, "n d"] = flat.reshape(len(samples), -1)

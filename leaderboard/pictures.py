@@ -56,7 +56,7 @@ def choose_steps(samples: pa.Table) -> list[Step]:
     """The steps that are shown, pushes first; none where no single step was scored, or actions are not known."""
     rows = samples.filter(pc.and_(pc.equal(samples["predictor"], "model"), pc.equal(samples["metric"], "prediction")))
     episode, step = column(rows, "episode"), column(rows, "step")
-    commands = vectors(rows, "command") if "command" in rows.column_names else None  # not written where none is
+    commands = vectors(rows, "command")
     taken = column(rows, "action") if commands is None else commands
     if not np.isfinite(taken).all():
         return []

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
 
 from dmotion_bench.errors import UnknownName
 from dmotion_bench.execution.executor import Executor, JobSize
 from dmotion_bench.execution.local_executor import available_workers, local_executor
 from dmotion_bench.execution.ray_executor import RayExecutor
 from dmotion_bench.execution.slurm_executor import SlurmExecutor
-
-EXECUTORS: Final = ("local", "ray", "slurm")
 
 
 def make_executor(

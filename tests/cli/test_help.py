@@ -75,5 +75,6 @@ def test_the_listed_names_are_those_that_there_are() -> None:
     ("option", "names"), [("--planner", options.PLANNERS), ("--objective, --cost", options.OBJECTIVES)]
 )
 def test_help_lists_what_a_choice_allows(command: str, option: str, names: tuple[str, ...]) -> None:
+    register_commands()
     result = CliRunner().invoke(app, [command, "--help"], prog_name="dmbench", terminal_width=100)
     assert f"{option} [{'|'.join(names)}]" in result.output

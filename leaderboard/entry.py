@@ -104,6 +104,11 @@ class Entry:
         return int(self.content["dataset"].get(VERSION, 1))
 
     @property
+    def is_continuous(self) -> bool:
+        """Whether it was measured with continuous actions; published ones are discrete."""
+        return self.is_measured and "actions" in self.content["dataset"]
+
+    @property
     def trained_on(self) -> str | None:
         """The name of the run's own data set, where it was scored on another."""
         own = self.content["dataset"].get("trained_on") if self.is_measured else None

@@ -179,6 +179,19 @@ def test_published_rows_alone_make_a_board() -> None:
     assert [row.name for row in board.rows] == ["dmotion", "cswm"]
 
 
+def test_published_rows_do_not_stand_beside_continuous_actions(result: Callable[..., Entry]) -> None:
+    discrete = result("a", np.ones(40))
+    continuous = result("a", np.ones(40), dataset={**discrete.content["dataset"], "actions": "continuous"})
+
+    counts = [
+        len([row for row in board.rows if row.kind == "published"]) for board in make_boards([discrete, _published()])
+    ]
+    (board,) = make_boards([continuous, _published()])
+
+    assert counts == [1]
+    assert not [row for row in board.rows if row.kind == "published"]
+
+
 def test_runs_of_the_same_model_and_budget_are_told_apart_by_their_names(result: Callable[..., Entry]) -> None:
     entries = [result("a", np.ones(40), run="a-affine-s0"), result("a", np.ones(40), run="a-plain-s0")]
 

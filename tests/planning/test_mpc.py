@@ -162,10 +162,16 @@ def test_a_perfect_model_and_the_oracle_do_the_same(problems: list[Problem]) -> 
     assert imagined.frames == true.frames
 
 
+@pytest.fixture(scope="module")
+def together(problems: list[Problem]) -> ControlResult:
+    return solve(tracking(SMALL), problems, steps=4, group=6)
+
+
 @pytest.mark.parametrize("group", [1, 4])
-def test_tasks_side_by_side_are_the_same_as_one_by_one(problems: list[Problem], group: int) -> None:
-    together = solve(tracking(SMALL), problems, steps=6, group=6)
-    grouped = solve(tracking(SMALL), problems, steps=6, group=group)
+def test_tasks_side_by_side_are_the_same_as_one_by_one(
+    problems: list[Problem], together: ControlResult, group: int
+) -> None:
+    grouped = solve(tracking(SMALL), problems, steps=4, group=group)
     np.testing.assert_array_equal(together.actions, grouped.actions)
     np.testing.assert_array_equal(together.distance, grouped.distance)
     assert together.frames == grouped.frames

@@ -84,8 +84,8 @@ SCHEMA = pa.schema(
     ]
 )
 
-MOST_SAMPLES: Final = 2_000_000
-"""Rows of a table that is read: some 200 bytes of memory each."""
+MOST_SAMPLES: Final = 1_000_000
+"""Rows of a table that is read; to compare two such tables takes some 650 bytes of memory a row."""
 _MOST_LISTED: Final = 2**25  # values in a column of lists
 _LISTS: Final = ("distance", "found", "found_truth", "motion", "command")
 _OF_CONTINUOUS: Final = ("command", "motion_probe_error")  # not written where they say nothing

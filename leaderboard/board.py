@@ -281,11 +281,15 @@ def _reference_rows(entries: Sequence[Entry], planner: Version | None) -> list[R
     """
     found: dict[str, dict[str, Any]] = defaultdict(dict)
     own_first = sorted(entries, key=lambda entry: entry.planned_by != planner)
-    oracle = next((entry.planned_by for entry in own_first if ORACLE in entry.content["reference"]), planner)
+    oracle = next(
+        (entry.planned_by for entry in own_first if _planned(entry.content["reference"].get(ORACLE))), planner
+    )
     for entry in own_first:
         for name, figures in entry.content["reference"].items():
-            if name != "paper" and (name != ORACLE or entry.planned_by == oracle):
-                for figure, value in figures.items():
+            if name == "paper":
+                continue
+            for figure, value in figures.items():
+                if name != ORACLE or entry.planned_by == oracle or not figure.startswith(CONTROLLED):
                     found[name].setdefault(figure, value)
     return [
         Row(
@@ -298,6 +302,11 @@ def _reference_rows(entries: Sequence[Entry], planner: Version | None) -> list[R
         for name, figures in found.items()
         if figures
     ]
+
+
+def _planned(figures: Mapping[str, Any] | None) -> bool:
+    """Whether some figures are of control."""
+    return any(name.startswith(CONTROLLED) for name in figures or ())
 
 
 def _ranked(rows: list[Row]) -> list[Row]:

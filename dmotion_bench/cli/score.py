@@ -47,13 +47,14 @@ def score(
         bool, typer.Option("--all", help="Score every run. Reports that are up to date are kept.")
     ] = False,
     metrics: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar=f"{listed(METRICS)},...",
             help="Groups of figures to compute, separated by commas. prediction: single steps; rollout: predictions "
-            "that continue from their own predictions; control: planning in the simulator, which takes minutes.",
+            "that continue from their own predictions; gain: what the actions that the model prefers truly bring, "
+            "about a minute; control: planning in the simulator, which takes minutes. Default: all but control.",
         ),
-    ] = "prediction,rollout",
+    ] = None,
     split: Annotated[
         str, typer.Option(metavar=listed(("test", "validation")), help="Which held-out episodes to score on.")
     ] = "test",
@@ -97,7 +98,7 @@ def score(
     require_one_of("precision", precision, ("float32", "bf16"))
     require_one_of("device", device, DEVICES)
     use_cache(cache)
-    asked = _metrics(metrics)
+    asked = None if metrics is None else _metrics(metrics)
     control = _control(tasks, planner, planner_set, objective, objective_set)
     workspace = Workspace.current()
     if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):
@@ -136,7 +137,7 @@ def score(
 
 def score_runs(
     paths: list[Path],
-    metrics: tuple[Metric, ...],
+    metrics: tuple[Metric, ...] | None,
     settings: Any,
     *,
     batch_size: int = 64,
@@ -147,6 +148,7 @@ def score_runs(
     """Score runs one after the other, with a progress bar; one that fails does not stop the rest.
 
     Args:
+        metrics: Which groups of figures; None for all but control that a data set can have.
         keep: Whether reports that are up to date are left as they are.
         data: What to score on in place of each run's own data set; of many, runs that do not fit it are left out.
 

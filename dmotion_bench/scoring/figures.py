@@ -10,6 +10,7 @@ from dmotion_bench.scoring.identification import motion_within_over_between
 from dmotion_bench.scoring.samples import (
     CONTROL,
     FIGURE_COLUMNS,
+    GAIN,
     IDENTIFICATION_COLUMNS,
     PICTURE_CONTROL,
     RANK_COLUMNS,
@@ -34,6 +35,7 @@ def figures_of(samples: pa.Table, predictor: str, *, resamples: int = RESAMPLES,
     single, rollout, controlled = (_where(mine, "metric", metric) for metric in ("prediction", "rollout", CONTROL))
     found = _single_steps(single, resamples, seed) if len(single) else {}
     found |= _rollouts(rollout, resamples, seed)
+    found |= _gain(_where(mine, "metric", GAIN), resamples, seed)
     found |= _control_by_pictures(_where(mine, "metric", PICTURE_CONTROL), resamples, seed)
     return found | _control(controlled, resamples, seed)
 
@@ -106,3 +108,13 @@ def _control_by_pictures(samples: pa.Table, resamples: int, seed: int) -> Figure
         for step in range(1, int(ahead.max()) + 1)
     }
     return {name: estimate for name, estimate in estimates.items() if estimate is not None}
+
+
+def _gain(samples: pa.Table, resamples: int, seed: int) -> Figures:
+    """The share of what could be gained at some moments that was."""
+    if not len(samples):
+        return {}
+    bootstrap = EpisodeBootstrap(column(samples, "episode"), resamples=resamples, seed=seed)
+    gain, best = (column(samples, name).astype(np.float64) for name in ("gain", "best_gain"))
+    estimate = bootstrap.ratio(gain, best)
+    return {} if estimate is None else {"planning_gain": estimate}

@@ -1,7 +1,7 @@
 """``samples.parquet``: every number behind a report's figures, one row per predicted frame.
 
 ================== ==================================================================================
-``metric``         ``"prediction"`` (single steps), ``"rollout"``, or ``"control"`` (see below)
+``metric``         ``"prediction"`` (single steps), ``"rollout"``, or ``"control"`` or ``"gain"`` (see below)
 ``predictor``      ``"model"``, or a reference: ``"copy_last"``, ``"agent_moves"``; in control ``"idle"`` and so on
 ``episode, step``  the action taken at frame ``step`` leads to the predicted frame ``step + 1``
 ``ahead``          predicted so many steps after the last true frame: 1 for single steps
@@ -24,6 +24,10 @@ In control a row is one moment of one task: ``task`` is its number, ``episode`` 
 how many steps have been taken, ``action`` the next (-1 for none, or a continuous one), ``control_distance`` and
 ``control_lost`` how things stand then. The ``metric`` is ``"control_pictures"`` where pictures judge, since the
 environment tells no positions; its figures have other names (``figures.py``).
+
+Of the gain captured (``gain.py``) a row is a moment: frame ``step`` of an episode. ``ahead`` is the length of the
+sequences, ``action`` the first one of the pick, ``gain`` what it truly brings, ``best_gain`` what the best sequence
+brings. The figure is the sum of the one divided by the sum of the other.
 """
 
 from __future__ import annotations
@@ -48,6 +52,7 @@ from dmotion_bench.wording import shown
 
 CONTROL: Final = "control"
 PICTURE_CONTROL: Final = "control_pictures"
+GAIN: Final = "gain"
 PIXEL_COLUMNS = ("mse", "psnr", "ssim")
 POSITION_COLUMNS = ("position_error_paper", "position_error", "miss_rate", "false_positive_rate")
 OBJECT_COLUMNS = tuple(name + OBJECTS_ONLY for name in POSITION_COLUMNS)
@@ -60,6 +65,7 @@ IDENTIFICATION_COLUMNS = (
     "motion_swap_change",
 )
 RANK_COLUMNS = ("hit_at_1", "reciprocal_rank")
+GAIN_COLUMNS = ("gain", "best_gain")
 CONTROL_COLUMNS = ("task", "control_distance", "control_lost")
 FIGURE_COLUMNS = PIXEL_COLUMNS + POSITION_COLUMNS + OBJECT_COLUMNS + IDENTIFICATION_COLUMNS
 
@@ -81,6 +87,8 @@ SCHEMA = pa.schema(
         ("task", pa.int32()),
         ("control_distance", pa.float32()),
         ("control_lost", pa.int16()),
+        ("gain", pa.float32()),
+        ("best_gain", pa.float32()),
     ]
 )
 
@@ -88,8 +96,8 @@ MOST_SAMPLES: Final = 1_000_000
 """Rows of a table that is read; to compare two such tables takes some 650 bytes of memory a row."""
 _MOST_LISTED: Final = 2**25  # values in a column of lists
 _LISTS: Final = ("distance", "found", "found_truth", "motion", "command")
-_OF_CONTINUOUS: Final = ("command", "motion_probe_error")  # not written where they say nothing
-_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _OF_CONTINUOUS
+_WHERE_KNOWN: Final = ("command", "motion_probe_error", *GAIN_COLUMNS)  # not written where they say nothing
+_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _WHERE_KNOWN
 
 
 class SampleRows:
@@ -146,7 +154,7 @@ def vectors(samples: pa.Table, name: str) -> Shaped[np.ndarray, "n d"] | None:
 
 def write_samples(path: Path, samples: pa.Table) -> None:
     """Replace the file in one step."""
-    there = (name for name in _OF_CONTINUOUS if name in samples.column_names)
+    there = (name for name in _WHERE_KNOWN if name in samples.column_names)
     samples = samples.drop_columns([name for name in there if samples[name].null_count == len(samples)])
     with atomic_file(path) as file:
         pq.write_table(samples, file, compression="zstd")

@@ -24,6 +24,7 @@ from dmotion_bench.scoring.earlier_planning import present_planning, present_set
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
+from dmotion_bench.scoring.gain import GainScoring, gain_tables, reason_against, require_gain
 from dmotion_bench.scoring.prediction import (
     MODEL,
     Execution,
@@ -55,13 +56,13 @@ from dmotion_bench.storage.lock import held
 from dmotion_bench.versions import versions
 from dmotion_bench.workspace import AnyPath
 
-Metric = Literal["prediction", "rollout", "control"]
+Metric = Literal["prediction", "rollout", "gain", "control"]
 METRICS: tuple[Metric, ...] = get_args(Metric)
 DEFAULT_METRICS: tuple[Metric, ...] = ("prediction", "rollout")
-"""Those that take seconds; control acts in a simulator and takes minutes."""
+"""Those that need no simulator and take seconds; control takes minutes, the gain captured about one."""
 
-CONTROL = "control_"
-"""How the settings begin that decide the figures of control; they alone do."""
+OWN_SETTINGS: tuple[Metric, ...] = ("gain", "control")
+"""Groups that are decided by settings of their own, which begin with the group's name, and by no others."""
 
 BESIDE = (*REFERENCES, *CONTROL_REFERENCES)
 REMARKS = {
@@ -84,6 +85,7 @@ class ScoreSettings:
         horizon: Steps of a rollout.
         precision: Of the model's arithmetic: ``"float32"``, or ``"bf16"`` autocast.
         resamples: Draws of the bootstrap.
+        gain: At how many moments the gain captured is measured, and how.
         control: Which control tasks are worked on, and how.
     """
 
@@ -92,6 +94,7 @@ class ScoreSettings:
     horizon: int = 15
     precision: Precision = "float32"
     resamples: int = RESAMPLES
+    gain: GainScoring = field(default_factory=GainScoring)
     control: ControlScoring = field(default_factory=ControlScoring)
 
     def __post_init__(self) -> None:
@@ -100,8 +103,10 @@ class ScoreSettings:
 
     def to_json(self, metrics: tuple[str, ...]) -> dict[str, Any]:
         """The settings as a report with these groups of figures stores them."""
-        plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "control"}
-        return plain | (self.control.to_json() if "control" in metrics else {}) | {"metrics": list(metrics)}
+        plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in OWN_SETTINGS}
+        owned = {"gain": self.gain.to_json(), "control": self.control.to_json()}
+        chosen = {name: value for group in OWN_SETTINGS if group in metrics for name, value in owned[group].items()}
+        return plain | chosen | {"metrics": list(metrics)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +168,7 @@ def score_model(
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
-        metrics = tuple(metric for metric in metrics if metric == "control")
+        metrics = tuple(metric for metric in metrics if metric in OWN_SETTINGS)
     identity = (dataset.fingerprint, dataset.spec.actions, settings.split, settings.protocol, torch.get_num_threads())
     tables = [] if earlier is None else [earlier]
     with predicting(how.device):
@@ -179,6 +184,9 @@ def score_model(
             tables.append(score_steps(model, held_out, how))
         if "rollout" in metrics:
             tables.append(score_rollouts(model, held_out, how, horizon=settings.horizon))
+    if "gain" in metrics:
+        with predicting(how.device):
+            tables += gain_tables(model, dataset, settings.split, settings.gain, how)
     if "control" in metrics:
         tables += control_tables(model, dataset, settings.control, how, journal)
     return _scores(pa.concat_tables(tables) if tables else SCHEMA.empty_table(), settings)
@@ -196,7 +204,7 @@ def _scores(samples: pa.Table, settings: ScoreSettings) -> Scores:
 def score_run(
     path: AnyPath,
     *,
-    metrics: tuple[Metric, ...] = DEFAULT_METRICS,
+    metrics: tuple[Metric, ...] | None = DEFAULT_METRICS,
     settings: ScoreSettings | None = None,
     how: Execution | None = None,
     references: ReferenceScores | None = None,
@@ -210,6 +218,7 @@ def score_run(
     version; of control the same solver and objective, too.
 
     Args:
+        metrics: Which groups of figures; None for all but control that the data set can have.
         renew: Whether to score again what the report already holds.
         data: Another data set of the same environment, or an import, see ``transfer.py``; the run's own if left out.
             The other arguments are ``score_model``'s.
@@ -238,6 +247,12 @@ def score_run(
     if dataset.spec.actions is not None:
         run.require_aligned()
     folder = report_folder(run.path, run.spec.fingerprint, dataset)
+    lacking = None
+    if metrics is None:
+        lacking = reason_against(dataset, settings.split, settings.gain)
+        metrics = DEFAULT_METRICS if lacking else (*DEFAULT_METRICS, "gain")
+    elif "gain" in metrics and dataset.spec.actions is not None:
+        require_gain(dataset, settings.split, settings.gain)
     if "control" in metrics:
         require_tasks(dataset)  # said before the work, not after it
     if dataset.spec.actions is None:
@@ -267,6 +282,8 @@ def score_run(
                 journal=(journal := folder / "control.json"),
             )
         scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*true, *metrics))))
+        if lacking is not None:
+            scored = replace(scored, remarks={**scored.remarks, "gain": f"not measured: {lacking}"})
         if "control" in metrics:
             arithmetic = "bfloat16" if has_bf16((how or Execution()).device) else "float32"
             scored = replace(scored, planning=_planning(run, dataset, settings) | {"arithmetic": arithmetic})
@@ -298,6 +315,8 @@ def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ..
     """Take the settings of groups that are not asked for from the report."""
     if "rollout" not in metrics:
         settings = replace(settings, horizon=report.settings["horizon"])
+    if "gain" not in metrics and "gain" in report.settings["metrics"]:
+        settings = replace(settings, gain=GainScoring.from_json(report.settings))
     if "control" not in metrics and "control" in report.settings["metrics"]:
         settings = replace(settings, control=ControlScoring.from_json(report.settings))
     return settings
@@ -311,7 +330,10 @@ def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Map
     """Whether a report's figures of one group are those that scoring now would give."""
     said = settings.to_json(METRICS)
     others = {"metrics", *(() if metric == "rollout" else ("horizon",))}
-    decisive = [name for name in said if name.startswith(CONTROL) == (metric == "control") and name not in others]
+    owner = {name: next((one for one in OWN_SETTINGS if name.startswith(f"{one}_")), None) for name in said}
+    mine = metric if metric in OWN_SETTINGS else None
+    shared = ("split",) if metric == "gain" else ()
+    decisive = [name for name in said if (owner[name] == mine or name in shared) and name not in others]
     if metric == "control":  # its version is among its settings; reports of before that hold no solver
         said_of = present_planning(report.planning)
         same = not said_of or all(said_of.get(name) == one for name, one in planning.items())

@@ -17,8 +17,8 @@ from dmotion_bench.planning.objectives.base import PARTS
 from dmotion_bench.planning.objectives.centres import CentresEvaluator
 from dmotion_bench.planning.objectives.tabletop.followed import FollowedObjects
 from dmotion_bench.planning.objectives.tabletop.objective import Tabletop, TabletopEvaluator
-from dmotion_bench.planning.objectives.tabletop.tracked import TrackedEvaluator
-from dmotion_bench.planning.objectives.tabletop.tracking import Tracker
+from dmotion_bench.planning.objectives.tracked import TrackedEvaluator
+from dmotion_bench.planning.objectives.tracking import Tracker
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.specs import EnvSpec
 from recorders.grid_world import FACTS, draw

@@ -7,8 +7,8 @@ import torch
 from planning.boxes import AT, FIRST, SETTINGS, SPEC, picture
 
 from dmotion_bench.planning.objectives.centres import CentresEvaluator
-from dmotion_bench.planning.objectives.tabletop.tracked import TrackedEvaluator
-from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes, Tracker
+from dmotion_bench.planning.objectives.tracked import TrackedEvaluator
+from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from torch import Tensor
 from dmotion_bench.errors import DatasetError, FolderInUse
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress
-from dmotion_bench.planning.objectives.tabletop.tracked import Tracked
+from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, known_references, require_tasks, score_reference
 from dmotion_bench.scoring.earlier_planning import earlier_planning

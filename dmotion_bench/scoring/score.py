@@ -11,17 +11,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 
-from dmotion_bench.actions import Continuous
-from dmotion_bench.errors import InvalidSetting, RunMismatch
+from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
-from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks
+from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks, shares_of
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
-from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.gain import GainScoring, gain_tables, reason_against, require_gain
@@ -35,25 +33,23 @@ from dmotion_bench.scoring.prediction import (
     score_rollouts,
     score_steps,
 )
-from dmotion_bench.scoring.references import REFERENCES, published_for
+from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
-    PROTOCOL,
     SCORING_VERSION,
     Report,
     read_report,
     read_report_samples,
     write_report,
 )
+from dmotion_bench.scoring.run_report import compose_report
 from dmotion_bench.scoring.samples import PICTURE_CONTROL, SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
-from dmotion_bench.scoring.tiers import refused
-from dmotion_bench.scoring.transfer import report_folder, training_of, transfer_remark, transferable
+from dmotion_bench.scoring.transfer import report_folder, transferable
 from dmotion_bench.scoring.transitions import HeldOut
-from dmotion_bench.specs import VERSION, SplitName
+from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
-from dmotion_bench.versions import versions
 from dmotion_bench.workspace import AnyPath
 
 Metric = Literal["prediction", "rollout", "gain", "control"]
@@ -61,18 +57,13 @@ METRICS: tuple[Metric, ...] = get_args(Metric)
 DEFAULT_METRICS: tuple[Metric, ...] = ("prediction", "rollout")
 """Those that need no simulator and take seconds; control takes minutes, the gain captured about one."""
 
+CONTROL_JOURNAL = "control.json"
+"""The file of a report's folder in which an unfinished control keeps how far it is."""
+
 OWN_SETTINGS: tuple[Metric, ...] = ("gain", "control")
 """Groups that are decided by settings of their own, which begin with the group's name, and by no others."""
 
 BESIDE = (*REFERENCES, *CONTROL_REFERENCES)
-REMARKS = {
-    "copy_last": "predicts that nothing changes",
-    "agent_moves": "moves the agent as it truly moves, and nothing else; what it uncovers is taken from the truth",
-    "idle": "does nothing",
-    "random": "takes any action, each as likely",
-    "scripted": "pushes by rules that read the simulator",
-    "oracle": "plans like the model, with the true simulator in its place",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,21 +223,13 @@ def score_run(
         UsageError: The run's number of threads is not allowed here.
         FolderInUse: Another process scores the run.
     """
-    run = Run.open(path)
-    dataset = Dataset.open(data or run.dataset_path)
+    run, settings = Run.open(path), settings or ScoreSettings()
+    dataset, folder = scored_data(run, settings.split, data)
     elsewhere = dataset.fingerprint != run.spec.fingerprint
-    if elsewhere and data is None:
-        raise RunMismatch(
-            f"the data set {str(run.dataset_path)!r} has changed since the run {run.name!r} was trained on it, so its "
-            "held-out episodes may no longer be held out; train again with 'dmbench train'."
-        )
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
-    settings = replace(settings or ScoreSettings(), protocol=protocol)
-    if elsewhere:
-        dataset = transferable(run, dataset, settings.split)
+    settings = replace(settings, protocol=protocol)
     if dataset.spec.actions is not None:
         run.require_aligned()
-    folder = report_folder(run.path, run.spec.fingerprint, dataset)
     lacking = None
     if metrics is None:
         lacking = reason_against(dataset, settings.split, settings.gain)
@@ -264,9 +247,7 @@ def score_run(
         true: tuple[str, ...] = ()
         if report is not None:
             settings = _with_stored(settings, report, metrics)
-            planned = "control" in report.settings["metrics"]
-            planning = _planning(run, dataset, settings) if planned else {}  # asks the environment, which may be absent
-            true = tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
+            true = _true_groups(run, dataset, report, settings)
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
@@ -279,9 +260,10 @@ def score_run(
                 how=how,
                 references=references,
                 earlier=_of_groups(samples, set(true) - set(metrics)),
-                journal=(journal := folder / "control.json"),
+                journal=(journal := folder / CONTROL_JOURNAL),
             )
-        scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*true, *metrics))))
+        groups = tuple(dict.fromkeys((*true, *metrics)))
+        scored = compose_report(run, dataset, scores.figures, scores.reference, settings.to_json(groups))
         if lacking is not None:
             scored = replace(scored, remarks={**scored.remarks, "gain": f"not measured: {lacking}"})
         if "control" in metrics:
@@ -290,8 +272,31 @@ def score_run(
         elif "control" in true and report is not None:
             scored = replace(scored, planning=present_planning(report.planning) or _planning(run, dataset, settings))
         written = write_report(folder, scored, scores.samples)
-        journal.unlink(missing_ok=True)
+        for done in (journal, *shares_of(journal)):
+            done.unlink(missing_ok=True)
     return written
+
+
+def scored_data(run: Run, split: SplitName, data: AnyPath | None = None) -> tuple[Dataset, Path]:
+    """The data set that a run is scored on, as its model reads it, and the folder of the report.
+
+    Args:
+        run: Trained.
+        split: Whose episodes are scored.
+        data: Another data set than the run's own.
+
+    Raises:
+        RunMismatch, DatasetMissing: As ``score_run`` raises them.
+    """
+    dataset = Dataset.open(data or run.dataset_path)
+    if dataset.fingerprint != run.spec.fingerprint:
+        if data is None:
+            raise RunMismatch(
+                f"the data set {str(run.dataset_path)!r} has changed since the run {run.name!r} was trained on it, so "
+                "its held-out episodes may no longer be held out; train again with 'dmbench train'."
+            )
+        dataset = transferable(run, dataset, split)
+    return dataset, report_folder(run.path, run.spec.fingerprint, dataset)
 
 
 def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa.Table]:
@@ -326,6 +331,38 @@ def _planning(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, 
     return settings.control.planning(dataset, needs_pixels=run.model.needs_pixels)
 
 
+def _true_groups(run: Run, dataset: Dataset, report: Report, settings: ScoreSettings) -> tuple[str, ...]:
+    """The groups of a report's figures that scoring now would give again."""
+    planned = "control" in report.settings["metrics"]
+    planning = _planning(run, dataset, settings) if planned else {}  # asks the environment, which may be absent
+    return tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
+
+
+def scored_report(path: AnyPath, split: SplitName, data: AnyPath | None = None) -> Report:
+    """The report of a run that was just scored.
+
+    Raises:
+        RunMissing: There is none; else as ``score_run``.
+    """
+    run = Run.open(path)
+    report = read_report(scored_data(run, split, data)[1])
+    if report is None:
+        raise RunMissing(f"the run {run.name!r} has no report; score it with 'dmbench score'.")
+    return report
+
+
+def is_scored(path: AnyPath, metric: Metric, settings: ScoreSettings, data: AnyPath | None = None) -> bool:
+    """Whether a run's report has a group of figures that scoring now would give again.
+
+    Raises:
+        As ``score_run``.
+    """
+    run = Run.open(path)
+    dataset, folder = scored_data(run, settings.split, data)
+    report, _ = _stored(folder, run, dataset)
+    return report is not None and metric in _true_groups(run, dataset, report, settings)
+
+
 def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Mapping[str, Any]) -> bool:
     """Whether a report's figures of one group are those that scoring now would give."""
     said = settings.to_json(METRICS)
@@ -341,80 +378,3 @@ def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Map
         same = report.scoring_version == SCORING_VERSION
     stored = present_settings(report.settings)
     return same and all(said[name] == stored.get(name) for name in decisive)
-
-
-def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
-    result = run.result or {}
-    own = training_of(run, dataset)
-    spec, environment, actions = run.spec, dataset.recipe.environment, dataset.spec.actions
-    published = None if own else published_for(spec.model, environment, spec.labels, actions=actions)
-    reference = {name: _json(figures) for name, figures in scores.reference.items()}
-    remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
-    left_out = refused(dataset.spec, dataset.recipe, metrics, scores.figures)
-    if dataset.spec.actions is None:
-        remarks["actions"] = EXPLAINED
-    elif not dataset.spec.objects and not dataset.spec.agent_has_color:
-        remarks["positions"] = (
-            "where the agent and the objects are is not known, so no figure is about them: " + left_out
-        )
-    elif left_out:
-        remarks["positions"] = f"the environment does not tell everything: {left_out}"
-    if any(name.startswith("control_picture") for name in scores.figures):
-        remarks["control"] = (
-            "control_picture_distance is the mean squared difference from the goal image, 1 at the start; the "
-            "environment tells no positions, so it is no distance of objects, and no task counts as solved"
-        )
-    if own:
-        remarks["trained_on"] = transfer_remark(run, dataset)
-    if published is not None:
-        reference["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
-        remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()
-    if "rollout" in metrics and not any(name.startswith("rollout_") for name in scores.figures):
-        remarks["rollout"] = (
-            f"no {settings.split} episode has the {settings.horizon + 2} frames that a rollout needs; "
-            "ask for a smaller '--horizon'"
-        )
-    if not run.model.needs_pixels:
-        remarks["prediction"] = f"{run.spec.model} draws no frames; what it is good for shows in control"
-    if settings.protocol == "paper":
-        remarks["split"] = "the paper's split shuffles triplets: most test frames were seen in training (it leaks)"
-    return Report(
-        run=run.name,
-        model=run.spec.model,
-        arch=run.spec.arch,
-        preset=run.spec.preset,
-        seed=run.spec.seed,
-        labels={
-            "asked": run.spec.labels,
-            "given": result.get("labels", {}),
-            "total": result.get("labels_total", 0),
-        },
-        dataset={
-            "name": dataset.name,
-            "environment": dataset.recipe.environment,
-            "fingerprint": dataset.fingerprint,
-        }
-        | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
-        | ({"actions": "continuous"} if isinstance(actions, Continuous) else {})
-        | ({"trained_on": own} if own else {}),
-        weights=result["weights"],
-        settings=settings.to_json(metrics),
-        training={
-            key: result[key]
-            for key in (
-                *("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes"),
-                *("threads", "precision"),
-            )
-            if result.get(key) is not None
-        },
-        versions=versions(),
-        figures=_json(scores.figures),
-        reference=reference,
-        remarks=remarks,
-        protocol=PROTOCOL,
-        scoring_version=SCORING_VERSION,
-    )
-
-
-def _json(figures: Figures) -> dict[str, Any]:
-    return {name: estimate.to_json() for name, estimate in figures.items()}

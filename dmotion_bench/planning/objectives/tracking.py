@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
@@ -20,6 +20,7 @@ from dmotion_bench.positions import PositionFinder, Positions
 from dmotion_bench.specs import EnvSpec
 
 
+@runtime_checkable
 class TrackingSettings(Protocol):
     """What the tracker asks of an objective's settings.
 

@@ -79,7 +79,8 @@ OBJECTS: Final = len(FACTS.objects)
 PUSHED: Final = slice(1, 1 + OBJECTS)
 """The objects among all things: after the agent, before other agents. So a thing's mask value is its number + 1."""
 SECOND_AGENT: Final = ObjectSpec(name="second_agent", shape="square", color=(0, 255, 255))
-FACTS_OF_TWO: Final = replace(FACTS, actions=Discrete.joint(ACTIONS.names, ACTIONS.names), other_agents=(SECOND_AGENT,))
+JOINT_ACTIONS: Final = Discrete.joint(ACTIONS.names, ACTIONS.names)
+FACTS_OF_TWO: Final = replace(FACTS, actions=JOINT_ACTIONS, other_agents=(SECOND_AGENT,))
 MOVES: Final = np.array([(0, -1), (0, 1), (-1, 0), (1, 0)])
 """What each action of an agent adds to its (x, y)."""
 HEADINGS: Final = [(float(x), float(y)) for x, y in MOVES.tolist()]
@@ -242,7 +243,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self.facts, self._version = FACTS if agents == 1 else FACTS_OF_TWO, version
         self._things, self._agents = agents + OBJECTS, list(agents_among(agents + OBJECTS))
         self.render_mode = render_mode
-        self.action_space = (ACTIONS if agents == 1 else FACTS_OF_TWO.actions).space()
+        self.action_space = (ACTIONS if agents == 1 else JOINT_ACTIONS).space()
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE, 3), np.uint8)
         given = {
             "background": background,
@@ -413,7 +414,8 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
 def _heading(action: int, agents: int) -> tuple[float, float]:
     """Where an action, or the first part of a joint one, points."""
-    return HEADINGS[action // len(MOVES) ** (agents - 1)]
+    first: int = action // len(MOVES) ** (agents - 1)
+    return HEADINGS[first]
 
 
 def _distracted(episode: Episode, values: Mapping[str, Scalar], video: Video) -> Episode:

@@ -65,8 +65,13 @@ class Discrete:
         """What several agents do at once: every combination of their actions, the last agent's changing fastest.
 
         Args:
-            parts: The names of each agent's actions; none of them holds a ``"/"``.
+            parts: The names of each agent's actions, two or more; none of them holds a ``"/"``.
+
+        Raises:
+            InvalidSetting: An agent has fewer, or a name holds one.
         """
+        if any(len(names) < 2 for names in parts):
+            raise InvalidSetting("an agent has fewer than 2 actions; a joint action has at least 2 of each agent.")
         if wrong := [name for names in parts for name in names if JOINT in name]:
             raise InvalidSetting(f"an agent's action is {shown(wrong[0])}; its name must hold no {JOINT!r}.")
         return cls(tuple(map(JOINT.join, itertools.product(*parts))))
@@ -80,7 +85,8 @@ class Discrete:
         split = [name.split(JOINT) for name in self.names]
         if len({len(one) for one in split}) == 1:
             parts = tuple(tuple(dict.fromkeys(column)) for column in zip(*split, strict=True))
-            if math.prod(map(len, parts)) == len(split) and split == list(map(list, itertools.product(*parts))):
+            several = all(len(names) > 1 for names in parts) and math.prod(map(len, parts)) == len(split)
+            if several and split == list(map(list, itertools.product(*parts))):
                 return parts
         return (self.names,)
 

@@ -188,7 +188,7 @@ def _overlaps(
     return whole, torch.stack([_overlap(shown[:, number], agents == number + 1) for number in range(count)], dim=1)
 
 
-def _motions_of(model: LatentActionModel, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b k e"]:
+def motions_of(model: LatentActionModel, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b k e"]:
     """The agents' parts of latent actions; all of them is one part of a model that knows one agent."""
     return model.agent_motions(motion) if isinstance(model, AgentsModel) else motion[:, None]
 
@@ -196,7 +196,7 @@ def _motions_of(model: LatentActionModel, motion: Float[Tensor, "b d"]) -> Float
 def _shift_errors(
     model: LatentActionModel, motion: Float[Tensor, "b d"], shifts: Float[Tensor, "b k 2"]
 ) -> Float[Tensor, "b k"]:
-    parts = _motions_of(model, motion)
+    parts = motions_of(model, motion)
     if not isinstance(model, ShiftModel) or parts.shape[1] not in (1, shifts.shape[1]):
         return torch.full(shifts.shape[:2], torch.nan)
     found = torch.stack([model.pixel_shift(part) for part in parts.unbind(1)], dim=1)
@@ -216,7 +216,7 @@ def _each_agent(
     count = overlap.shape[1]
     if count == 1 or not isinstance(spec, Discrete) or len(spec.parts) != count:
         return None
-    parts = _motions_of(model, motion).numpy()
+    parts = motions_of(model, motion).numpy()
     if parts.shape[1] not in (1, count):
         return None
     parts = np.ascontiguousarray(np.broadcast_to(parts, (len(parts), count, parts.shape[2])))

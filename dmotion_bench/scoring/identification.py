@@ -219,7 +219,7 @@ def _each_agent(
     parts = motions_of(model, motion).numpy()
     if parts.shape[1] not in (1, count):
         return None
-    parts = np.ascontiguousarray(np.broadcast_to(parts, (len(parts), count, parts.shape[2])))
+    parts = np.broadcast_to(parts, (len(parts), count, parts.shape[2])).copy()
     done = spec.divided(action)
     right = [probe_accuracy(parts[:, number], done[:, number], episode) for number in range(count)]
     return EachAgent(

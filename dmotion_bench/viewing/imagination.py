@@ -76,7 +76,7 @@ class Imagination:
     copied: Prediction
     maps: Float[np.ndarray, "n m y x"] | None
     moved: Float[np.ndarray, "n m y x"] | None
-    shift: Float[np.ndarray, "k n 2"] | None
+    shift: Float[np.ndarray, "a n 2"] | None
     by_motion: bool = False
 
 
@@ -184,7 +184,7 @@ def _maps(
     return torch.cat(before).float().numpy(), torch.cat(after).float().numpy()
 
 
-def _shift(model: ForwardModel[Any], images: Float[Tensor, "t c h w"]) -> Float[np.ndarray, "k s 2"] | None:
+def _shift(model: ForwardModel[Any], images: Float[Tensor, "t c h w"]) -> Float[np.ndarray, "a s 2"] | None:
     if not isinstance(model, LatentActionModel) or not isinstance(model, ShiftModel):
         return None
     before = torch.cat([images[:1], images[:-2]])  # nothing is known of what was before the first

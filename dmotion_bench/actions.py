@@ -15,7 +15,7 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -269,6 +269,16 @@ class Continuous:
 
 
 ActionSpec = Discrete | Continuous
+
+
+ActionKind = Literal["discrete", "continuous", "joint"]
+
+
+def kind_of(spec: ActionSpec | None) -> ActionKind:
+    """Whether actions are continuous, of several agents at once, or neither, which stands for unknown ones, too."""
+    if isinstance(spec, Continuous):
+        return "continuous"
+    return "joint" if spec is not None and len(spec.parts) > 1 else "discrete"
 
 
 ActionTaken = int | tuple[float, ...]

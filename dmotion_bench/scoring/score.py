@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 
-from dmotion_bench.actions import Continuous
+from dmotion_bench.actions import kind_of
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
@@ -373,7 +373,7 @@ def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings,
             "fingerprint": dataset.fingerprint,
         }
         | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
-        | ({"actions": "continuous"} if isinstance(actions, Continuous) else {})
+        | ({"actions": kind_of(actions)} if kind_of(actions) != "discrete" else {})
         | ({"trained_on": own} if own else {}),
         weights=result["weights"],
         settings=settings.to_json(metrics),

@@ -14,13 +14,14 @@ from dmotion_bench.cli.report_table import _words
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.scoring.identification import identify
+from dmotion_bench.scoring.references import PublishedResult, published_for
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.scoring.score import ScoreSettings, score_model
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
-from recorders.grid_world import FACTS_OF_TWO, JOINT_ACTIONS, GridWorld
+from recorders.grid_world import FACTS, FACTS_OF_TWO, JOINT_ACTIONS, GridWorld
 
 QUICK = ScoreSettings(resamples=100)
 EACH = ("agent_iou", "motion_shift_error", "motion_probe_accuracy", "motion_within_over_between")
@@ -177,3 +178,9 @@ def _of_one(grid: Dataset) -> SeesOne:
 def test_the_figures_have_words() -> None:
     assert _words("agent_iou[1]") == "agent IoU, agent 1"
     assert _words("motion_within_over_between[0]") == "motion within/between, agent 0"
+
+
+def test_the_papers_figures_are_of_one_agent() -> None:
+    published = [PublishedResult(model="m", environment="grid_world", labels="one-shot", figures={}, source="a paper")]
+    for actions, beside in ((FACTS.actions, published[0]), (JOINT_ACTIONS, None)):
+        assert published_for("m", "grid_world", "one-shot", published, actions=actions) is beside

@@ -125,7 +125,7 @@ def test_a_setting_that_this_version_does_not_know_is_named(tmp_path: Path) -> N
 
 def test_a_run_remembers_how_many_actions_each_of_several_agents_has(tmp_path: Path) -> None:
     joint = Discrete.joint(("up", "down"), ("left", "right", "stay"))
-    spec = dataclasses.replace(_asked(agents=2), actions=stored_actions(joint))
+    spec = dataclasses.replace(_asked(agents=2), actions=stored_actions(joint), height=32, width=32)
     assert spec.actions == {"parts": [2, 3]}
     read = _stored(tmp_path / "one", spec).spec
     assert read.action_spec is not None

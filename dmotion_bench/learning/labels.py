@@ -124,6 +124,15 @@ class LabelRequest:
         return request or (cls("count", DEMONSTRATIONS) if continuous else cls("shots", 1))
 
 
+def _hand_in_hand(spec: Discrete, shown: set[int]) -> bool:
+    """Whether each action of an agent always comes with the same action of another, and the reverse."""
+    columns = spec.divided(np.array(sorted(shown))).T.tolist()
+    return any(
+        len(set(zip(one, other, strict=True))) == len(set(one)) == len(set(other))
+        for one, other in itertools.combinations(columns, 2)
+    )
+
+
 def _is_joint(actions: ActionSpec | None) -> bool:
     return isinstance(actions, Discrete) and len(actions.parts) > 1
 
@@ -195,8 +204,8 @@ class LabelBudget:
         """As many transitions as the budget has, drawn from triplets in which nothing is pushed.
 
         Of ``K-shot`` there are so many of each action, or an error is raised. Of ``K-shot-per-agent`` a transition is
-        taken if it shows an action of an agent that has been shown fewer than K times. A number of transitions is
-        given as far as there are so many.
+        taken if it shows an action of an agent that has been shown fewer than K times, and one more if the agents'
+        actions could not be told apart by then. A number of transitions is given as far as there are so many.
 
         Args:
             triplets: Where they are drawn from: the training's.
@@ -243,18 +252,24 @@ class LabelBudget:
     def _of_each_agent(
         self, triplets: TripletSet, order: Int[np.ndarray, " n"], spec: Discrete
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        """The first rows that show something new of an agent and in which nothing is pushed, by action."""
+        """The first rows that show something new of an agent and in which nothing is pushed, by action.
+
+        Where two agents' actions go hand in hand in all of them, one more is taken: nothing would say whose is whose.
+        """
         wanted = int(self.request.amount)
         missing = [np.full(len(names), wanted) for names in spec.parts]
         found: list[tuple[int, int]] = []
         for row, action in self._unpushed(triplets, order):
-            shown = [left[part : part + 1] for left, part in zip(missing, spec.divided(action).tolist(), strict=True)]
-            if any(left > 0 for left in shown):
-                found.append((int(action), row))
-                for left in shown:
-                    left -= 1
-            if all((left <= 0).all() for left in missing):
+            parts, complete = spec.divided(action).tolist(), all((left <= 0).all() for left in missing)
+            known = {one for one, _ in found}
+            if complete and not _hand_in_hand(spec, known):
                 break
+            if any(left[part] > 0 for left, part in zip(missing, parts, strict=True)) or (
+                complete and int(action) not in known
+            ):
+                found.append((int(action), row))
+                for left, part in zip(missing, parts, strict=True):
+                    left[part] -= 1
         lacking = [
             f"{name} of agent {agent}"
             for agent, (names, left) in enumerate(zip(spec.parts, missing, strict=True))

@@ -234,3 +234,19 @@ def test_shots_of_agents_are_for_joint_actions_and_models_of_video() -> None:
         LabelRequest.for_model("dmotion", Supervision.NONE, "2-shot-per-agent", MOVES)
     with pytest.raises(UsageError, match="learns from the actions"):
         LabelRequest.for_model("ed-cnn", Supervision.ACTIONS, "2-shot-per-agent", JOINT)
+
+
+def test_agents_that_act_alike_are_shown_once_acting_otherwise(dataset) -> None:
+    alike = Discrete.joint(("up", "down"), ("up", "down"))
+    dataset.spec = dataclasses.replace(dataset.spec, actions=alike)
+    dataset.actions = [np.full(len(one), 3 * (number % 2)) for number, one in enumerate(dataset.actions)]
+    triplets, ask = TripletSet.of_split(dataset, "train"), LabelRequest.parse("one-shot-per-agent")
+    for seed in range(5):
+        given = LabelBudget(dataset, ask, seed=seed).demonstrations(triplets)
+        assert given.actions.tolist() == [0, 3]  # there is nothing else
+
+    dataset.actions[0][:] = 1  # up/down
+    for seed in range(20):
+        given = LabelBudget(dataset, ask, seed=seed).demonstrations(triplets)
+        assert 1 in given.actions
+        assert len(given.actions) <= 3

@@ -182,6 +182,9 @@ def _words(name: str) -> str:
             else ""
         )
         return WORDS.get(base, base) + how
+    if name.endswith("]"):
+        base, _, agent = name.rstrip("]").partition("[")
+        return f"{WORDS.get(base, base)}, agent {agent}"
     if name.endswith("_push"):
         return f"{_words(name.removesuffix('_push'))}, pushes"
     return WORDS.get(name, name)

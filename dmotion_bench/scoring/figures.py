@@ -9,6 +9,8 @@ import pyarrow.compute as pc
 from dmotion_bench.scoring.identification import motion_within_over_between
 from dmotion_bench.scoring.samples import (
     CONTROL,
+    EACH,
+    EACH_FIGURES,
     FIGURE_COLUMNS,
     GAIN,
     IDENTIFICATION_COLUMNS,
@@ -60,6 +62,24 @@ def _single_steps(single: pa.Table, resamples: int, seed: int) -> Figures:
         ratio = motion_within_over_between(motion, column(single, "action"), bootstrap)
         if ratio is not None:
             found["motion_within_over_between"] = ratio
+    return found | _each_agent(single, bootstrap)
+
+
+def _each_agent(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:
+    """The identification figures of each of several agents, by the agent's number."""
+    found: Figures = {}
+    for name in EACH_FIGURES:
+        values = vectors(single, EACH + name)
+        for agent, of_agent in enumerate(() if values is None else values.T):
+            if (estimate := bootstrap.mean(of_agent)) is not None:
+                found[f"{name}[{agent}]"] = estimate
+    action, motion = vectors(single, f"{EACH}action"), vectors(single, f"{EACH}motion")
+    if action is not None and motion is not None:
+        parts = motion.reshape(len(motion), action.shape[1], -1)
+        for agent in range(action.shape[1]):
+            ratio = motion_within_over_between(parts[:, agent], action[:, agent], bootstrap)
+            if ratio is not None:
+                found[f"motion_within_over_between[{agent}]"] = ratio
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from dmotion_bench.actions import Continuous
+from dmotion_bench.actions import kind_of
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.figures import Figures
@@ -90,7 +90,7 @@ def compose_report(
             "fingerprint": dataset.fingerprint,
         }
         | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
-        | ({"actions": "continuous"} if isinstance(actions, Continuous) else {})
+        | ({"actions": kind_of(actions)} if kind_of(actions) != "discrete" else {})
         | ({"trained_on": own} if own else {}),
         weights=result["weights"],
         settings=dict(settings),

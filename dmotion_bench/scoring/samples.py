@@ -13,12 +13,16 @@ figures            as in the report; null where the frame has no value (see ``po
 ``found``          whether the prediction shows each thing; ``found_truth`` the true frame
 ``hit_at_1``       H@1 of a rollout in the model's own space; ``reciprocal_rank`` its part of the MRR
 ``motion``         phi^0 of the true triplet, or any other latent action
+``each_...``       only there in worlds of several agents: a value for each agent of ``each_agent_iou``,
+                   ``each_motion_shift_error`` and ``each_motion_probe_accuracy``, its ``each_action``, and its
+                   ``each_motion``, one agent's after the other's
 ================== ==================================================================================
 
 In reports of control on continuous actions that were written before they were kept, ``command`` is missing.
 
 A figure of the report is the mean of its column over the rows of its predictor and metric: all of them, those with
-``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``.
+``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``. Of a figure of agent k it is the mean
+of the k-th values.
 
 In control a row is one moment of one task: ``task`` is its number, ``episode`` and ``step`` where it starts, ``ahead``
 how many steps have been taken, ``action`` the next (-1 for none, or a continuous one), ``control_distance`` and
@@ -64,6 +68,10 @@ IDENTIFICATION_COLUMNS = (
     "mse_true_motion",
     "motion_swap_change",
 )
+EACH = "each_"
+"""Before the name of a column with a value for each of several agents."""
+
+EACH_FIGURES = ("agent_iou", "motion_shift_error", "motion_probe_accuracy")
 RANK_COLUMNS = ("hit_at_1", "reciprocal_rank")
 GAIN_COLUMNS = ("gain", "best_gain")
 CONTROL_COLUMNS = ("task", "control_distance", "control_lost")
@@ -89,15 +97,19 @@ SCHEMA = pa.schema(
         ("control_lost", pa.int16()),
         ("gain", pa.float32()),
         ("best_gain", pa.float32()),
+        (f"{EACH}action", pa.list_(pa.int16())),
+        (f"{EACH}motion", pa.list_(pa.float32())),
+        *((EACH + name, pa.list_(pa.float32())) for name in EACH_FIGURES),
     ]
 )
 
 MOST_SAMPLES: Final = 1_000_000
 """Rows of a table that is read; to compare two such tables takes some 650 bytes of memory a row."""
 _MOST_LISTED: Final = 2**25  # values in a column of lists
-_LISTS: Final = ("distance", "found", "found_truth", "motion", "command")
-_WHERE_KNOWN: Final = ("command", "motion_probe_error", *GAIN_COLUMNS)  # not written where they say nothing
-_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _WHERE_KNOWN
+_EACH_COLUMNS: Final = tuple(name for name in SCHEMA.names if name.startswith(EACH))
+_LISTS: Final = ("distance", "found", "found_truth", "motion", "command", *_EACH_COLUMNS)
+_LEFT_OUT: Final = ("command", "motion_probe_error", *GAIN_COLUMNS, *_EACH_COLUMNS)  # where they say nothing
+_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _LEFT_OUT
 
 
 class SampleRows:
@@ -154,7 +166,7 @@ def vectors(samples: pa.Table, name: str) -> Shaped[np.ndarray, "n d"] | None:
 
 def write_samples(path: Path, samples: pa.Table) -> None:
     """Replace the file in one step."""
-    there = (name for name in _WHERE_KNOWN if name in samples.column_names)
+    there = (name for name in _LEFT_OUT if name in samples.column_names)
     samples = samples.drop_columns([name for name in there if samples[name].null_count == len(samples)])
     with atomic_file(path) as file:
         pq.write_table(samples, file, compression="zstd")

@@ -157,9 +157,10 @@ def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labe
     if seen.places is not None:
         log_rings(recording, f"{root}/camera/places", seen.places)
     if seen.shift is not None and labels is not None:
-        agent = labels.agent.pixel[:, 0]
-        log_arrows(recording, f"{root}/camera/true_motion", agent[:-1], np.diff(agent, axis=0), TRUE_MOTION, 1.2, 40)
-        log_arrows(recording, f"{root}/camera/motion_seen", agent[:-1], seen.shift, SEEN_MOTION, 0.7, 50)
+        for number, (place, shift) in enumerate(zip(labels.agent.pixel.swapaxes(0, 1), seen.shift, strict=False)):
+            own = f"{root}/camera/agent_{number}" if number else f"{root}/camera"
+            log_arrows(recording, f"{own}/true_motion", place[:-1], np.diff(place, axis=0), TRUE_MOTION, 1.2, 40)
+            log_arrows(recording, f"{own}/motion_seen", place[:-1], shift, SEEN_MOTION, 0.7, 50)
 
 
 def log_prediction(recording: rr.RecordingStream, path: str, seen: Imagination, prediction: Prediction) -> None:

@@ -100,10 +100,11 @@ class JointActionToLatent(nn.Module):
     ) -> None:
         super().__init__()
         if isinstance(spec, Continuous) or (spec is not None and len(spec.parts) != agents):
-            kind = "are continuous" if isinstance(spec, Continuous) else f"are of {len(spec.parts)}"
+            many = 1 if isinstance(spec, Continuous) else len(spec.parts)
+            found = "continuous" if isinstance(spec, Continuous) else f"of {many} agent" + "s" * (many > 1)
             raise InvalidSetting(
-                f"the model has {agents} agents, and the actions of the data set {kind}: {spec}. It needs joint "
-                f"actions of {agents} agents, such as 'up/left'; take such a data set, or as many agents as it has."
+                f"the model has {agents} agents, and the actions of its data set are {found}. It needs joint actions "
+                f"of {agents} agents, such as 'up/left'; take such a data set, or --set agents={many}."
             )
         self.spec, self.agents = spec, agents
         parts = [None] * agents if spec is None else [Discrete(names) for names in spec.parts]

@@ -252,7 +252,7 @@ def test_agents_that_cannot_be_are_said() -> None:
             DMotionConfig(agents=agents)
     with pytest.raises(InvalidSetting, match="agents is 2; it can be 1 to 1, with 1 maps"):
         DMotionConfig(agents=2, maps=1)
-    with pytest.raises(InvalidSetting, match=r"the model has 2 agents, and the actions of the data set are of 1: 0, 1"):
+    with pytest.raises(InvalidSetting, match=r"2 agents, and the actions of its data set are of 1 agent.*agents=1"):
         _model(SMALL, agents=2)
 
 

@@ -160,9 +160,9 @@ def _check_head(raw: bytes) -> None:
 def shown(text: str) -> str:
     """A picture of an entry as the source of an ``<img>``, encoded again so that it holds nothing but pixels.
 
-    Lossless WebP, a fifth smaller than PNG.
+    Lossless WebP, a fifth smaller than PNG. Method 6 takes 16 times as long as 4 and makes no smaller files [measured].
     """
-    return f"data:image/webp;base64,{_encoded(from_png(text), 'WEBP', lossless=True, quality=100, method=6)}"
+    return f"data:image/webp;base64,{_encoded(from_png(text), 'WEBP', lossless=True, quality=100, method=4)}"
 
 
 def identity(picture: Mapping[str, Any]) -> tuple[int, int]:

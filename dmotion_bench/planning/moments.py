@@ -26,6 +26,9 @@ from dmotion_bench.planning.tasks import Problem
 REPEAT_PROBABILITY: Final = 0.5
 """Of taking an action of a sequence once more; independent actions mostly undo each other."""
 
+SPACING: Final = 2
+"""Between the frames of a stretch that are looked at, in lengths of a sequence: the simulator takes its time."""
+
 _STREAM: Final = 0x6A1  # sets the sequences' random numbers apart from others of the same seed
 
 
@@ -103,7 +106,7 @@ def find_moment(
 ) -> Moment | None:
     """The moment of a stretch at which the best sequence brings most; None where none brings anything.
 
-    Moments as far apart as a sequence is long are looked at.
+    Moments ``SPACING`` times as far apart as a sequence is long are looked at.
 
     Args:
         problem: The stretch.
@@ -115,11 +118,11 @@ def find_moment(
     try:
         simulation, found = Simulation(env, problem), list[Moment]()
         tried, walked, horizon = _in_units(env.facts.actions, sequences), as_actions(recorded), sequences.shape[1]
-        here = simulation.here
-        for offset in range(0, problem.task.goal - problem.task.start, horizon):
+        here, spacing = simulation.here, SPACING * horizon
+        for offset in range(0, problem.task.goal - problem.task.start, spacing):
             after = np.array([carried_out(simulation, here, actions).distance for actions in tried])
             found.append(Moment(problem=problem, offset=offset, now=here.distance, after=after))
-            here = carried_out(simulation, here, walked[offset : offset + horizon])
+            here = carried_out(simulation, here, walked[offset : offset + spacing])
     finally:
         env.close()
     best = max(found, key=lambda moment: moment.best)

@@ -55,7 +55,7 @@ from dmotion_bench.workspace import AnyPath
 Metric = Literal["prediction", "rollout", "gain", "control"]
 METRICS: tuple[Metric, ...] = get_args(Metric)
 DEFAULT_METRICS: tuple[Metric, ...] = ("prediction", "rollout")
-"""Those that need no simulator and take seconds; control takes minutes, the gain captured about one."""
+"""Those that need no simulator and take seconds; the gain captured takes a minute or a few, control many."""
 
 CONTROL_JOURNAL = "control.json"
 """The file of a report's folder in which an unfinished control keeps how far it is."""

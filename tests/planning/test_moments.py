@@ -83,7 +83,7 @@ def test_the_moment_is_the_one_at_which_most_can_be_gained(recorded: Dataset) ->
         gains = []
         world = World(task_environment(recorded.recipe), problem)
         walked = as_actions(recorded.states(problem.task.episode).actions[problem.task.start :])
-        for offset in range(0, problem.task.goal - problem.task.start, 4):
+        for offset in range(0, problem.task.goal - problem.task.start, 8):
             tried = []
             for sequence in SEQUENCES:
                 other = World(task_environment(recorded.recipe), problem)
@@ -91,7 +91,7 @@ def test_the_moment_is_the_one_at_which_most_can_be_gained(recorded: Dataset) ->
                     other.step(action)
                 tried.append(world.distance - other.distance)
             gains.append(max(tried))
-            for action in walked[offset : offset + 4]:
+            for action in walked[offset : offset + 8]:
                 world.step(action)
 
         if max(gains) <= 0:
@@ -99,5 +99,5 @@ def test_the_moment_is_the_one_at_which_most_can_be_gained(recorded: Dataset) ->
         else:
             assert moment is not None
             assert moment.best == pytest.approx(max(gains))
-            assert moment.offset == 4 * int(np.argmax(gains))
+            assert moment.offset == 8 * int(np.argmax(gains))
         break

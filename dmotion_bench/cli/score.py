@@ -58,8 +58,9 @@ def score(
         typer.Option(
             metavar=f"{listed(METRICS)},...",
             help="Groups of figures to compute, separated by commas. prediction: single steps; rollout: predictions "
-            "that continue from their own predictions; gain: what the actions that the model prefers truly bring, "
-            "a minute, and a few more for a data set's first run; control: planning in the simulator, which takes minutes. Default: all but control.",
+            "that continue from their own predictions; gain: what the actions that the model prefers truly bring, a "
+            "minute, and a few more for a data set's first run; control: planning in the simulator, which takes "
+            "minutes. Default: all but control.",
         ),
     ] = None,
     split: Annotated[

@@ -79,6 +79,8 @@ def strip(video: np.ndarray) -> Image.Image:
 def measured(environment: str, keep: Path, pictures: Path) -> dict[str, Any]:
     """The figures of a world; its strip is written, and its data set of the preset ``small`` is kept."""
     import dmotion_bench
+    from dmotion_bench.environment import tier_of
+    from dmotion_bench.registry import environment_class
     from dmotion_bench.storage.dataset import Dataset
 
     assert not Path(dmotion_bench.__file__).is_relative_to(ROOT) or environment in OWN, "install dmbench as a reader"
@@ -98,6 +100,7 @@ def measured(environment: str, keep: Path, pictures: Path) -> dict[str, Any]:
     return {
         "name": name,
         "command": shlex.join(words),
+        "tier": tier_of(environment_class(environment)).value,
         "actions": str(dataset.spec.actions),
         "policy": dataset.recipe.policy,
         "frames": small["frames"],

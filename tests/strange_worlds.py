@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
+from gymnasium.error import DependencyNotInstalled
 from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
 
 
@@ -108,6 +109,14 @@ class Listing(Slider):
         return None
 
 
+class Paintless(Slider):
+    """Notices at its first picture that it cannot draw, as Gymnasium's own notice that pygame is absent."""
+
+    def render(self) -> Any:
+        absent = ModuleNotFoundError("No module named 'pygame.gfxdraw'", name="pygame.gfxdraw")
+        raise DependencyNotInstalled("pygame is not installed") from absent
+
+
 class Blind(Slider):
     """Draws text alone."""
 
@@ -167,6 +176,7 @@ def register() -> None:
         Growing,
         Gray,
         Listing,
+        Paintless,
         Blind,
         Keyed,
         Buttons,

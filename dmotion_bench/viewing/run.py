@@ -17,7 +17,7 @@ from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.curves import read_curves, training_tab
 from dmotion_bench.viewing.dataset import labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
-from dmotion_bench.viewing.labels import log_events, log_legend, plain, what_happens
+from dmotion_bench.viewing.labels import log_events, log_legend, what_happens
 from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
 from dmotion_bench.viewing.report import report_tab
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
@@ -247,7 +247,7 @@ def _of_episode(run: Run, dataset: ReadableDataset, episode: int, seen: Imaginat
             "**Feature maps**: |m| of each, in its own unit, the same before and after. Map 0 should show the agent "
             "alone; moved, it is where the agent is next.",
         ]
-    lines += ["", f"*frame before* repeats the last frame: the least that one can do. {plain(dataset.spec.id)}."]
+    lines += ["", f"*frame before* repeats the last frame: the least that one can do. `{dataset.spec.id}`."]
     return "\n".join(lines)
 
 

@@ -10,6 +10,11 @@ Two networks are trained together on triplets (x_{t-1}, x_t, x_{t+1}) without an
 The loss is |x' - x|^2 + |x'' - x|^2 (eq. 2). Afterwards one demonstration (x_t, x_{t+1}) per action fills the
 action-transformation table a -> phi^0, and the interaction learner is the forward model.
 
+The paper has one agent and names several as future work (section VI). Here the interaction learner may be given the
+first k maps, ``agents=k``: map i is moved by phi^i, and each agent has a table of its own. Whose map is which is
+decided with the tables, from the demonstrations (``JointActionToLatent``); from then on all methods speak of agents in
+the order of ``EnvSpec.agents``.
+
 This file is the method. The networks are in ``dmotion_paper.py``, layer by layer as published, and in
 ``dmotion_compact.py``, which need far less computation. ``dmbench bench`` measures both (``train[dmotion-compact]``,
 ``train[dmotion-paper]``).
@@ -19,9 +24,10 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import torch
+from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -31,7 +37,7 @@ from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import Actions
-from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.action_to_latent import ActionToLatent, JointActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
     ForwardModel,
@@ -42,6 +48,8 @@ from dmotion_bench.learning.model import (
 )
 from dmotion_bench.specs import Preset, Supervision
 
+MOST_AGENTS: Final = 4
+
 
 @dataclass(frozen=True, kw_only=True)
 class DMotionConfig:
@@ -50,6 +58,7 @@ class DMotionConfig:
     Attributes:
         arch: ``"paper"`` as published, ``"compact"`` for speed.
         maps: n, the number of feature maps.
+        agents: How many of the maps, the first ones, hold an agent; the paper's is 1.
         transform: ``"translation"`` (the default in both environments), ``"affine"`` with all six parameters, or
             ``"cross_convolution"`` (the ablation DMotion-No-STN).
         kernel: Side of cross convolution's kernels [px of the map].
@@ -68,6 +77,7 @@ class DMotionConfig:
 
     arch: Literal["compact", "paper"] = "compact"
     maps: int = 8
+    agents: int = 1
     transform: Literal["translation", "affine", "cross_convolution"] = "translation"
     kernel: int = 27
     agent_entries: Literal[1, 3] = 3
@@ -81,6 +91,10 @@ class DMotionConfig:
     def __post_init__(self) -> None:
         if self.maps < 1 or self.kernel % 2 == 0:
             raise InvalidSetting(f"maps is {self.maps} and kernel {self.kernel}; maps must be 1 or more, kernel odd.")
+        if not 1 <= self.agents <= min(self.maps, MOST_AGENTS):
+            raise InvalidSetting(
+                f"agents is {self.agents}; it can be 1 to {min(self.maps, MOST_AGENTS)}, with {self.maps} maps."
+            )
         if self.blur < 1 or self.jitter < 0 or not 0 < self.anneal <= 1:
             raise InvalidSetting("blur must be 1 or more, jitter 0 or more, anneal above 0 and at most 1.")
         if self.warp and self.arch == "paper":
@@ -118,12 +132,17 @@ class DMotion(ForwardModel[DMotionConfig]):
         self.interaction_learner = networks.InteractionLearner(
             frames=2 if config.second_frame else 1,
             agent_entries=config.agent_entries,
+            agents=config.agents,
             **({} if is_paper else {"warps": config.warp}),  # the paper's paints
         )
         identity = self.transform.identity()
-        self.table = ActionToLatent(inputs.actions, identity.shape[-1], unaligned=identity)
-        self.register_state_dict_post_hook(_without_the_tables_module)  # type: ignore[no-untyped-call]
-        self.register_load_state_dict_pre_hook(_with_the_tables_module)  # type: ignore[no-untyped-call]
+        self.table: ActionToLatent | JointActionToLatent
+        if config.agents == 1:
+            self.table = ActionToLatent(inputs.actions, identity.shape[-1], unaligned=identity)
+            self.register_state_dict_post_hook(_without_the_tables_module)  # type: ignore[no-untyped-call]
+            self.register_load_state_dict_pre_hook(_with_the_tables_module)  # type: ignore[no-untyped-call]
+        else:
+            self.table = JointActionToLatent(inputs.actions, config.agents, identity.shape[-1], unaligned=identity)
         self.blur, self.jitter = config.blur, config.jitter
 
     @classmethod
@@ -160,8 +179,9 @@ class DMotion(ForwardModel[DMotionConfig]):
         motion = self.motion_encoder(current, following)
         blur = self.blur if self.training else 1.0
         reconstructed = self.decoder(self.transform(maps, motion, blur))
-        agent = self.transform(maps[:, :1], self._with_noise(motion[:, :1], maps.shape[-1]), blur)
-        predicted = self._interact(previous, current, agent)
+        count = self.config.agents
+        agents = self.transform(maps[:, :count], self._with_noise(motion[:, :count], maps.shape[-1]), blur)
+        predicted = self._interact(previous, current, agents)
         each = squared_error(predicted, following)  # packing moves pixels about, the mean stays
         extraction, prediction = squared_error(reconstructed, following).mean(), each.mean()
         return Losses(
@@ -172,8 +192,12 @@ class DMotion(ForwardModel[DMotionConfig]):
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
-        """Learn the phi^0 of each action: for discrete ones this is the paper's action-transformation table."""
-        self.table.fit(self.motion(demonstrations.current, demonstrations.next), demonstrations.action)
+        """Learn the phi^0 of each action: for discrete ones this is the paper's action-transformation table.
+
+        Of several agents, first of all whose maps are whose.
+        """
+        motions = self._motions(demonstrations.current, demonstrations.next)
+        self.table.fit(motions if self.config.agents > 1 else motions[:, 0], demonstrations.action)
 
     def predict(
         self,
@@ -182,7 +206,7 @@ class DMotion(ForwardModel[DMotionConfig]):
         action: Actions,
     ) -> Float[Tensor, "b c h w"]:
         """Predict x''_{t+1} with the action's phi^0."""
-        return self.predict_with_latent(previous, current, self.table(action))
+        return self.predict_with_latent(previous, current, self.table(action).flatten(1))
 
     def predict_with_latent(
         self,
@@ -190,16 +214,32 @@ class DMotion(ForwardModel[DMotionConfig]):
         current: Float[Tensor, "b c h w"],
         latent: Float[Tensor, "b d"],
     ) -> Float[Tensor, "b c h w"]:
-        """Predict x''_{t+1} with ``latent`` as the agent's motion."""
+        """Predict x''_{t+1} with ``latent`` as the agent's motion, or the agents' motions one after the other."""
         previous, current = self.pack(previous), self.pack(current)
-        agent = self.transform(self.image_encoder(current)[:, :1], latent[:, None])
-        predicted: Tensor = self.unpack(self._interact(previous, current, agent))
+        count = self.config.agents
+        motions = self.agent_motions(latent)
+        if count > 1:
+            motions = motions[:, self._order().argsort()]  # as the maps are
+        agents = self.transform(self.image_encoder(current)[:, :count], motions)
+        predicted: Tensor = self.unpack(self._interact(previous, current, agents))
         return predicted.float()
 
     def motion(self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d"]:
-        """phi^0: how the agent moves between two frames."""
+        """phi^0: how the agent moves between two frames; of several agents one after the other."""
+        return self._motions(current, following)[:, self._order()].flatten(1)
+
+    def agent_motions(self, latent: Float[Tensor, "b d"]) -> Float[Tensor, "b k e"]:
+        """The motion of each agent, out of a latent action."""
+        return rearrange(latent, "b (k e) -> b k e", k=self.config.agents)
+
+    def _motions(self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]) -> Tensor:
+        """The motions of the agents' maps, in the order of the maps."""
         motion: Tensor = self.motion_encoder(self.pack(current), self.pack(following))
-        return motion[:, 0]
+        return motion[:, : self.config.agents]
+
+    def _order(self) -> Tensor:
+        """The agents' maps."""
+        return self.table.order if isinstance(self.table, JointActionToLatent) else torch.zeros(1, dtype=torch.long)
 
     def latent_action(
         self,
@@ -211,8 +251,12 @@ class DMotion(ForwardModel[DMotionConfig]):
         return self.motion(current, following)
 
     def agent_map(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b y x"]:
-        """|m^0|: where the agent is."""
-        return self.feature_maps(current)[:, 0].abs()
+        """|m^0|: where the agent is, or the first of several."""
+        return self.agent_maps(current)[:, 0]
+
+    def agent_maps(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k y x"]:
+        """|m^i|: where each agent is."""
+        return self.feature_maps(current)[:, self._order()].abs()
 
     def feature_maps(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k y x"]:
         """The maps m^i_t before they are moved."""

@@ -106,24 +106,25 @@ class Decoder(nn.Module):
 
 
 class InteractionLearner(UNet):
-    """A U-Net over the packed frames; the agent's moved map is added at three depths.
+    """A U-Net over the packed frames; the agents' moved maps are added at three depths.
 
     Args:
         frames: 2 as in the paper; 1 leaves x_{t-1} out.
         agent_entries: 3, or 1 for the input alone.
         warps: As for ``UNet``.
+        agents: Maps of agents.
     """
 
-    def __init__(self, frames: int = 2, agent_entries: int = 3, *, warps: bool = False) -> None:
+    def __init__(self, frames: int = 2, agent_entries: int = 3, *, warps: bool = False, agents: int = 1) -> None:
         super().__init__(frames, warps=warps)
         c, w, d = WIDTHS
         self.agent_entries = agent_entries
-        self.agent_in = conv(4, c, 1)
+        self.agent_in = conv(4 * agents, c, 1)
         if agent_entries == 3:
-            self.agent_1, self.agent_2 = conv(4, w, stride=2), conv(4, d, 1)
+            self.agent_1, self.agent_2 = conv(4 * agents, w, stride=2), conv(4 * agents, d, 1)
 
     def forward(
-        self, packed: Float[Tensor, "b p hp wp"], agent: Float[Tensor, "b 1 hm wm"]
+        self, packed: Float[Tensor, "b p hp wp"], agent: Float[Tensor, "b a hm wm"]
     ) -> Float[Tensor, "b q hp wp"]:
         agent = patches(agent, 2)
         if self.agent_entries == 1:

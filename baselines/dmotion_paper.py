@@ -140,13 +140,14 @@ class InteractionLearner(nn.Module):
         frames: 2 as in the paper; 1 leaves x_{t-1} out.
         agent_entries: 3 (the input, after the first convolution, before the first deconvolution), or 1:
             the input alone.
+        agents: Maps of agents; 1 in the paper.
     """
 
-    def __init__(self, frames: int = 2, agent_entries: int = 3) -> None:
+    def __init__(self, frames: int = 2, agent_entries: int = 3, *, agents: int = 1) -> None:
         super().__init__()
         self.inner = agent_entries == 3
-        extra = 1 if self.inner else 0
-        self.first = _conv(3 * frames + 1, 32, stride=2)
+        extra = agents if self.inner else 0
+        self.first = _conv(3 * frames + agents, 32, stride=2)
         self.encoder = nn.Sequential(_conv(32 + extra, 64, stride=2), _conv(64, 128), _conv(128, 128), _conv(128, 128))
         self.decoder = nn.Sequential(
             _deconv(128 + extra, 128),
@@ -157,7 +158,7 @@ class InteractionLearner(nn.Module):
         )
         self.last = nn.Sequential(nn.Conv2d(32, 3, 3, padding=1), nn.Tanh())
 
-    def forward(self, frames: Float[Tensor, "b c h w"], agent: Float[Tensor, "b 1 hm wm"]) -> Float[Tensor, "b 3 h w"]:
+    def forward(self, frames: Float[Tensor, "b c h w"], agent: Float[Tensor, "b a hm wm"]) -> Float[Tensor, "b 3 h w"]:
         features = self.first(self._with(frames, agent, always=True))
         features = self.encoder(self._with(features, agent))
         image: Tensor = self.last(self.decoder(self._with(features, agent)))

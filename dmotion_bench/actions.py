@@ -1,8 +1,9 @@
 """What an agent can do: one of a few named actions, or a vector of numbers within bounds.
 
-``Discrete`` actions are whole numbers, an episode's are ``Int[t-1]``. ``Continuous`` ones are vectors in the units that
-the specification names, an episode's are ``Float[t-1 a]``. ``None`` in the place of a specification says that the
-actions are not known, as in imported video.
+``Discrete`` actions are whole numbers, an episode's are ``Int[t-1]``. What several agents do at once is one such
+action, a joint action, whose name holds the names of its parts: ``"up/left"``. ``Continuous`` ones are vectors in the
+units that the specification names, an episode's are ``Float[t-1 a]``. ``None`` in the place of a specification says
+that the actions are not known, as in imported video.
 
 Actions keep their units everywhere: on disk, in batches, in a model's arguments. Two methods, ``normalise`` and
 ``denormalise``, lead to [-1, 1] and back; learning/action_encoding.py applies them for models.
@@ -10,9 +11,11 @@ Actions keep their units everywhere: on disk, in batches, in a model's arguments
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,6 +30,8 @@ MOST_ACTIONS: Final = 4096  # names of discrete actions
 MOST_NUMBERS: Final = 256  # in a continuous action
 LONGEST_NAME: Final = 256  # characters
 MOST_DESCRIBED: Final = 4  # numbers
+JOINT: Final = "/"
+"""Stands between the parts of a joint action's name."""
 SMALLEST: Final = float(np.finfo(np.float64).tiny)
 SLACK: Final = 1e-6
 """Share of its range by which a number may lie outside: rounding to 32 bits takes less."""
@@ -54,6 +59,41 @@ class Discrete:
     def numbered(cls, count: int) -> Discrete:
         """So many actions whose names are their numbers."""
         return cls(tuple(map(str, range(count))))
+
+    @classmethod
+    def joint(cls, *parts: tuple[str, ...]) -> Discrete:
+        """What several agents do at once: every combination of their actions, the last agent's changing fastest.
+
+        Args:
+            parts: The names of each agent's actions, two or more; none of them holds a ``"/"``.
+
+        Raises:
+            InvalidSetting: An agent has fewer, or a name holds one.
+        """
+        if any(len(names) < 2 for names in parts):
+            raise InvalidSetting("an agent has fewer than 2 actions; a joint action has at least 2 of each agent.")
+        if wrong := [name for names in parts for name in names if JOINT in name]:
+            raise InvalidSetting(f"an agent's action is {shown(wrong[0])}; its name must hold no {JOINT!r}.")
+        return cls(tuple(map(JOINT.join, itertools.product(*parts))))
+
+    @cached_property
+    def parts(self) -> tuple[tuple[str, ...], ...]:
+        """The names of each agent's actions: what ``joint`` was given, or ``(names,)`` of actions of another kind.
+
+        The names say it: an action is joint if the names are all combinations of their parts, in ``joint``'s order.
+        """
+        split = [name.split(JOINT) for name in self.names]
+        if len({len(one) for one in split}) == 1:
+            parts = tuple(tuple(dict.fromkeys(column)) for column in zip(*split, strict=True))
+            several = all(len(names) > 1 for names in parts) and math.prod(map(len, parts)) == len(split)
+            if several and split == list(map(list, itertools.product(*parts))):
+                return parts
+        return (self.names,)
+
+    def divided(self, actions: Int[np.ndarray, "*b"]) -> Int[np.ndarray, "*b p"]:
+        """The number of each part of joint actions: row and column ``p`` counts the actions of ``parts[p]``."""
+        numbers = np.unravel_index(actions, tuple(map(len, self.parts)))
+        return np.stack(numbers, axis=-1).astype(np.int64)
 
     def __len__(self) -> int:
         """The number of actions."""
@@ -229,6 +269,16 @@ class Continuous:
 
 
 ActionSpec = Discrete | Continuous
+
+
+ActionKind = Literal["discrete", "continuous", "joint"]
+
+
+def kind_of(spec: ActionSpec | None) -> ActionKind:
+    """Whether actions are continuous, of several agents at once, or neither, which stands for unknown ones, too."""
+    if isinstance(spec, Continuous):
+        return "continuous"
+    return "joint" if spec is not None and len(spec.parts) > 1 else "discrete"
 
 
 ActionTaken = int | tuple[float, ...]

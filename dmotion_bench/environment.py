@@ -90,7 +90,7 @@ class ObjectEnvironment(Environment, Protocol):
     """An environment that also knows where things are: the tier ``objects``."""
 
     def agent(self) -> ObjectStates:
-        """The agent's state, k = 1."""
+        """The states of ``facts.agents``: k = 1 where there is one."""
 
     def objects(self) -> ObjectStates:
         """The objects' states, in the order of ``facts.objects``."""
@@ -101,7 +101,7 @@ class MaskedEnvironment(ObjectEnvironment, Protocol):
     """An environment that also knows what each pixel shows: the tier ``masks``."""
 
     def masks(self) -> UInt8[np.ndarray, "h w"]:
-        """What each pixel shows: 0 background, 1 agent, 2 + k object k."""
+        """What each pixel shows: 0 background, 1 agent, 2 + k object k, then other agents (``facts.agent_masks``)."""
 
 
 def tier_of(kind: type[Environment] | Environment) -> Tier:

@@ -170,7 +170,7 @@ class PackageNotInstalled(DmbenchError):
 
     def __init__(self, package: str, why: str, install: str) -> None:
         self.package = package
-        super().__init__(f"{why} needs the package {package!r}, which is not installed; install it with '{install}'.")
+        super().__init__(f"{why} needs the package {package!r}, which is not installed; install it: {install}")
 
 
 class FolderInUse(DmbenchError):

@@ -20,12 +20,28 @@ from jaxtyping import Float
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
 from dmotion_bench.scoring.report import REPORT_FOLDER, TRANSFERS, Report, read_report, read_report_samples
-from dmotion_bench.scoring.samples import CONTROL, FIGURE_COLUMNS, IDENTIFICATION_COLUMNS, PICTURE_CONTROL, column
-from dmotion_bench.scoring.statistics import Estimate, paired_difference
+from dmotion_bench.scoring.samples import (
+    CONTROL,
+    FIGURE_COLUMNS,
+    GAIN,
+    IDENTIFICATION_COLUMNS,
+    PICTURE_CONTROL,
+    column,
+)
+from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate, paired_difference
 from dmotion_bench.wording import command
 
 HIGHER_IS_BETTER: Final = frozenset(
-    {"psnr", "ssim", "agent_iou", "motion_probe_accuracy", "hit_at_1", "reciprocal_rank", "control_success"}
+    {
+        "psnr",
+        "ssim",
+        "agent_iou",
+        "motion_probe_accuracy",
+        "hit_at_1",
+        "reciprocal_rank",
+        "control_success",
+        "planning_gain",
+    }
 )
 NEITHER_IS_BETTER: Final = frozenset({"motion_swap_change"})
 Better = Literal["first", "second"]
@@ -156,13 +172,16 @@ def _of_model(samples: pa.Table) -> pa.Table:
 
 
 def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
-    for metric in ("prediction", "rollout", CONTROL, PICTURE_CONTROL):
+    for metric in ("prediction", "rollout", GAIN, CONTROL, PICTURE_CONTROL):
         one, other = (samples.filter(pc.equal(samples["metric"], metric)) for samples in (first, second))
         one, other = _aligned(one, other, _TASK_KEY if metric in (CONTROL, PICTURE_CONTROL) else _KEY)
         if not len(one):
             continue
         episode, ahead = column(one, "episode"), column(one, "ahead")
         pushed = np.nan_to_num(column(one, "pushed").astype(np.float64)).astype(bool)
+        if metric == GAIN:
+            yield from _gain_difference(one, other)
+            continue
         parts: list[tuple[str, str, Any]] = []
         if metric == "prediction":
             everything = np.ones(len(one), bool)
@@ -189,6 +208,18 @@ def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
                     second=float(right[both].mean()),
                     difference=estimate,
                 )
+
+
+def _gain_difference(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
+    """The difference in the gain captured at the same moments, where as much could be gained in both."""
+    best = _values(first, "best_gain")
+    same = best == _values(second, "best_gain")
+    left, right = (np.where(same, _values(table, "gain"), np.nan) for table in (first, second))
+    estimate = EpisodeBootstrap(column(first, "episode")).ratio(left - right, best)
+    if estimate is not None:
+        whole = best[same].sum()
+        means = (float(np.nansum(one) / whole) for one in (left, right))
+        yield Difference(figure="planning_gain", first=next(means), second=next(means), difference=estimate)
 
 
 def _values(samples: pa.Table, name: str) -> Float[np.ndarray, " n"]:

@@ -66,12 +66,12 @@ class PositionFinder:
     """Finds the objects of an environment in batches of frames.
 
     Attributes:
-        things: What is looked for: the objects in the order of ``EnvSpec.objects``, then the agent where it
-            can be told by its colour.
+        things: What is looked for: the objects in the order of ``EnvSpec.objects``, then the agents where they
+            can be told by their colours.
     """
 
     def __init__(self, spec: EnvSpec) -> None:
-        self.things: tuple[ObjectSpec, ...] = spec.objects + ((spec.agent,) if spec.agent_has_color else ())
+        self.things: tuple[ObjectSpec, ...] = spec.objects + (spec.agents if spec.agent_has_color else ())
         labels = _by_hue(self.things) if spec.shaded else _by_color(self.things)
         self._labels = torch.from_numpy(labels.astype(np.uint8))
         self._field_bits = max(spec.height, spec.width).bit_length()

@@ -7,6 +7,7 @@ Nothing is imported until a name is asked for, so listing names costs no torch a
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
@@ -115,6 +116,10 @@ def environment_class(name: str) -> type[Environment]:
     family, colon, member = name.partition(":")
     if colon:
         return environment_family(family).member(member)
+    if name not in environment_names():
+        members = [f"{one}:{world}" for one in family_names() for world in environment_family(one).worlds()]
+        if difflib.get_close_matches(name, members, n=1):  # 'gym:' was left out
+            raise UnknownName("environment", name, [*environment_names(), *members], LISTED[ENVIRONMENTS])
     loaded: type[Environment] = _load(ENVIRONMENTS, "environment", name)
     return loaded
 

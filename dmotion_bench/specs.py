@@ -32,7 +32,7 @@ MOST_THREADS = 1024  # that a training computes with
 
 MASK_BACKGROUND = 0
 MASK_AGENT = 1
-MASK_FIRST_OBJECT = 2  # object k of EnvSpec.objects has the mask value 2 + k
+MASK_FIRST_OBJECT = 2  # object k of EnvSpec.objects has the mask value 2 + k; other agents come after the objects
 
 
 class Supervision(StrEnum):
@@ -74,9 +74,11 @@ class EnvSpec:
         actions: What can be done at each step; None for recordings whose actions are unknown.
         agent: The controllable thing. Its colour finds it in an image only where ``agent_has_color`` says so.
         objects: The things that the agent moves.
+        other_agents: Controllable things beside ``agent``, in worlds where an action says what several of them do
+            (``Discrete.joint``). Their names differ from those of all other things.
         height, width: Of a frame [px].
         step_ns: Time between two frames [ns].
-        agent_has_color: Whether the agent is one patch of ``agent.color``.
+        agent_has_color: Whether the agent is one patch of ``agent.color``, and so with each of the others.
         shaded: Whether light changes the colours, so that an object is known by its hue, not by its exact RGB.
         push_threshold: An object that moved farther than this in one step counts as pushed [m].
     """
@@ -91,6 +93,18 @@ class EnvSpec:
     agent_has_color: bool = False
     shaded: bool = False
     push_threshold: float = 1e-3
+    other_agents: tuple[ObjectSpec, ...] = ()
+
+    @property
+    def agents(self) -> tuple[ObjectSpec, ...]:
+        """All that actions move; part k of a joint action is what agent k does."""
+        return (self.agent, *self.other_agents)
+
+    @property
+    def agent_masks(self) -> tuple[int, ...]:
+        """The mask values of ``agents``: 1 for the first, the others come after the objects."""
+        after = MASK_FIRST_OBJECT + len(self.objects)
+        return (MASK_AGENT, *range(after, after + len(self.other_agents)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +132,9 @@ class EpisodeLabels:
         actions: ``actions[i]`` is the action taken at frame i, so frame i+1 = step(frame i, actions[i]): its number, or
             the numbers of a continuous action in their units.
         pushed: Whether any object moved between frame i and frame i+1.
-        agent: The agent's states, k = 1.
+        agent: The states of ``EnvSpec.agents``: k = 1 where there is one.
         objects: In the order of ``EnvSpec.objects``.
-        masks: 0 background, 1 agent, 2 + k object k.
+        masks: 0 background, 1 agent, 2 + k object k, then the other agents (``EnvSpec.agent_masks``).
         factors: The episode's factors of variation, empty by default. With a ``DELAY`` of d, ``pixel``, ``visible`` and
             ``masks`` at frame i are of what the frame shows, the world d steps earlier; all else is of frame i.
     """

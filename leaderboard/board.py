@@ -133,7 +133,7 @@ class Board:
 def make_boards(entries: Iterable[Entry]) -> list[Board]:
     """Make the boards of some entries.
 
-    Published rows stand on each board of their environment whose actions are discrete, as the papers' are.
+    Published rows stand on each board of their environment whose actions are one agent's discrete ones, as the papers'.
     """
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     published: dict[str, list[Entry]] = defaultdict(list)
@@ -168,7 +168,7 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
         groups[*key, str(twins[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
         twins[one] += 1
     measured = _told_apart([_measured_row(own, planner) for own in groups.values()])
-    comparable = () if entries[0].is_continuous else published
+    comparable = published if entries[0].actions == "discrete" else ()
     rows = [*_ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, planner)]
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
     return Board(
@@ -281,11 +281,15 @@ def _reference_rows(entries: Sequence[Entry], planner: Version | None) -> list[R
     """
     found: dict[str, dict[str, Any]] = defaultdict(dict)
     own_first = sorted(entries, key=lambda entry: entry.planned_by != planner)
-    oracle = next((entry.planned_by for entry in own_first if ORACLE in entry.content["reference"]), planner)
+    oracle = next(
+        (entry.planned_by for entry in own_first if _planned(entry.content["reference"].get(ORACLE))), planner
+    )
     for entry in own_first:
         for name, figures in entry.content["reference"].items():
-            if name != "paper" and (name != ORACLE or entry.planned_by == oracle):
-                for figure, value in figures.items():
+            if name == "paper":
+                continue
+            for figure, value in figures.items():
+                if name != ORACLE or entry.planned_by == oracle or not figure.startswith(CONTROLLED):
                     found[name].setdefault(figure, value)
     return [
         Row(
@@ -298,6 +302,11 @@ def _reference_rows(entries: Sequence[Entry], planner: Version | None) -> list[R
         for name, figures in found.items()
         if figures
     ]
+
+
+def _planned(figures: Mapping[str, Any] | None) -> bool:
+    """Whether some figures are of control."""
+    return any(name.startswith(CONTROLLED) for name in figures or ())
 
 
 def _ranked(rows: list[Row]) -> list[Row]:

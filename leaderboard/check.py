@@ -18,7 +18,7 @@ packages were installed. That takes training again; a run is reproducible from i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,12 +31,13 @@ from dmotion_bench.errors import DatasetError, DmbenchError, RunCorrupt
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import not_allowed, using_threads
 from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
 from dmotion_bench.scoring.references import REFERENCES, published_results
 from dmotion_bench.scoring.report import SAMPLES_FILE, SCORING_VERSION
-from dmotion_bench.scoring.samples import FIGURE_COLUMNS, column, read_samples
+from dmotion_bench.scoring.samples import CONTROL, FIGURE_COLUMNS, GAIN, GAIN_COLUMNS, column, read_samples
 from dmotion_bench.scoring.score import (
-    DEFAULT_METRICS,
+    METRICS,
     ReferenceScores,
     Scores,
     ScoreSettings,
@@ -149,7 +150,7 @@ def _score_anew(
     how: Execution,
     references: ReferenceScores | None,
 ) -> None:
-    metrics = tuple(metric for metric in DEFAULT_METRICS if metric in check.entry.content["settings"]["metrics"])
+    metrics = tuple(name for name in METRICS if name in check.entry.content["settings"]["metrics"] and name != CONTROL)
     scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, references=references)
     _same_scores(check, scores)
     if samples is not None:
@@ -232,7 +233,16 @@ def _settings(check: Findings) -> ScoreSettings | None:
         f"settings.{name} is {short(given.get(name))}, which cannot be" for name, fine in allowed.items() if not fine
     ]
     check.wrong += wrong
-    return None if wrong else ScoreSettings(**{name: value for name, value in given.items() if name in known})
+    if wrong:
+        return None
+    settings = ScoreSettings(**{name: value for name, value in given.items() if name in known})
+    if GAIN not in given["metrics"]:
+        return settings
+    try:
+        return replace(settings, gain=GainScoring.from_json(given))
+    except (DmbenchError, KeyError, TypeError) as error:
+        check.wrong.append(f"settings of the gain captured that cannot be: {short(str(error))}")
+        return None
 
 
 def _stored_samples(check: Findings, folder: Path) -> pa.Table | None:
@@ -292,7 +302,7 @@ def _same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing
     predictors = np.unique(np.concatenate([column(table, "predictor") for table in (stored, scored)]).astype(str))
     wrong = list[str]()
     for predictor in predictors.tolist():
-        for metric in ("prediction", "rollout"):
+        for metric in ("prediction", "rollout", GAIN):
             one, other = (_part(table, predictor, metric) for table in (stored, scored))
             keys, others = (np.stack([column(table, name) for name in _KEY], axis=1) for table in (one, other))
             if not np.array_equal(keys, others):
@@ -319,7 +329,7 @@ def _part(table: pa.Table, predictor: str, metric: str) -> pa.Table:
 def _apart(stored: pa.Table, scored: pa.Table) -> Bool[np.ndarray, " n"]:
     """Which rows differ by more than rounding."""
     wrong: Bool[np.ndarray, " n"] = np.zeros(len(stored), np.bool_)
-    for name in (*FIGURE_COLUMNS, "action", "pushed"):
+    for name in (*FIGURE_COLUMNS, *GAIN_COLUMNS, "action", "pushed"):
         wrong |= _far(*(column(table, name).astype(np.float64) for table in (stored, scored)))
     for name in ("distance", "found", "found_truth", "motion", "command"):
         sizes, others = (

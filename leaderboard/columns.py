@@ -61,6 +61,12 @@ _AFTER: Final = (
         meaning="Variance of the agent's motion within an action over that between actions; 0 is best.",
     ),
     Column(
+        figure="planning_gain",
+        heading="Gain captured",
+        meaning="Of what the best of 64 action sequences truly brings, the share that the model's favourite brings.",
+        higher=True,
+    ),
+    Column(
         figure="motion_probe_error",
         heading="Probe error",
         meaning="Squared error of a linear probe of the motion for the normalised action, if continuous; 0 is best.",

@@ -104,9 +104,9 @@ class Entry:
         return int(self.content["dataset"].get(VERSION, 1))
 
     @property
-    def is_continuous(self) -> bool:
-        """Whether it was measured with continuous actions; published ones are discrete."""
-        return self.is_measured and "actions" in self.content["dataset"]
+    def actions(self) -> str:
+        """The kind of actions that it was measured with, an ``ActionKind``; those of published ones are discrete."""
+        return str(self.content["dataset"].get("actions", "discrete")) if self.is_measured else "discrete"
 
     @property
     def trained_on(self) -> str | None:

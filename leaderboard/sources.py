@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.actions import Continuous
+from dmotion_bench.actions import kind_of
 from dmotion_bench.errors import DmbenchError, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.earlier_planning import present_planning
@@ -105,8 +105,7 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect("dataset.trained_on", content["dataset"].get("trained_on"), training_of(run, dataset))
     check.expect("dataset.name", content["dataset"]["name"], dataset.name)
     check.expect("dataset.environment", check.entry.environment, dataset.recipe.environment)
-    continuous = isinstance(dataset.spec.actions, Continuous)
-    check.expect("dataset.actions", check.entry.is_continuous, continuous)
+    check.expect("dataset.actions", check.entry.actions, kind_of(dataset.spec.actions))
     check.expect("dataset.version", check.entry.version, dataset.recipe.version)
     environment, actions = check.entry.environment, dataset.spec.actions
     published = None if elsewhere else published_for(spec.model, environment, spec.labels, actions=actions)

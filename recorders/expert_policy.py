@@ -17,7 +17,7 @@ from jaxtyping import Float
 from dmotion_bench.actions import Continuous
 from dmotion_bench.environment import Action, Environment, HasScript, ObjectEnvironment, Script
 from dmotion_bench.specs import ObjectStates
-from recorders.policies import RandomPolicy, Roomy
+from recorders.policies import RandomPolicy, Roomy, require_one_agent
 from recorders.push_policy import Pushing
 
 EXPERT: Final = 0.8
@@ -49,6 +49,7 @@ class ExpertPolicy:
 
     def __call__(self, env: Environment, generator: np.random.Generator) -> Action:
         """The next action; ``env`` must also be ``Bounded``."""
+        require_one_agent(env, "the policy 'expert-correlated'", "record with --policy random")
         script = self._script = self._script or cast(Bounded, env).script()
         script.watch(env)
         self._steps += 1

@@ -50,7 +50,7 @@ class Drawn(NamedTuple):
 
     Attributes:
         frames: RGB, 0-255.
-        masks: 0 background, 1 agent, 2 + k object k.
+        masks: 0 background, 1 + k thing k.
         centers: Mean (x, y) of the pixels that show a thing [px]; NaN for one that is gone.
         visible: Share of a thing's pixels that nothing hides; 0 for one that is gone.
     """
@@ -64,10 +64,10 @@ class Drawn(NamedTuple):
 def draw(
     looks: Sequence[ObjectSpec], cells: Int[np.ndarray, "t n 2"], there: Bool[np.ndarray, "t n"], version: Version
 ) -> Drawn:
-    """Agent and objects at a sequence of moments.
+    """Agents and objects at a sequence of moments.
 
     Args:
-        looks: Of the agent, then of the objects.
+        looks: Of the agent, of the objects, then of the other agents.
         cells: (column, row) of each. No two things that are there share a cell.
         there: Which of them there are.
         version: Of the drawing.
@@ -139,7 +139,7 @@ def _tiles(look: ObjectSpec, thing: int, version: Version) -> dict[tuple[int, in
 
 
 def _mask_value(thing: int) -> int:
-    return MASK_AGENT if thing == 0 else MASK_FIRST_OBJECT + thing - 1
+    return MASK_AGENT if thing == 0 else MASK_FIRST_OBJECT + thing - 1  # other agents: see EnvSpec.agent_masks
 
 
 def _center(rows: slice, columns: slice, shown: Bool[np.ndarray, "h w"]) -> tuple[float, float]:

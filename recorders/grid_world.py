@@ -4,6 +4,13 @@ Five by five cells on 128x128 black pixels. The agent is a green square; red and
 triangles each fill their cell. The agent moves up, down, left or right and pushes the whole chain of objects
 before it; an object pushed over the edge is gone for good. The agent itself never leaves the grid.
 
+With ``agents=2`` there is a second agent, a cyan square, that moves and pushes by the same rules. An action says what
+both do, ``"up/left"``. The first agent moves first, the second on the grid that this leaves: so the first has a free
+cell that both want, and the second pushes an object from where the first has pushed it to. No agent can be pushed: a
+move against the other agent, or against objects behind which it stands, is as impossible as one off the grid, and a
+joint action is legal if both moves are possible. There is always one: of an agent's two to four moves on the grid, at
+most one leads toward the other.
+
 Two versions have the same rules and draw the cells otherwise (``grid_drawing.py``). Version 2 draws them as the
 paper's published code does, pixel for pixel. Version 1 was recorded before; its frames differ from those of version 2
 in 0.3 to 0.4% of the pixels.
@@ -48,7 +55,7 @@ from recorders.distractors import (
 )
 from recorders.expert_policy import ExpertPolicy
 from recorders.grid_drawing import CELLS, SIZE, Drawn, Version
-from recorders.policies import RandomPolicy
+from recorders.policies import RandomPolicy, require_one_agent
 from recorders.push_policy import PushPolicy
 from recorders.pushing_script import PushingScript
 from recorders.variation import Variation, explained, named_factors
@@ -69,43 +76,92 @@ FACTS: Final = EnvSpec(
     agent_has_color=True,
 )
 OBJECTS: Final = len(FACTS.objects)
+PUSHED: Final = slice(1, 1 + OBJECTS)
+"""The objects among all things: after the agent, before other agents. So a thing's mask value is its number + 1."""
+SECOND_AGENT: Final = ObjectSpec(name="second_agent", shape="square", color=(0, 255, 255))
+JOINT_ACTIONS: Final = Discrete.joint(ACTIONS.names, ACTIONS.names)
+FACTS_OF_TWO: Final = replace(FACTS, actions=JOINT_ACTIONS, other_agents=(SECOND_AGENT,))
 MOVES: Final = np.array([(0, -1), (0, 1), (-1, 0), (1, 0)])
-"""What each action adds to the agent's (x, y)."""
+"""What each action of an agent adds to its (x, y)."""
 HEADINGS: Final = [(float(x), float(y)) for x, y in MOVES.tolist()]
 
 
 def draw(cells: Int[np.ndarray, "t n 2"], there: Bool[np.ndarray, "t n"], version: Version = 1) -> Drawn:
-    """What agent and objects (thing 0 is the agent) look like at a sequence of moments."""
-    return grid_drawing.draw((FACTS.agent, *FACTS.objects), cells, there, version)
+    """What things (the agent, the objects, other agents) look like at a sequence of moments."""
+    return grid_drawing.draw((FACTS.agent, *FACTS.objects, SECOND_AGENT)[: cells.shape[1]], cells, there, version)
 
 
-def legal_moves(agent: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n a"]:
-    """Which actions keep the agent on the grid."""
+def agents_among(things: int) -> tuple[int, ...]:
+    """Which of so many things are agents: the first, and those after the objects."""
+    return (0, *range(1 + OBJECTS, things))
+
+
+def legal_actions(cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"]) -> Bool[np.ndarray, "n a"]:
+    """Which actions, or joint actions, are possible."""
+    first, *others = agents_among(cells.shape[1])
+    if not others:
+        return _moves_on_the_grid(cells[:, 0])
+    found = []
+    for action in range(len(MOVES)):
+        possible = _possible(cells, there, first, action)
+        after = advance(cells, there, np.full(len(cells), action))
+        found += [possible & _possible(*after, others[0], other) for other in range(len(MOVES))]
+    return np.stack(found, axis=-1)
+
+
+def act(
+    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], action: Int[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, "n k 2"], Bool[np.ndarray, "n k"]]:
+    """The grids after one legal action, or joint action, each."""
+    agents = agents_among(cells.shape[1])
+    for thing, part in zip(agents, np.unravel_index(action, (len(MOVES),) * len(agents)), strict=True):
+        cells, there = advance(cells, there, part, thing)
+    return cells, there
+
+
+def advance(
+    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], action: Int[np.ndarray, " n"], thing: int = 0
+) -> tuple[Int[np.ndarray, "n k 2"], Bool[np.ndarray, "n k"]]:
+    """The grids after one legal action each of the agent that is ``thing``."""
+    move = MOVES[action]
+    cells = cells + move[:, None] * _moving(cells, there, move, thing)[..., None]
+    return cells, there & ((cells >= 0) & (cells < CELLS)).all(axis=-1)
+
+
+def _moving(
+    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], move: Int[np.ndarray, "n 2"], thing: int
+) -> Bool[np.ndarray, "n k"]:
+    """The chain of things that an agent's move takes along, itself included."""
+    moving = np.zeros_like(there)
+    moving[:, thing] = True
+    front, chain = cells[:, thing], np.ones(len(cells), np.bool_)
+    for _ in range(cells.shape[1] - 1):  # whoever stands before the last of the chain joins it
+        front = front + move
+        hit = there & (cells == front[:, None]).all(axis=-1) & chain[:, None]
+        chain = hit.any(axis=-1)
+        moving |= hit
+    return moving
+
+
+def _moves_on_the_grid(agent: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n a"]:
     target = agent[:, None] + MOVES
     inside: Bool[np.ndarray, "n a"] = ((target >= 0) & (target < CELLS)).all(axis=-1)
     return inside
 
 
-def advance(
-    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], action: Int[np.ndarray, " n"]
-) -> tuple[Int[np.ndarray, "n k 2"], Bool[np.ndarray, "n k"]]:
-    """The grids after one legal action each; thing 0 is the agent."""
-    move = MOVES[action]
-    moving = np.zeros_like(there)
-    moving[:, 0] = True
-    front, chain = cells[:, 0], np.ones(len(cells), np.bool_)
-    for _ in range(OBJECTS):  # whoever stands before the last of the chain joins it
-        front = front + move
-        hit = there & (cells == front[:, None]).all(axis=-1) & chain[:, None]
-        chain = hit.any(axis=-1)
-        moving |= hit
-    cells = cells + move[:, None] * moving[..., None]
-    return cells, there & ((cells >= 0) & (cells < CELLS)).all(axis=-1)
+def _possible(
+    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], thing: int, action: int
+) -> Bool[np.ndarray, " n"]:
+    """Whether an agent's action keeps it on the grid and pushes no other agent."""
+    others = [agent for agent in agents_among(cells.shape[1]) if agent != thing]
+    moving = _moving(cells, there, np.broadcast_to(MOVES[action], (len(cells), 2)), thing)
+    possible: Bool[np.ndarray, " n"] = _moves_on_the_grid(cells[:, thing])[:, action] & ~moving[:, others].any(axis=-1)
+    return possible
 
 
-def starting_cells(generator: np.random.Generator) -> Int[np.ndarray, "k 2"]:
-    """Agent and objects on cells of their own."""
-    chosen = generator.permutation(CELLS * CELLS)[: 1 + OBJECTS]
+def starting_cells(generator: np.random.Generator, things: int = 1 + OBJECTS) -> Int[np.ndarray, "k 2"]:
+    """Agents and objects on cells of their own."""
+    chosen = generator.permutation(CELLS * CELLS)[:things]
     return np.stack([chosen % CELLS, chosen // CELLS], axis=-1)
 
 
@@ -130,6 +186,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     Args:
         version: How the cells are drawn; ``versions`` says what is new in each.
+        agents: 1, or 2 for a second agent.
         vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
         ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
         scene: Which of the ready scenes: ``"clean"``, ``"distracted"``, ``"unseen"``; see ``recorders.distractors``.
@@ -165,6 +222,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self,
         *,
         version: Version = 1,
+        agents: int = 1,
         vary: str | Iterable[str] = (),
         ranges: str = "in-distribution",
         scene: SceneName = "clean",
@@ -180,9 +238,12 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     ) -> None:
         if version not in self.versions:
             raise InvalidSetting(f"version is {version!r}; it can be {', '.join(map(str, self.versions))}.")
-        self.facts, self._version = FACTS, version
+        if agents not in (1, 2):
+            raise InvalidSetting(f"agents is {agents!r}; Grid World has 1 agent or 2.")
+        self.facts, self._version = FACTS if agents == 1 else FACTS_OF_TWO, version
+        self._things, self._agents = agents + OBJECTS, list(agents_among(agents + OBJECTS))
         self.render_mode = render_mode
-        self.action_space = ACTIONS.space()
+        self.action_space = (ACTIONS if agents == 1 else JOINT_ACTIONS).space()
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE, 3), np.uint8)
         given = {
             "background": background,
@@ -198,7 +259,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._fixed = {name: value for name, value in given.items() if value is not None}
         self._variation.check(self._vary, self._fixed)
         self._video: Video | None = None
-        self._place(starting_cells(np.random.default_rng(0)), np.ones(1 + OBJECTS, np.bool_))
+        self._place(starting_cells(np.random.default_rng(0), self._things), np.ones(self._things, np.bool_))
         self._seen = self._picture()
 
     @classmethod
@@ -208,7 +269,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     @property
     def moves(self) -> Float[np.ndarray, "a 2"]:
-        """Where each action takes the agent, in cells."""
+        """Where each action takes an agent, in cells."""
         return MOVES.astype(np.float64)
 
     @property
@@ -229,11 +290,16 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             np.repeat(self._cells[None], len(chosen), axis=0),
             np.repeat(self._there[None], len(chosen), axis=0),
         )
-        legal[chosen] = (advance(*everything, chosen)[1] == self._there).all(axis=-1)
+        legal[chosen] = (act(*everything, chosen)[1] == self._there).all(axis=-1)
         return legal
 
     def script(self) -> PushingScript:
-        """The rules of the reference ``scripted``."""
+        """The rules of the reference ``scripted``.
+
+        Raises:
+            InvalidSetting: There are two agents.
+        """
+        require_one_agent(self, "the reference 'scripted'", "score 'oracle', 'random' or 'idle' instead")
         return PushingScript()
 
     def reset(
@@ -246,7 +312,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             options: ``"vary"`` and values of factors, which go before the constructor's.
         """
         super().reset(seed=seed)
-        self._place(starting_cells(self.np_random), np.ones(1 + OBJECTS, np.bool_))
+        self._place(starting_cells(self.np_random, self._things), np.ones(self._things, np.bool_))
         values, self._video = self._distraction(self.np_random, options or {})
         self._seen = self._picture() if self._video is None else self._video.begin(self._picture())
         return self.render(), {"factors": values} if values else {}
@@ -264,14 +330,14 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         return values, make_video(self._scene, values, entropy=entropy, facts=self.facts)
 
     def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
-        """Move the agent; a move off the grid changes nothing and ``info["illegal"]`` says so."""
+        """Move the agent, or both; an impossible action changes nothing and ``info["illegal"]`` says so."""
         legal = bool(self.legal_actions()[action])
         if legal:
-            cells, there = advance(self._cells[None], self._there[None], np.array([action]))
+            cells, there = act(self._cells[None], self._there[None], np.array([action]))
             self._place(cells[0], there[0])
             self._seen = self._picture()
             if self._video is not None:
-                self._video.step(HEADINGS[action], HEADINGS)
+                self._video.step(_heading(action, len(self._agents)), HEADINGS)
                 self._seen = self._video.show(self._seen)
         return self.render(), 0.0, False, False, {"illegal": not legal}
 
@@ -280,20 +346,20 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         return self._seen.frame.copy()
 
     def legal_actions(self) -> Bool[np.ndarray, " a"]:
-        """Which moves stay on the grid."""
-        legal: Bool[np.ndarray, " a"] = legal_moves(self._cells[:1])[0]
+        """Which moves stay on the grid; of two agents, neither may move against the other."""
+        legal: Bool[np.ndarray, " a"] = legal_actions(self._cells[None], self._there[None])[0]
         return legal
 
     def agent(self) -> ObjectStates:
-        """The green square."""
-        return self._states(slice(1))
+        """The green square, and the cyan one if there are two."""
+        return self._states(self._agents)
 
     def objects(self) -> ObjectStates:
         """The circles and triangles; ``pixel`` is the mean of the pixels that show a thing."""
-        return self._states(slice(1, None))
+        return self._states(PUSHED)
 
     def masks(self) -> UInt8[np.ndarray, "h w"]:
-        """What each pixel shows: 0 background, 1 agent, 2 + k object k."""
+        """What each pixel shows: 0 background, 1 agent, 2 + k object k, then the second agent."""
         return self._seen.masks.copy()
 
     def memory(self) -> bytes:
@@ -310,7 +376,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._cells, self._there = cells, there
         self._drawn = draw(cells[None], there[None], self._version)
 
-    def _states(self, things: slice) -> ObjectStates:
+    def _states(self, things: slice | list[int]) -> ObjectStates:
         seen = self._seen
         return _states(self._cells[things], self._there[things], seen.pixel[things], seen.visible[things])
 
@@ -326,15 +392,15 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             yield from (record_episode(world, cls.policies[policy](), seed, frames) for seed in seeds)
             return
         generators = [gymnasium.utils.seeding.np_random(seed)[0] for seed in seeds]
-        cells = np.stack([starting_cells(generator) for generator in generators])
+        cells = np.stack([starting_cells(generator, world._things) for generator in generators])
         there = np.ones(cells.shape[:2], np.bool_)
         draws = np.stack([policy_generator(seed).random(frames - 1) for seed in seeds])
         cells_then, there_then, actions = [cells], [there], list[Int[np.ndarray, " n"]]()
         for moment in range(frames - 1):
-            legal = legal_moves(cells[:, 0])
+            legal = legal_actions(cells, there)
             chosen = (draws[:, moment] * legal.sum(axis=-1)).astype(np.int64)
             action = np.argmax(legal.cumsum(axis=-1) > chosen[:, None], axis=-1)
-            cells, there = advance(cells, there, action)
+            cells, there = act(cells, there, action)
             actions.append(action)
             cells_then.append(cells)
             there_then.append(there)
@@ -346,21 +412,30 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             yield episode if video is None else _distracted(episode, values, video)
 
 
+def _heading(action: int, agents: int) -> tuple[float, float]:
+    """Where an action, or the first part of a joint one, points."""
+    first: int = action // len(MOVES) ** (agents - 1)
+    return HEADINGS[first]
+
+
 def _distracted(episode: Episode, values: Mapping[str, Scalar], video: Video) -> Episode:
     """An episode as its video shows it."""
-    labels = episode.labels
+    labels, agents = episode.labels, episode.labels.agent.pixel.shape[1]
     frames, masks = np.empty_like(episode.frames), np.empty_like(labels.masks)
-    pixel = np.concatenate([labels.agent.pixel, labels.objects.pixel], axis=1)
-    visible = np.concatenate([labels.agent.visible, labels.objects.visible], axis=1)
+    things = [labels.agent.pixel[:, :1], labels.objects.pixel, labels.agent.pixel[:, 1:]]
+    pixel = np.concatenate(things, axis=1)
+    things = [labels.agent.visible[:, :1], labels.objects.visible, labels.agent.visible[:, 1:]]
+    visible = np.concatenate(things, axis=1)
+    acting = list(agents_among(pixel.shape[1]))
     for moment, (frame, mask) in enumerate(zip(episode.frames, labels.masks, strict=True)):
         drawn = Picture(frame=frame, masks=mask, pixel=pixel[moment].copy(), visible=visible[moment].copy())
         if moment:
-            video.step(HEADINGS[labels.actions[moment - 1]], HEADINGS)
+            video.step(_heading(int(labels.actions[moment - 1]), agents), HEADINGS)
         seen = video.show(drawn) if moment else video.begin(drawn)
         pixel[moment], visible[moment] = seen.pixel, seen.visible
         frames[moment], masks[moment] = seen.frame, seen.masks
-    agent = replace(labels.agent, pixel=pixel[:, :1], visible=visible[:, :1])
-    objects = replace(labels.objects, pixel=pixel[:, 1:], visible=visible[:, 1:])
+    agent = replace(labels.agent, pixel=pixel[:, acting], visible=visible[:, acting])
+    objects = replace(labels.objects, pixel=pixel[:, PUSHED], visible=visible[:, PUSHED])
     shown = replace(labels, agent=agent, objects=objects, masks=masks, factors=values)
     return replace(episode, frames=frames, labels=shown)
 
@@ -373,14 +448,15 @@ def _episode(
     version: Version,
 ) -> Episode:
     frames, masks, centers, visible = draw(cells, there, version)
-    pushed = (np.diff(cells[:, 1:], axis=0) != 0).any(axis=-1) & there[:-1, 1:]
+    pushed = (np.diff(cells[:, PUSHED], axis=0) != 0).any(axis=-1) & there[:-1, PUSHED]
+    acting = list(agents_among(cells.shape[1]))
     return Episode(
         frames=frames,
         labels=EpisodeLabels(
             actions=actions,
             pushed=pushed.any(axis=-1),
-            agent=_states(cells[:, :1], there[:, :1], centers[:, :1], visible[:, :1]),
-            objects=_states(cells[:, 1:], there[:, 1:], centers[:, 1:], visible[:, 1:]),
+            agent=_states(cells[:, acting], there[:, acting], centers[:, acting], visible[:, acting]),
+            objects=_states(cells[:, PUSHED], there[:, PUSHED], centers[:, PUSHED], visible[:, PUSHED]),
             masks=masks,
         ),
         seed=seed,

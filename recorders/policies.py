@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.environment import Action, Environment
+from dmotion_bench.errors import InvalidSetting
 
 KEPT: Final = 0.75
 """Probability that ``StickyPolicy`` takes the action again that it took before."""
@@ -21,6 +22,21 @@ class Roomy(Protocol):
     @property
     def room(self) -> Float[np.ndarray, "2 a"]:
         """The least and the greatest action that nothing cuts short."""
+
+
+def require_one_agent(env: Environment, what: str, instead: str) -> None:
+    """See that a world has one agent, where something knows how to move one alone.
+
+    Args:
+        env: The world.
+        what: That thing, as the subject of a sentence.
+        instead: What to do with several agents.
+
+    Raises:
+        InvalidSetting: It has several.
+    """
+    if len(env.facts.agents) > 1:
+        raise InvalidSetting(f"{what} moves one agent, and {env.facts.id} has {len(env.facts.agents)} here; {instead}.")
 
 
 class RandomPolicy:

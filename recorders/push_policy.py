@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.environment import Action, Environment, ObjectEnvironment
+from recorders.policies import require_one_agent
 
 TOWARD = 0.7
 CHOOSE_ANEW = 0.15
@@ -53,6 +54,7 @@ class PushPolicy:
 
     def __call__(self, env: Environment, generator: np.random.Generator) -> Action:
         """The next action; ``env`` must also be ``Pushing``."""
+        require_one_agent(env, "the policy 'object-directed'", "record with --policy random")
         world = cast(Pushing, env)
         if isinstance(world.facts.actions, Continuous):
             return self._displacement(world, world.facts.actions, generator)

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
+from gymnasium.error import DependencyNotInstalled
 from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
 
 
@@ -47,12 +48,18 @@ class Slider(gymnasium.Env[np.ndarray, Any]):
 
 
 class Unseeded(Slider):
-    """Starts anywhere, whatever the seed."""
+    """Starts anywhere whatever the seed, in a light of its own: two starts look alike by a chance of 2**-24."""
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
-        self.place = int(np.random.default_rng().integers(0, 2**20)) % (self.places - 2)
+        generator = np.random.default_rng()
+        self.place, self.light = int(generator.integers(0, self.places - 2)), generator.integers(0, 256, 3, np.uint8)
         return self.observed(), {}
+
+    def render(self) -> Any:
+        picture = super().render()
+        picture[: len(picture) // 4] = self.light
+        return picture
 
 
 class Legacy(Slider):
@@ -100,6 +107,14 @@ class Listing(Slider):
 
     def render(self) -> Any:
         return None
+
+
+class Paintless(Slider):
+    """Notices at its first picture that it cannot draw, as Gymnasium's own notice that pygame is absent."""
+
+    def render(self) -> Any:
+        absent = ModuleNotFoundError("No module named 'pygame.gfxdraw'", name="pygame.gfxdraw")
+        raise DependencyNotInstalled("pygame is not installed") from absent
 
 
 class Blind(Slider):
@@ -161,6 +176,7 @@ def register() -> None:
         Growing,
         Gray,
         Listing,
+        Paintless,
         Blind,
         Keyed,
         Buttons,

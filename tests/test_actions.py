@@ -125,3 +125,35 @@ def test_actions_fit_a_model_by_their_number_or_their_bounds() -> None:
     renamed = Continuous(names=("x", "y"), low=STEPS.low, high=STEPS.high, units=("", ""))
     assert STEPS.fits(renamed)
     assert not STEPS.fits(Continuous(names=("x", "y"), low=(-0.05, 0.0), high=STEPS.high, units=("", "")))
+
+
+def test_a_joint_action_is_every_combination_of_its_parts() -> None:
+    joint = Discrete.joint(("up", "down"), ("left", "right", "stay"))
+    assert joint.names == ("up/left", "up/right", "up/stay", "down/left", "down/right", "down/stay")
+    assert joint.parts == (("up", "down"), ("left", "right", "stay"))
+    assert actions_from_json(json.loads(json.dumps(actions_to_json(joint)))).parts == joint.parts  # type: ignore[union-attr]
+    divided = joint.divided(np.arange(6))
+    for number, (first, second) in enumerate(divided.tolist()):
+        assert joint.names[number] == f"{joint.parts[0][first]}/{joint.parts[1][second]}"
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("up", "down"),
+        ("a/0", "a/1"),  # one of the parts has no choice: a name that happens to hold a slash
+        ("up/left", "up/right", "down/left"),  # not every combination
+        ("up/left", "down/left", "up/right", "down/right"),  # in another order
+        ("up/left", "up/right", "down", "down/right"),
+    ],
+)
+def test_other_names_are_of_one_agent(names: tuple[str, ...]) -> None:
+    assert Discrete(names).parts == (names,)
+    assert Discrete(names).divided(np.arange(len(names))).tolist() == [[number] for number in range(len(names))]
+
+
+def test_parts_that_could_not_be_told_apart_are_refused() -> None:
+    with pytest.raises(InvalidSetting, match="its name must hold no '/'"):
+        Discrete.joint(("a/b", "c"), ("d", "e"))
+    with pytest.raises(InvalidSetting, match="at least 2 of each agent"):
+        Discrete.joint(("a", "b"), ("c",))

@@ -133,7 +133,8 @@ def test_no_result_is_typed_by_hand(page: Path) -> None:
 
 def test_every_picture_is_shown_somewhere() -> None:
     text = "".join(page.read_text() for page in EVERY_PAGE)
-    pictures = [path.name for path in (ROOT / "docs" / "images").iterdir()]
+    folder = ROOT / "docs" / "images"
+    pictures = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
     assert [name for name in pictures if f"images/{name})" not in text] == []
 
 

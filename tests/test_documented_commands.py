@@ -121,6 +121,7 @@ def _shortened(command: str) -> list[str]:
             words += ["--episodes", str(EPISODES), "--frames", str(FRAMES), "--tasks", "4"]
         case ["score", *_]:
             words += ["--tasks", "1"] if "control" in words else ["--horizon", "4"]
+            words += ["--workers", "1"] if "--all" in words else []  # others do not know the shortened planner
         case ["plan", *_]:
             words += ["--steps", "2"]
         case ["bench", *_]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "mppi", "random-shooting")
 OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
-METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "control")
+METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
 EXECUTORS: Final = ("local", "ray", "slurm")
 DEVICES: Final = ("auto", "cpu", "cuda")
 

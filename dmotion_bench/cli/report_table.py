@@ -31,6 +31,7 @@ WORDS = {
     "motion_within_over_between": "motion within/between",
     "hit_at_1": "H@1",
     "reciprocal_rank": "MRR",
+    "planning_gain": "gain captured",
     "control_distance": "control, distance",
     "control_picture_distance": "control, difference of pictures",
     "control_success": "control, tasks solved",
@@ -54,7 +55,7 @@ def show_report(report: Report, run: Path) -> None:
         rows.append((_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others))
     show_figures(_headline(report), ("figure", "mean ± std", "95% interval", "n", *beside), rows)
     console = stdout_console()
-    for name in (*beside, "trained_on", "actions", "positions", "control", "rollout", "split"):
+    for name in (*beside, "trained_on", "actions", "positions", "gain", "control", "rollout", "split"):
         if name in report.remarks:
             console.print(f"  {name.replace('_', ' ')}: {report.remarks[name]}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
@@ -85,7 +86,7 @@ def _show_board(reports: Mapping[Path, Report]) -> None:
     paths = sorted(reports, key=lambda path: _mse(reports[path]))
     here = [reports[path] for path in paths]
     furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
-    columns = (*OVERVIEW, furthest, "control_distance[100]", "control_picture_distance[100]")
+    columns = (*OVERVIEW, furthest, "planning_gain", "control_distance[100]", "control_picture_distance[100]")
     shown = [name for name in columns if any(name in report.figures for report in here)]
     shown = shown or ["mse_true_motion"]  # all there is where actions are not known
     behind = _behind(paths, here) if "mse" in shown else {}
@@ -181,6 +182,9 @@ def _words(name: str) -> str:
             else ""
         )
         return WORDS.get(base, base) + how
+    if name.endswith("]"):
+        base, _, agent = name.rstrip("]").partition("[")
+        return f"{WORDS.get(base, base)}, agent {agent}"
     if name.endswith("_push"):
         return f"{_words(name.removesuffix('_push'))}, pushes"
     return WORDS.get(name, name)

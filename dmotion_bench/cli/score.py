@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from dmotion_bench.cli.cache import CacheFolder, use_cache
+from dmotion_bench.cli.jobs import ExecutorName, Workers, jobs_folder, require_all
 from dmotion_bench.cli.options import (
     DEVICES,
     METRICS,
@@ -27,6 +29,11 @@ if TYPE_CHECKING:
     from dmotion_bench.scoring.control import ControlScoring
     from dmotion_bench.scoring.report import Report
     from dmotion_bench.scoring.score import Metric
+    from dmotion_bench.workspace import Workspace
+
+_GIGABYTES: Final = 2.0  # that scoring takes beside others
+_CLUSTER_GIGABYTES: Final = 16
+_CLUSTER_MINUTES: Final = 24 * 60
 
 
 def register(app: typer.Typer) -> None:
@@ -47,13 +54,15 @@ def score(
         bool, typer.Option("--all", help="Score every run. Reports that are up to date are kept.")
     ] = False,
     metrics: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar=f"{listed(METRICS)},...",
             help="Groups of figures to compute, separated by commas. prediction: single steps; rollout: predictions "
-            "that continue from their own predictions; control: planning in the simulator, which takes minutes.",
+            "that continue from their own predictions; gain: what the actions that the model prefers truly bring, a "
+            "minute, and a few more for a data set's first run; control: planning in the simulator, which takes "
+            "minutes. Default: all but control.",
         ),
-    ] = "prediction,rollout",
+    ] = None,
     split: Annotated[
         str, typer.Option(metavar=listed(("test", "validation")), help="Which held-out episodes to score on.")
     ] = "test",
@@ -86,6 +95,8 @@ def score(
         ),
     ] = "float32",
     device: Device = "auto",
+    workers: Workers = None,
+    executor: ExecutorName = None,
     cache: CacheFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -97,7 +108,7 @@ def score(
     require_one_of("precision", precision, ("float32", "bf16"))
     require_one_of("device", device, DEVICES)
     use_cache(cache)
-    asked = _metrics(metrics)
+    asked = None if metrics is None else _metrics(metrics)
     control = _control(tasks, planner, planner_set, objective, objective_set)
     workspace = Workspace.current()
     if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):
@@ -124,7 +135,25 @@ def score(
         control=control,
     )
     other = None if data is None else workspace.dataset(data)
-    reports, failures = score_runs(paths, asked, settings, batch_size=batch_size, device=device, keep=every, data=other)
+    if not every:
+        require_all("score", workers, executor)
+    many = workers or _scored_at_once(device, executor, len(paths)) if every else 1
+    if executor in (None, "local") and many == 1:
+        reports, failures = score_runs(
+            paths, asked, settings, batch_size=batch_size, device=device, keep=every, data=other
+        )
+    else:
+        reports, failures = _beside_each_other(
+            paths,
+            asked,
+            settings,
+            workspace,
+            executor or "local",
+            many,
+            batch_size=batch_size,
+            device=device,
+            data=other,
+        )
     if as_json:
         summaries = [report.summary() | {"run": str(path)} for path, report in reports.items()]
         typer.echo(json.dumps({"reports": summaries}))
@@ -136,7 +165,7 @@ def score(
 
 def score_runs(
     paths: list[Path],
-    metrics: tuple[Metric, ...],
+    metrics: tuple[Metric, ...] | None,
     settings: Any,
     *,
     batch_size: int = 64,
@@ -147,6 +176,7 @@ def score_runs(
     """Score runs one after the other, with a progress bar; one that fails does not stop the rest.
 
     Args:
+        metrics: Which groups of figures; None for all but control that a data set can have.
         keep: Whether reports that are up to date are left as they are.
         data: What to score on in place of each run's own data set; of many, runs that do not fit it are left out.
 
@@ -200,6 +230,80 @@ def score_runs(
                 failures[path.name] = str(error) if isinstance(error, DmbenchError) else repr(error)
                 note(f"{path.name}: {failures[path.name]}")
     return reports, failures
+
+
+def _scored_at_once(device: str, executor: str | None, runs: int) -> int | None:
+    """How many runs are scored beside each other: as many as there are processors and memory for."""
+    import torch
+
+    from dmotion_bench.execution.local_executor import available_workers
+
+    if executor not in (None, "local"):
+        return None
+    if device == "cuda" or (device == "auto" and torch.cuda.is_available()):
+        return 1
+    return min(available_workers(_GIGABYTES), runs)
+
+
+def _beside_each_other(
+    paths: list[Path],
+    metrics: tuple[Metric, ...] | None,
+    settings: Any,
+    workspace: Workspace,
+    executor: str,
+    workers: int | None,
+    *,
+    batch_size: int,
+    device: str,
+    data: Path | None,
+) -> tuple[dict[Path, Report], dict[str, str]]:
+    """Score runs by an executor, and show how far all of its jobs are; reports that are up to date are kept."""
+    import torch
+
+    from dmotion_bench.cli.progress import note, progress_bar
+    from dmotion_bench.errors import UsageError
+    from dmotion_bench.execution.executor import JobSize
+    from dmotion_bench.execution.executors import make_executor
+    from dmotion_bench.execution.job_progress import watching
+    from dmotion_bench.scoring.score import scored_report
+    from dmotion_bench.scoring.side_by_side import ScoreJob, score_side_by_side
+
+    if device == "cuda" and executor == "local" and not torch.cuda.is_available():
+        raise UsageError("this machine has no CUDA device; leave out --device to score on the CPU.")
+    where = "cuda" if device == "cuda" or (device == "auto" and torch.cuda.is_available()) else "cpu"
+    jobs = [
+        ScoreJob(
+            run=path.absolute(),
+            metrics=metrics,
+            settings=settings,
+            renew=False,
+            data=None if data is None else data.absolute(),
+            batch_size=batch_size,
+            device=where,
+        )
+        for path in paths
+    ]
+    own = {job.run: path for job, path in zip(jobs, paths, strict=True)}
+    reports: dict[Path, Report] = {}
+    failures: dict[str, str] = {}
+    size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
+    with jobs_folder(workspace) as folder, progress_bar() as bar:
+        hands = make_executor(executor, workers, scratch=folder / executor, size=size)
+        task = bar.add_task("scoring", total=len(jobs), status="")
+        bar.update(task, completed=0)
+        outcomes = score_side_by_side(jobs, hands, progress=folder)
+        with watching(folder, lambda running: bar.show_jobs(task, running)), contextlib.closing(outcomes):
+            for done, outcome in enumerate(outcomes, start=1):
+                bar.update(task, completed=done)
+                path = own[outcome.run]
+                if outcome.error is None:
+                    reports[path] = scored_report(path, settings.split, data)
+                elif outcome.unfit and data is not None:
+                    typer.echo(f"left out: {outcome.error}", err=True)
+                else:
+                    failures[path.name] = outcome.error
+                    note(f"{path.name}: {outcome.error}")
+    return {path: reports[path] for path in paths if path in reports}, failures
 
 
 def _metrics(text: str) -> tuple[Metric, ...]:

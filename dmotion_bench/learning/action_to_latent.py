@@ -4,15 +4,21 @@ For discrete actions this is a table: the mean latent action of each action's de
 optimum of any map from an action to a latent one. For continuous actions it is a ridge regression (Hoerl, Kennard 1970)
 from the normalised action; the regularisation is the one with the least leave-one-out error, which has a closed form
 (Allen's PRESS, 1974).
+
+Where an action says what several agents do (``Discrete.joint``), each agent has a table of its own, so an agent's
+action has to be demonstrated once, whatever the others do meanwhile.
 """
 
 from __future__ import annotations
 
+import itertools
+
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from dmotion_bench.actions import ActionSpec, Continuous
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
+from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 
 PENALTIES = torch.logspace(-6, 3, 37, dtype=torch.float64)
@@ -65,6 +71,88 @@ class ActionToLatent(nn.Module):
             found: Tensor = self.rows[0] + changes.sum(-2)
             return found
         return self.rows[action]
+
+
+class JointActionToLatent(nn.Module):
+    """A table for each agent, for a model that has a latent action for each but does not know whose is whose.
+
+    The demonstrations decide it. Of all ways to give the model's latent actions to the agents, the one is taken in
+    which they vary least within the agents' actions, each as a share of its whole variance.
+
+    Args:
+        spec: Of the joint actions; None, if they are not known, stands for tables that cannot be asked.
+        agents: How many there are.
+        width: Length of the latent action of one agent.
+        unaligned: The latent action of every action before ``fit``; zeros if left out.
+
+    Attributes:
+        tables: An ``ActionToLatent`` for each agent.
+        order: Which of the model's latent actions is whose: that of agent k is number ``order[k]``.
+
+    Raises:
+        InvalidSetting: The actions are not those of so many agents.
+    """
+
+    order: Tensor
+
+    def __init__(
+        self, spec: ActionSpec | None, agents: int, width: int, unaligned: Float[Tensor, " d"] | None = None
+    ) -> None:
+        super().__init__()
+        if isinstance(spec, Continuous) or (spec is not None and len(spec.parts) != agents):
+            many = 1 if isinstance(spec, Continuous) else len(spec.parts)
+            found = "continuous" if isinstance(spec, Continuous) else f"of {many} agent" + "s" * (many > 1)
+            raise InvalidSetting(
+                f"the model has {agents} agents, and the actions of its data set are {found}. It needs joint actions "
+                f"of {agents} agents, such as 'up/left'; take such a data set, or --set agents={many}."
+            )
+        self.spec, self.agents = spec, agents
+        parts = [None] * agents if spec is None else [Discrete(names) for names in spec.parts]
+        self.tables = nn.ModuleList(ActionToLatent(part, width, unaligned) for part in parts)
+        self.register_buffer("order", torch.arange(agents))
+
+    @torch.no_grad()
+    def fit(self, latent: Float[Tensor, "n k d"], action: Int[Tensor, " n"]) -> None:
+        """Learn from demonstrations whose latent actions are whose, and which of them each agent's actions are.
+
+        An agent's action without demonstrations keeps its row. Where the demonstrations cannot decide, as when no
+        agent's action is shown twice, the model's own order stands.
+
+        Args:
+            latent: The latent actions that the model reads off each demonstration, in its own order.
+            action: What was done in it, jointly.
+        """
+        parts = self._parts(action)
+        unexplained = torch.stack(
+            [
+                torch.stack([_unexplained(latent[:, place], part) for place in range(self.agents)])
+                for part in parts.unbind(-1)
+            ]
+        )
+        ways = list(itertools.permutations(range(self.agents)))
+        best = min(ways, key=lambda way: sum(float(unexplained[agent, place]) for agent, place in enumerate(way)))
+        self.order.copy_(torch.tensor(best))
+        for agent, table in enumerate(self.tables):
+            assert isinstance(table, ActionToLatent)
+            table.fit(latent[:, self.order[agent]], parts[:, agent])
+
+    def forward(self, action: Int[Tensor, " b"]) -> Float[Tensor, "b k d"]:
+        """The latent actions of joint actions, in the order of the agents."""
+        parts = self._parts(action)
+        return torch.stack([table(part) for table, part in zip(self.tables, parts.unbind(-1), strict=True)], dim=1)
+
+    def _parts(self, action: Int[Tensor, " b"]) -> Int[Tensor, "b k"]:
+        sizes = () if self.spec is None else tuple(map(len, self.spec.parts))
+        return torch.stack(torch.unravel_index(action, sizes), dim=-1)
+
+
+def _unexplained(latent: Float[Tensor, "n d"], action: Int[Tensor, " n"]) -> Float[Tensor, ""]:
+    """Variance within an action as a share of the whole variance; 0 where nothing varies."""
+    known, index = torch.unique(action, return_inverse=True)
+    latent = latent.double()
+    means = torch.stack([latent[index == one].mean(0) for one in range(len(known))])
+    within, whole = (latent - means[index]).square().sum(), (latent - latent.mean(0)).square().sum()
+    return within / whole if whole > 0 else whole
 
 
 def ridge(inputs: Float[Tensor, "n a"], outputs: Float[Tensor, "n d"]) -> Float[Tensor, "a+1 d"]:

@@ -33,6 +33,7 @@ IMAGES: Final = {
     "latent_action": 3,
     "predict_with_latent": 2,
     "agent_map": 1,
+    "agent_maps": 1,
     "feature_maps": 1,
     "moved_maps": 2,
 }

@@ -1,7 +1,9 @@
 """The label budget: the only door from training to ``labels/``, and the count of all that went through it.
 
 A run asks for a budget: ``none``, so many labelled transitions (``64``), all of them (``all``, ``100%``), a share
-(``10%``), or so many demonstrations of each discrete action (``one-shot``, ``5-shot``). Unsupervised models are given
+(``10%``), or so many demonstrations of each discrete action (``one-shot``, ``5-shot``). Where an action says what
+several agents do (``Discrete.joint``), it may ask for so many of each agent's every action instead
+(``one-shot-per-agent``): one transition shows an action of each, so there are far fewer. Unsupervised models are given
 demonstrations once they are trained; supervised ones the actions of a part of the training episodes. Budgets are
 nested: what a small one gives, a larger one of the same kind gives, too. Whatever is handed out is counted, and the
 count stands in the run, the report and the leaderboard.
@@ -13,7 +15,7 @@ import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
@@ -24,7 +26,12 @@ from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.specs import EpisodeLabels, Supervision
 from dmotion_bench.storage.readable import ReadableDataset
 
-ALLOWED = "none, a number of labelled transitions such as 64, all, a share such as 10%, one-shot or K-shot (5-shot)"
+PER_AGENT = "-per-agent"
+ALLOWED = (
+    "none, a number of labelled transitions such as 64, all, a share such as 10%, one-shot or K-shot (5-shot), or of "
+    f"joint actions K-shot{PER_AGENT}"
+)
+_SHOTS: Final = ("shots", "shots-per-agent")
 MOST_DEMONSTRATIONS = 4096
 """Demonstrations are in memory as a whole."""
 DEMONSTRATIONS = 64
@@ -38,11 +45,11 @@ class LabelRequest:
     """A budget: so many demonstrations of each action, so many transitions, or the actions of a share of the episodes.
 
     Attributes:
-        kind: ``"none"``, ``"shots"``, ``"count"`` or ``"share"``.
+        kind: ``"none"``, ``"shots"``, ``"shots-per-agent"``, ``"count"`` or ``"share"``.
         amount: Demonstrations per action, transitions, or the share in (0, 1].
     """
 
-    kind: Literal["none", "shots", "count", "share"]
+    kind: Literal["none", "shots", "shots-per-agent", "count", "share"]
     amount: float = 0.0
 
     @classmethod
@@ -58,10 +65,8 @@ class LabelRequest:
             return cls("share", 1)
         if re.fullmatch(r"[1-9]\d{0,8}", text):
             return cls("count", int(text))
-        if text == "one-shot":
-            return cls("shots", 1)
-        if (match := re.fullmatch(r"(\d{1,6})-shot", text)) and int(match[1]) > 0:
-            return cls("shots", int(match[1]))
+        if (match := re.fullmatch(rf"(one|\d{{1,6}})-shot({PER_AGENT})?", text)) and match[1].lstrip("0"):
+            return cls("shots-per-agent" if match[2] else "shots", 1 if match[1] == "one" else int(match[1]))
         if (match := re.fullmatch(r"(\d{1,3}(?:\.\d+)?)%", text)) and 0 < float(match[1]) <= 100:
             return cls("share", float(match[1]) / 100)
         raise InvalidSetting(f"no label budget {text!r}; it can be {ALLOWED}.")
@@ -69,8 +74,9 @@ class LabelRequest:
     def __str__(self) -> str:
         if self.kind == "none":
             return "none"
-        if self.kind == "shots":
-            return "one-shot" if self.amount == 1 else f"{self.amount:.0f}-shot"
+        if self.kind in _SHOTS:
+            many = "one-shot" if self.amount == 1 else f"{self.amount:.0f}-shot"
+            return many if self.kind == "shots" else many + PER_AGENT
         return f"{self.amount:.0f}" if self.kind == "count" else f"{self.amount * 100:g}%"
 
     @classmethod
@@ -91,7 +97,7 @@ class LabelRequest:
         """
         request = cls.parse(asked) if asked is not None else None
         continuous = isinstance(actions, Continuous)
-        if continuous and request is not None and request.kind == "shots":
+        if continuous and request is not None and request.kind in _SHOTS:
             raise UsageError(
                 f"{asked!r} asks for demonstrations of each action, and continuous actions ({actions}) cannot be "
                 "counted one by one; give a number of labelled transitions, such as --labels 64."
@@ -104,6 +110,11 @@ class LabelRequest:
                     "give it a share of them: --labels 100% or --labels 10%, or a number, 2 or more: --labels 64."
                 )
             return request
+        if request is not None and request.kind == "shots-per-agent" and not _is_joint(actions):
+            raise UsageError(
+                f"{asked!r} asks for demonstrations of each agent's actions, and an action of this data set is not a "
+                f"joint one; give it --labels {str(request).removesuffix(PER_AGENT)}."
+            )
         usual = "64 (the default)" if continuous else "one-shot (the default), K-shot"
         if request is not None and (request.kind == "share" or request.amount > MOST_DEMONSTRATIONS):
             raise UsageError(
@@ -111,6 +122,19 @@ class LabelRequest:
                 f"give it --labels {usual}, a number of transitions up to {MOST_DEMONSTRATIONS}, or none."
             )
         return request or (cls("count", DEMONSTRATIONS) if continuous else cls("shots", 1))
+
+
+def _hand_in_hand(spec: Discrete, shown: set[int]) -> bool:
+    """Whether each action of an agent always comes with the same action of another, and the reverse."""
+    columns = spec.divided(np.array(sorted(shown))).T.tolist()
+    return any(
+        len(set(zip(one, other, strict=True))) == len(set(one)) == len(set(other))
+        for one, other in itertools.combinations(columns, 2)
+    )
+
+
+def _is_joint(actions: ActionSpec | None) -> bool:
+    return isinstance(actions, Discrete) and len(actions.parts) > 1
 
 
 def first_budget(actions: ActionSpec | None) -> str:
@@ -179,8 +203,9 @@ class LabelBudget:
     def demonstrations(self, triplets: TripletSet, draw: int = 0) -> DemonstrationFrames:
         """As many transitions as the budget has, drawn from triplets in which nothing is pushed.
 
-        Of ``K-shot`` there are so many of each action, or an error is raised. A number of transitions is given as
-        far as there are so many.
+        Of ``K-shot`` there are so many of each action, or an error is raised. Of ``K-shot-per-agent`` a transition is
+        taken if it shows an action of an agent that has been shown fewer than K times, and one more if the agents'
+        actions could not be told apart by then. A number of transitions is given as far as there are so many.
 
         Args:
             triplets: Where they are drawn from: the training's.
@@ -189,7 +214,7 @@ class LabelBudget:
         Raises:
             LabelsNotAvailable: The request is not for demonstrations, or an action does not occur often enough.
         """
-        if self.request.kind not in ("shots", "count"):
+        if self.request.kind not in (*_SHOTS, "count"):
             raise LabelsNotAvailable(f"the budget {self.request} has no demonstrations; ask for --labels one-shot.")
         spec = self._dataset.spec.actions
         if spec is None:
@@ -201,7 +226,9 @@ class LabelBudget:
         if self.request.kind == "count":
             rows, actions = self._first_unpushed(triplets, order)
         else:
-            rows, actions = self._of_each_action(triplets, order, require_discrete(spec, f"the budget {self.request}"))
+            discrete = require_discrete(spec, f"the budget {self.request}")
+            per_agent = self.request.kind == "shots-per-agent"
+            rows, actions = (self._of_each_agent if per_agent else self._of_each_action)(triplets, order, discrete)
         self.given["demonstrations"] = self.given.get("demonstrations", 0) + len(rows)
         return DemonstrationFrames(frames=triplets.gather(rows), actions=actions)
 
@@ -218,13 +245,47 @@ class LabelBudget:
                 found.append((int(action), row))
             if not any(missing.values()):
                 break
-        if lacking := [spec.names[action] for action, count in missing.items() if count]:
+        self._require_enough([spec.names[action] for action, count in missing.items() if count], wanted)
+        actions, rows = zip(*sorted(found, key=lambda one: one[0]), strict=True)
+        return np.asarray(rows), np.asarray(actions)
+
+    def _of_each_agent(
+        self, triplets: TripletSet, order: Int[np.ndarray, " n"], spec: Discrete
+    ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+        """The first rows that show something new of an agent and in which nothing is pushed, by action.
+
+        Where two agents' actions go hand in hand in all of them, one more is taken: nothing would say whose is whose.
+        """
+        wanted = int(self.request.amount)
+        missing = [np.full(len(names), wanted) for names in spec.parts]
+        found: list[tuple[int, int]] = []
+        for row, action in self._unpushed(triplets, order):
+            parts, complete = spec.divided(action).tolist(), all((left <= 0).all() for left in missing)
+            known = {one for one, _ in found}
+            if complete and not _hand_in_hand(spec, known):
+                break
+            if any(left[part] > 0 for left, part in zip(missing, parts, strict=True)) or (
+                complete and int(action) not in known
+            ):
+                found.append((int(action), row))
+                for left, part in zip(missing, parts, strict=True):
+                    left[part] -= 1
+        lacking = [
+            f"{name} of agent {agent}"
+            for agent, (names, left) in enumerate(zip(spec.parts, missing, strict=True))
+            for name, count in zip(names, left.tolist(), strict=True)
+            if count > 0
+        ]
+        self._require_enough(lacking, wanted)
+        actions, rows = zip(*sorted(found, key=lambda one: one[0]), strict=True)
+        return np.asarray(rows), np.asarray(actions)
+
+    def _require_enough(self, lacking: list[str], wanted: int) -> None:
+        if lacking:
             raise LabelsNotAvailable(
                 f"the training episodes hold fewer than {wanted} demonstrations of {', '.join(lacking)}; "
                 "ask for fewer (--labels one-shot) or record more episodes."
             )
-        actions, rows = zip(*sorted(found, key=lambda one: one[0]), strict=True)
-        return np.asarray(rows), np.asarray(actions)
 
     def _first_unpushed(
         self, triplets: TripletSet, order: Int[np.ndarray, " n"]

@@ -32,6 +32,9 @@ from dmotion_bench.storage.limits import LARGEST_SIDE, LONGEST_NAME, LONGEST_TEX
 from dmotion_bench.wording import shown
 
 RUN_FORMAT: Final = "dmbench-run/1"
+PARTS: Final = "parts"
+"""In the place of joint actions: how many each agent has."""
+
 _LARGEST: Final = 2**20  # bytes of a run.json that are read
 _COUNTS: Final = range(2**53)
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
@@ -51,8 +54,8 @@ class RunSpec:
         fingerprint: The hash of its content.
         protocol: How triplets are split.
         height, width: What the model was built for [px].
-        actions: What the model was built for: the number of discrete actions, 0 if they are not known, or the fields of
-            ``Continuous``.
+        actions: What the model was built for: the number of discrete actions, 0 if they are not known; of joint actions
+            of several agents ``{"parts": [4, 4]}``, the number of each one's; or the fields of ``Continuous``.
     """
 
     model: str
@@ -96,6 +99,8 @@ class RunSpec:
         """
         if isinstance(self.actions, int):
             return Discrete.numbered(self.actions) if self.actions else None
+        if set(self.actions) == {PARTS}:
+            return _joint_actions(self.actions[PARTS])
         try:
             return actions_from_json(dict(self.actions))
         except ValueError as error:
@@ -148,8 +153,29 @@ class RunSpec:
 
 def stored_actions(spec: ActionSpec | None) -> int | dict[str, Any]:
     """A data set's actions as ``RunSpec`` holds them."""
+    if isinstance(spec, Discrete) and len(spec.parts) > 1:
+        return {PARTS: list(map(len, spec.parts))}
     stored = actions_to_json(spec)
     return stored if isinstance(stored, dict) else len(stored)
+
+
+def _joint_actions(sizes: object) -> Discrete:
+    """Joint actions of agents that have so many each.
+
+    Raises:
+        InvalidSetting: There are no such actions.
+    """
+    if (
+        not isinstance(sizes, list | tuple)
+        or not 2 <= len(sizes) <= MOST_ACTIONS.bit_length()
+        or not all(type(size) is int and 2 <= size <= MOST_ACTIONS for size in sizes)
+        or math.prod(sizes) > MOST_ACTIONS
+    ):
+        raise InvalidSetting(
+            f"the parts of the actions are {shown(sizes)}; they are whole numbers from 2, one for each of several "
+            f"agents, whose product is at most {MOST_ACTIONS:,}."
+        )
+    return Discrete.joint(*(Discrete.numbered(size).names for size in sizes))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

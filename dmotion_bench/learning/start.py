@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.learning.curriculum import TrainingData
 from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelBudget, LabelRequest
@@ -100,7 +101,7 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
     parts.append(spec.dataset)
     if not spec.dataset.endswith(f"-{spec.preset}"):
         parts.append(spec.preset)
-    if spec.labels not in ("one-shot" if isinstance(spec.actions, int) else str(DEMONSTRATIONS), "100%"):
+    if spec.labels not in (str(DEMONSTRATIONS) if isinstance(spec.action_spec, Continuous) else "one-shot", "100%"):
         parts.append(spec.labels.replace("%", "pct"))
     if spec.protocol != "episode":
         parts.append(f"split_{spec.protocol}")

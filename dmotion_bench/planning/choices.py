@@ -84,6 +84,21 @@ def default_objective(environment: str, spec: EnvSpec, *, needs_pixels: bool) ->
     return name
 
 
+def generic_objective(spec: EnvSpec, *, needs_pixels: bool) -> str:
+    """The name of an objective that knows nothing of the scene, the same for every environment and model of a kind.
+
+    Features for models that draw no frames; else the objects' centres, each hidden object where it was last seen; where
+    there are no objects to find, the pictures.
+
+    Args:
+        spec: The environment's facts.
+        needs_pixels: The model's.
+    """
+    if not needs_pixels:
+        return "feature"
+    return "tracked" if spec.objects else "pixel"
+
+
 def planning_configuration(
     solver_name: str, solver: Solver, objective_name: str, objective: Objective
 ) -> dict[str, Any]:
@@ -95,12 +110,14 @@ def planning_configuration(
     """
     return {
         "solver": {"name": solver_name, **to_json(solver)},
-        "objective": {
-            "name": objective_name,
-            **to_json(objective),
-            **(constants(positions) if getattr(objective, "finds_objects", False) else {}),
-        },
+        "objective": objective_configuration(objective_name, objective),
     }
+
+
+def objective_configuration(name: str, objective: Objective) -> dict[str, Any]:
+    """An objective, complete, as JSON's types."""
+    found = constants(positions) if getattr(objective, "finds_objects", False) else {}
+    return {"name": name, **to_json(objective), **found}
 
 
 def constants(module: ModuleType) -> dict[str, Any]:

@@ -133,6 +133,18 @@ class Journal:
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 
+    def take_over(self, share: Path) -> None:
+        """Take up the tasks of another journal of the same key, as far as it is ahead."""
+        other = Journal(None, self._key)
+        other._accepted = self._accepted
+        other._read(share)
+        for number, record in other._records.items():
+            if len(record.actions) > len(self._records.get(number, TaskRecord()).actions):
+                self._records[number] = record
+                self._memory.pop(number, None)
+                if number in other._memory:
+                    self._memory[number] = other._memory[number]
+
     def _read(self, path: Path) -> None:
         try:
             content = read_json(path, nan=True)

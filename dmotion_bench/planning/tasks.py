@@ -14,7 +14,7 @@ image, divided by the same at the start. A figure of that kind has a name of its
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 
@@ -183,7 +183,20 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
     for number in numbers:
         if not 0 <= number < len(tasks):
             raise UnknownName("task", str(number), [f"0 to {len(tasks) - 1}"])
-    return _with_own_goals(dataset.recipe, [_problem(dataset, number, tasks[number]) for number in numbers])
+    return as_problems(dataset, {number: tasks[number] for number in numbers})
+
+
+def as_problems(dataset: ReadableDataset, tasks: Mapping[int, ControlTask]) -> list[Problem]:
+    """Stretches of recorded episodes as problems, whether they are stored as tasks or not.
+
+    Args:
+        dataset: With labels.
+        tasks: By the numbers that the problems are to have.
+
+    Raises:
+        LabelsNotAvailable: ``labels/`` is not there; the recorded actions are in it.
+    """
+    return _with_own_goals(dataset.recipe, [_problem(dataset, number, task) for number, task in tasks.items()])
 
 
 def _with_own_goals(recipe: DatasetRecipe, problems: list[Problem]) -> list[Problem]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.environment import Packaged, Unproven
-from dmotion_bench.errors import RecordingFailed, UsageError
+from dmotion_bench.errors import PackageNotInstalled, RecordingFailed, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.policies import find_policy
@@ -138,7 +138,7 @@ def record_dataset(
     with DatasetWriter.create_or_resume(path, recipe, spec, packages) as writer:
         try:
             progress = _record_missing(writer, executor, on_progress)
-        except (RecordingFailed, UsageError):  # the same would happen again
+        except (RecordingFailed, PackageNotInstalled, UsageError):  # the same would happen again
             writer.withdraw()
             raise
         replay = None if writer.complete is None else writer.complete.replay

@@ -3,6 +3,7 @@
 ::
 
     score.py             scores a model, and writes the report of a run
+    side_by_side.py      many runs at once, and their control in groups of tasks
     transitions.py       held-out triplets and rollouts, in batches
     prediction.py        predictions of models and references, measured frame by frame
     references.py        the references: predictors without learning, and published results
@@ -12,6 +13,7 @@
     identification.py    whether a model found the agent and its motion
     latent_ranking.py    whether a model predicts the right point of its own latent space
     explanation.py       what can be measured on video whose actions are not known
+    gain.py              what the action sequence that a model prefers truly brings
     control.py           how near a model and a planner bring the objects to their goals
     earlier_planning.py  what earlier reports say of planning, in the words of today
     tiers.py             which figures need more than an environment tells
@@ -20,5 +22,6 @@
     samples.py           the samples: one row for each predicted frame
     statistics.py        means, and their 95% intervals over episodes
     figures.py           the figures of a report, computed from the samples
+    run_report.py        the report of a run, with what has to be borne in mind of each figure
     report.py            report.json and samples.parquet on disk
 """

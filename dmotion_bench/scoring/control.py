@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Final
@@ -141,6 +141,7 @@ def score_control(
     device: torch.device | None = None,
     progress: Advance = lambda _: None,
     checkpoint: Path | None = None,
+    numbers: Sequence[int] | None = None,
 ) -> ControlResult:
     """Let a model or a reference work on the tasks that the data set stores.
 
@@ -152,7 +153,8 @@ def score_control(
         progress: Called after every control step.
         checkpoint: A file to go on from after an interruption; it is left there when all is done, so that asking
             again costs nothing, and asking for more tasks only those. One that belongs to something else is
-            overwritten.
+            overwritten. Shares of it (``share_of``) are taken over.
+        numbers: Of the tasks to work on, in place of those of ``scoring``; whole groups, or the rounding differs.
 
     Raises:
         DatasetError: The data set stores no tasks, or this machine's simulator does not repeat the recording.
@@ -161,7 +163,7 @@ def score_control(
     """
     scoring = scoring or ControlScoring()
     require_tasks(dataset)
-    problems = load_problems(dataset, scoring.tasks)
+    problems = load_problems(dataset, scoring.tasks if numbers is None else numbers)
     return control(
         agent_of(model, dataset, scoring, device),
         problems,
@@ -283,7 +285,20 @@ def _journal(
 ) -> Journal:
     """The journal of a control run; it also accepts results of this version in the words of earlier releases."""
     key = _key(model, dataset, scoring, device)
-    return Journal(path, key, earlier=_earlier_keys(key, scoring))
+    journal = Journal(path, key, earlier=_earlier_keys(key, scoring))
+    for share in () if path is None else shares_of(path):
+        journal.take_over(share)
+    return journal
+
+
+def share_of(journal: Path, first: int) -> Path:
+    """Where a share of a control run is kept: the tasks from number ``first`` on."""
+    return journal.with_name(f"{journal.stem}-{first}{journal.suffix}")
+
+
+def shares_of(journal: Path) -> list[Path]:
+    """The shares of a control run that are there."""
+    return sorted(path for path in journal.parent.glob(f"{journal.stem}-*{journal.suffix}") if path != journal)
 
 
 def _key(

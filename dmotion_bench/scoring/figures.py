@@ -9,7 +9,10 @@ import pyarrow.compute as pc
 from dmotion_bench.scoring.identification import motion_within_over_between
 from dmotion_bench.scoring.samples import (
     CONTROL,
+    EACH,
+    EACH_FIGURES,
     FIGURE_COLUMNS,
+    GAIN,
     IDENTIFICATION_COLUMNS,
     PICTURE_CONTROL,
     RANK_COLUMNS,
@@ -34,6 +37,7 @@ def figures_of(samples: pa.Table, predictor: str, *, resamples: int = RESAMPLES,
     single, rollout, controlled = (_where(mine, "metric", metric) for metric in ("prediction", "rollout", CONTROL))
     found = _single_steps(single, resamples, seed) if len(single) else {}
     found |= _rollouts(rollout, resamples, seed)
+    found |= _gain(_where(mine, "metric", GAIN), resamples, seed)
     found |= _control_by_pictures(_where(mine, "metric", PICTURE_CONTROL), resamples, seed)
     return found | _control(controlled, resamples, seed)
 
@@ -58,6 +62,24 @@ def _single_steps(single: pa.Table, resamples: int, seed: int) -> Figures:
         ratio = motion_within_over_between(motion, column(single, "action"), bootstrap)
         if ratio is not None:
             found["motion_within_over_between"] = ratio
+    return found | _each_agent(single, bootstrap)
+
+
+def _each_agent(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:
+    """The identification figures of each of several agents, by the agent's number."""
+    found: Figures = {}
+    for name in EACH_FIGURES:
+        values = vectors(single, EACH + name)
+        for agent, of_agent in enumerate(() if values is None else values.T):
+            if (estimate := bootstrap.mean(of_agent)) is not None:
+                found[f"{name}[{agent}]"] = estimate
+    action, motion = vectors(single, f"{EACH}action"), vectors(single, f"{EACH}motion")
+    if action is not None and motion is not None:
+        parts = motion.reshape(len(motion), action.shape[1], -1)
+        for agent in range(action.shape[1]):
+            ratio = motion_within_over_between(parts[:, agent], action[:, agent], bootstrap)
+            if ratio is not None:
+                found[f"motion_within_over_between[{agent}]"] = ratio
     return found
 
 
@@ -106,3 +128,13 @@ def _control_by_pictures(samples: pa.Table, resamples: int, seed: int) -> Figure
         for step in range(1, int(ahead.max()) + 1)
     }
     return {name: estimate for name, estimate in estimates.items() if estimate is not None}
+
+
+def _gain(samples: pa.Table, resamples: int, seed: int) -> Figures:
+    """The share of what could be gained at some moments that was."""
+    if not len(samples):
+        return {}
+    bootstrap = EpisodeBootstrap(column(samples, "episode"), resamples=resamples, seed=seed)
+    gain, best = (column(samples, name).astype(np.float64) for name in ("gain", "best_gain"))
+    estimate = bootstrap.ratio(gain, best)
+    return {} if estimate is None else {"planning_gain": estimate}

@@ -22,20 +22,27 @@ phi^0 below stands for any latent action:
   triplet's, of another action: near zero when the model ignores it.
 
 A variance within an action and the accuracy of a probe are not defined for continuous actions, and are left out there.
+
+In a world of several agents ``agent_iou`` is of all of them together (the union of the thresholded maps against the
+union of the masks), and ``motion_shift_error`` is the mean over the agents. Beside them stand four figures of each
+agent k, ``agent_iou[k]``, ``motion_shift_error[k]``, ``motion_probe_accuracy[k]`` and
+``motion_within_over_between[k]``, where an action is what agent k does. A model with a map and a motion for each agent
+(``AgentsModel``) is asked for those of agent k; those of a model that has one of each stand against every agent.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor
 
-from dmotion_bench.actions import Continuous
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.learning.action_to_latent import ridge
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
@@ -72,11 +79,39 @@ class AgentModel(Protocol):
 
 
 @runtime_checkable
+class AgentsModel(Protocol):
+    """A model that tells several agents apart; it counts them as ``EnvSpec.agents`` does."""
+
+    def agent_maps(self, current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k y x"]:
+        """As ``agent_map``, for each agent."""
+
+    def agent_motions(self, latent: Float[Tensor, "b d"]) -> Float[Tensor, "b k e"]:
+        """The part of a latent action that is each agent's; ``pixel_shift`` takes such a part."""
+
+
+@runtime_checkable
 class ShiftModel(Protocol):
     """A model whose latent action is a shift."""
 
     def pixel_shift(self, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b 2"]:
         """How far the motion moves the agent: (right, down) in pixels of the frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EachAgent:
+    """The identification figures of each held-out triplet and agent; NaN where there is no value.
+
+    Attributes:
+        action: What each agent does.
+        motion: Its part of phi^0, or all of it if the model has one motion.
+        agent_iou, motion_shift_error, motion_probe_accuracy: As above.
+    """
+
+    action: Int[np.ndarray, "n k"]
+    motion: Float[np.ndarray, "n k e"]
+    agent_iou: Float[np.ndarray, "n k"]
+    motion_shift_error: Float[np.ndarray, "n k"]
+    motion_probe_accuracy: Float[np.ndarray, "n k"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +122,8 @@ class Identification:
         motion: phi^0 of each true triplet.
         agent_iou, motion_shift_error, motion_probe_accuracy, motion_probe_error: As above, of each triplet.
         partner: A triplet of another action, to swap phi^0 with; -1 where there is none.
+        each: Of each agent, where there are several, their actions are joint ones, and the model has one motion or as
+            many as there are agents.
     """
 
     motion: Float[np.ndarray, "n d"]
@@ -95,25 +132,21 @@ class Identification:
     motion_probe_accuracy: Float[np.ndarray, " n"]
     motion_probe_error: Float[np.ndarray, " n"]
     partner: Int[np.ndarray, " n"]
+    each: EachAgent | None = None
 
 
 def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, device: torch.device) -> Identification:
     """Ask a model about every held-out triplet, in the order of ``held_out.batches``."""
-    motions, overlaps, shift_errors, actions, episodes = [], [], [], [], []
+    motions, together, overlaps, shift_errors, actions, episodes = [], [], [], [], [], []
     for batch in held_out.batches(batch_size):
         stored = torch.from_numpy(batch.frames).to(device)
         previous, current, following = (to_model(stored[:, place]) for place in range(3))
         motion = model.latent_action(previous, current, following)
-        if isinstance(model, AgentModel):
-            agent = torch.from_numpy(batch.agent[:, 0]).to(device)
-            overlaps.append(agent_overlap(model.agent_map(current), agent).cpu())
-        else:
-            overlaps.append(torch.full((len(batch),), torch.nan))
-        if isinstance(model, ShiftModel):
-            error = model.pixel_shift(motion) - torch.from_numpy(batch.shift).to(device)
-            shift_errors.append(error.norm(dim=-1).float().cpu())
-        else:
-            shift_errors.append(torch.full((len(batch),), torch.nan))
+        agents = torch.from_numpy(batch.agents[:, 0]).to(device)
+        whole, each = _overlaps(model, current, agents, batch.shifts.shape[1])
+        together.append(whole.cpu())
+        overlaps.append(each.cpu())
+        shift_errors.append(_shift_errors(model, motion, torch.from_numpy(batch.shifts).to(device)).float().cpu())
         motions.append(motion.float().cpu())
         actions.append(batch.action)
         episodes.append(batch.episode)
@@ -125,20 +158,90 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
     else:
         right, missed = probe_accuracy(motion_table, action, episode), undefined
         partner = swap_partners(action)
+    overlap, shift_error = torch.cat(overlaps).numpy(), torch.cat(shift_errors).numpy()
     return Identification(
         motion=motion_table,
-        agent_iou=torch.cat(overlaps).numpy(),
-        motion_shift_error=torch.cat(shift_errors).numpy(),
+        agent_iou=torch.cat(together).numpy(),
+        motion_shift_error=shift_error.mean(axis=1),
         motion_probe_accuracy=right,
         motion_probe_error=missed,
         partner=partner,
+        each=_each_agent(model, spec, torch.cat(motions), action, episode, overlap, shift_error),
+    )
+
+
+def _overlaps(
+    model: LatentActionModel, current: Float[Tensor, "b c h w"], agents: UInt8[Tensor, "b h w"], count: int
+) -> tuple[Float[Tensor, " b"], Float[Tensor, "b k"]]:
+    """Of all agents together, and of each; NaN where the model does not say where they are."""
+    if isinstance(model, AgentsModel):
+        maps = model.agent_maps(current)
+    elif isinstance(model, AgentModel):
+        maps = model.agent_map(current)[:, None]
+    else:
+        return torch.full((len(current),), torch.nan), torch.full((len(current), count), torch.nan)
+    shown = torch.stack([above_otsu(resized(one, agents.shape[1:])) for one in maps.unbind(1)], dim=1)
+    whole = _overlap(shown.any(1), agents > 0)
+    if shown.shape[1] not in (1, count):
+        return whole, torch.full((len(current), count), torch.nan)
+    shown = shown.expand(-1, count, -1, -1)
+    return whole, torch.stack([_overlap(shown[:, number], agents == number + 1) for number in range(count)], dim=1)
+
+
+def motions_of(model: LatentActionModel, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b k e"]:
+    """The agents' parts of latent actions; all of them is one part of a model that knows one agent."""
+    return model.agent_motions(motion) if isinstance(model, AgentsModel) else motion[:, None]
+
+
+def _shift_errors(
+    model: LatentActionModel, motion: Float[Tensor, "b d"], shifts: Float[Tensor, "b k 2"]
+) -> Float[Tensor, "b k"]:
+    parts = motions_of(model, motion)
+    if not isinstance(model, ShiftModel) or parts.shape[1] not in (1, shifts.shape[1]):
+        return torch.full(shifts.shape[:2], torch.nan)
+    found = torch.stack([model.pixel_shift(part) for part in parts.unbind(1)], dim=1)
+    error: Tensor = torch.linalg.vector_norm(found - shifts, dim=-1)
+    return error
+
+
+def _each_agent(
+    model: LatentActionModel,
+    spec: ActionSpec | None,
+    motion: Float[Tensor, "n d"],
+    action: Shaped[np.ndarray, "n *a"],
+    episode: Int[np.ndarray, " n"],
+    overlap: Float[np.ndarray, "n k"],
+    shift_error: Float[np.ndarray, "n k"],
+) -> EachAgent | None:
+    count = overlap.shape[1]
+    if count == 1 or not isinstance(spec, Discrete) or len(spec.parts) != count:
+        return None
+    parts = motions_of(model, motion).numpy()
+    if parts.shape[1] not in (1, count):
+        return None
+    parts = np.broadcast_to(parts, (len(parts), count, parts.shape[2])).copy()
+    done = spec.divided(action)
+    right = [probe_accuracy(parts[:, number], done[:, number], episode) for number in range(count)]
+    return EachAgent(
+        action=done,
+        motion=parts,
+        agent_iou=overlap,
+        motion_shift_error=shift_error,
+        motion_probe_accuracy=np.stack(right, axis=1),
     )
 
 
 def agent_overlap(maps: Float[Tensor, "b y x"], masks: Bool[Tensor, "b h w"]) -> Float[Tensor, " b"]:
     """Intersection over union of thresholded maps and the agent's masks; NaN where the agent is not in the picture."""
-    resized = F.interpolate(maps.abs().float()[:, None], masks.shape[1:], mode="bilinear", align_corners=False)[:, 0]
-    shown = above_otsu(resized)
+    return _overlap(above_otsu(resized(maps, masks.shape[1:])), masks)
+
+
+def resized(maps: Float[Tensor, "b y x"], size: Sequence[int]) -> Float[Tensor, "b h w"]:
+    """The size of maps' values, at the pixels of the frame."""
+    return F.interpolate(maps.abs().float()[:, None], list(size), mode="bilinear", align_corners=False)[:, 0]
+
+
+def _overlap(shown: Bool[Tensor, "b h w"], masks: Bool[Tensor, "b h w"]) -> Float[Tensor, " b"]:
     overlap = (shown & masks).flatten(1).sum(1) / (shown | masks).flatten(1).sum(1)
     return overlap.where(masks.flatten(1).any(1), torch.nan)
 

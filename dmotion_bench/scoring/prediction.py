@@ -25,7 +25,7 @@ from dmotion_bench.scoring.identification import Identification, LatentActionMod
 from dmotion_bench.scoring.latent_ranking import Ranks, rank_rollouts
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.references import REFERENCES
-from dmotion_bench.scoring.samples import SampleRows, action_column
+from dmotion_bench.scoring.samples import EACH, SampleRows, action_column
 from dmotion_bench.scoring.transitions import HeldOut, RolloutBatch, TransitionBatch
 
 MODEL = "model"
@@ -182,7 +182,9 @@ def _by_latent(
         for rows in (np.arange(here.start, here.stop), partner)
     )
     change = mean_squared_error(own, other).cpu()
+    each = {} if found.each is None else vars(found.each)
     return {
+        **{EACH + name: torch.from_numpy(values[here]).flatten(1) for name, values in each.items()},
         "agent_iou": torch.from_numpy(found.agent_iou[here]),
         "motion_shift_error": torch.from_numpy(found.motion_shift_error[here]),
         "motion_probe_accuracy": torch.from_numpy(found.motion_probe_accuracy[here]),

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from dmotion_bench.actions import ActionSpec, Continuous
+from dmotion_bench.actions import ActionSpec, kind_of
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.scoring.transitions import TransitionBatch
 
@@ -98,12 +98,12 @@ def published_for(
     *,
     actions: ActionSpec | None = None,
 ) -> PublishedResult | None:
-    """The published result of a model in an environment; the papers' actions are discrete.
+    """The published result of a model in an environment; the papers' actions are discrete ones of one agent.
 
     The one with the same label budget, else the only one there is: the paper's one-shot row also stands beside our
     5-shot run (its own ``labels`` says so), but of rows for 10% and 100% none stands beside 50%.
     """
-    if isinstance(actions, Continuous):
+    if kind_of(actions) != "discrete":
         return None
     found = [
         result

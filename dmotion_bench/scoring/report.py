@@ -8,8 +8,8 @@
       run, model, arch, preset, seed
       labels         asked for, and the number handed out by purpose
       dataset        name, environment, fingerprint (the hash of its content); version: of the environment, where it
-                     is not 1; actions: "continuous", where they are; trained_on: name and fingerprint of the run's own,
-                     where it is scored on another (transfer.py)
+                     is not 1; actions: "continuous" or "joint", where they are; trained_on: name and fingerprint of
+                     the run's own, where it is scored on another (transfer.py)
       weights        the hash of the weights
       settings       split, horizon, precision ...; metrics: what has been scored so far; of control its version, too
       planning       of control: the planner and the cost, every field and every constant, and the arithmetic

@@ -1,7 +1,7 @@
 """``samples.parquet``: every number behind a report's figures, one row per predicted frame.
 
 ================== ==================================================================================
-``metric``         ``"prediction"`` (single steps), ``"rollout"``, or ``"control"`` (see below)
+``metric``         ``"prediction"`` (single steps), ``"rollout"``, or ``"control"`` or ``"gain"`` (see below)
 ``predictor``      ``"model"``, or a reference: ``"copy_last"``, ``"agent_moves"``; in control ``"idle"`` and so on
 ``episode, step``  the action taken at frame ``step`` leads to the predicted frame ``step + 1``
 ``ahead``          predicted so many steps after the last true frame: 1 for single steps
@@ -13,17 +13,25 @@ figures            as in the report; null where the frame has no value (see ``po
 ``found``          whether the prediction shows each thing; ``found_truth`` the true frame
 ``hit_at_1``       H@1 of a rollout in the model's own space; ``reciprocal_rank`` its part of the MRR
 ``motion``         phi^0 of the true triplet, or any other latent action
+``each_...``       only there in worlds of several agents: a value for each agent of ``each_agent_iou``,
+                   ``each_motion_shift_error`` and ``each_motion_probe_accuracy``, its ``each_action``, and its
+                   ``each_motion``, one agent's after the other's
 ================== ==================================================================================
 
 In reports of control on continuous actions that were written before they were kept, ``command`` is missing.
 
 A figure of the report is the mean of its column over the rows of its predictor and metric: all of them, those with
-``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``.
+``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``. Of a figure of agent k it is the mean
+of the k-th values.
 
 In control a row is one moment of one task: ``task`` is its number, ``episode`` and ``step`` where it starts, ``ahead``
 how many steps have been taken, ``action`` the next (-1 for none, or a continuous one), ``control_distance`` and
 ``control_lost`` how things stand then. The ``metric`` is ``"control_pictures"`` where pictures judge, since the
 environment tells no positions; its figures have other names (``figures.py``).
+
+Of the gain captured (``gain.py``) a row is a moment: frame ``step`` of an episode. ``ahead`` is the length of the
+sequences, ``action`` the first one of the pick, ``gain`` what it truly brings, ``best_gain`` what the best sequence
+brings. The figure is the sum of the one divided by the sum of the other.
 """
 
 from __future__ import annotations
@@ -48,6 +56,7 @@ from dmotion_bench.wording import shown
 
 CONTROL: Final = "control"
 PICTURE_CONTROL: Final = "control_pictures"
+GAIN: Final = "gain"
 PIXEL_COLUMNS = ("mse", "psnr", "ssim")
 POSITION_COLUMNS = ("position_error_paper", "position_error", "miss_rate", "false_positive_rate")
 OBJECT_COLUMNS = tuple(name + OBJECTS_ONLY for name in POSITION_COLUMNS)
@@ -59,7 +68,12 @@ IDENTIFICATION_COLUMNS = (
     "mse_true_motion",
     "motion_swap_change",
 )
+EACH = "each_"
+"""Before the name of a column with a value for each of several agents."""
+
+EACH_FIGURES = ("agent_iou", "motion_shift_error", "motion_probe_accuracy")
 RANK_COLUMNS = ("hit_at_1", "reciprocal_rank")
+GAIN_COLUMNS = ("gain", "best_gain")
 CONTROL_COLUMNS = ("task", "control_distance", "control_lost")
 FIGURE_COLUMNS = PIXEL_COLUMNS + POSITION_COLUMNS + OBJECT_COLUMNS + IDENTIFICATION_COLUMNS
 
@@ -81,15 +95,21 @@ SCHEMA = pa.schema(
         ("task", pa.int32()),
         ("control_distance", pa.float32()),
         ("control_lost", pa.int16()),
+        ("gain", pa.float32()),
+        ("best_gain", pa.float32()),
+        (f"{EACH}action", pa.list_(pa.int16())),
+        (f"{EACH}motion", pa.list_(pa.float32())),
+        *((EACH + name, pa.list_(pa.float32())) for name in EACH_FIGURES),
     ]
 )
 
-MOST_SAMPLES: Final = 2_000_000
-"""Rows of a table that is read: some 200 bytes of memory each."""
+MOST_SAMPLES: Final = 1_000_000
+"""Rows of a table that is read; to compare two such tables takes some 650 bytes of memory a row."""
 _MOST_LISTED: Final = 2**25  # values in a column of lists
-_LISTS: Final = ("distance", "found", "found_truth", "motion", "command")
-_OF_CONTINUOUS: Final = ("command", "motion_probe_error")  # not written where they say nothing
-_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _OF_CONTINUOUS
+_EACH_COLUMNS: Final = tuple(name for name in SCHEMA.names if name.startswith(EACH))
+_LISTS: Final = ("distance", "found", "found_truth", "motion", "command", *_EACH_COLUMNS)
+_LEFT_OUT: Final = ("command", "motion_probe_error", *GAIN_COLUMNS, *_EACH_COLUMNS)  # where they say nothing
+_LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _LEFT_OUT
 
 
 class SampleRows:
@@ -146,7 +166,7 @@ def vectors(samples: pa.Table, name: str) -> Shaped[np.ndarray, "n d"] | None:
 
 def write_samples(path: Path, samples: pa.Table) -> None:
     """Replace the file in one step."""
-    there = (name for name in _OF_CONTINUOUS if name in samples.column_names)
+    there = (name for name in _LEFT_OUT if name in samples.column_names)
     samples = samples.drop_columns([name for name in there if samples[name].null_count == len(samples)])
     with atomic_file(path) as file:
         pq.write_table(samples, file, compression="zstd")

@@ -11,19 +11,18 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 
-from dmotion_bench.actions import Continuous
-from dmotion_bench.errors import InvalidSetting, RunMismatch
+from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
-from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks
+from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks, shares_of
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
-from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
+from dmotion_bench.scoring.gain import GainScoring, gain_tables, reason_against, require_gain
 from dmotion_bench.scoring.prediction import (
     MODEL,
     Execution,
@@ -34,44 +33,37 @@ from dmotion_bench.scoring.prediction import (
     score_rollouts,
     score_steps,
 )
-from dmotion_bench.scoring.references import REFERENCES, published_for
+from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
-    PROTOCOL,
     SCORING_VERSION,
     Report,
     read_report,
     read_report_samples,
     write_report,
 )
+from dmotion_bench.scoring.run_report import compose_report
 from dmotion_bench.scoring.samples import PICTURE_CONTROL, SCHEMA
 from dmotion_bench.scoring.statistics import RESAMPLES
-from dmotion_bench.scoring.tiers import refused
-from dmotion_bench.scoring.transfer import report_folder, training_of, transfer_remark, transferable
+from dmotion_bench.scoring.transfer import report_folder, transferable
 from dmotion_bench.scoring.transitions import HeldOut
-from dmotion_bench.specs import VERSION, SplitName
+from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
-from dmotion_bench.versions import versions
 from dmotion_bench.workspace import AnyPath
 
-Metric = Literal["prediction", "rollout", "control"]
+Metric = Literal["prediction", "rollout", "gain", "control"]
 METRICS: tuple[Metric, ...] = get_args(Metric)
 DEFAULT_METRICS: tuple[Metric, ...] = ("prediction", "rollout")
-"""Those that take seconds; control acts in a simulator and takes minutes."""
+"""Those that need no simulator and take seconds; the gain captured takes a minute or a few, control many."""
 
-CONTROL = "control_"
-"""How the settings begin that decide the figures of control; they alone do."""
+CONTROL_JOURNAL = "control.json"
+"""The file of a report's folder in which an unfinished control keeps how far it is."""
+
+OWN_SETTINGS: tuple[Metric, ...] = ("gain", "control")
+"""Groups that are decided by settings of their own, which begin with the group's name, and by no others."""
 
 BESIDE = (*REFERENCES, *CONTROL_REFERENCES)
-REMARKS = {
-    "copy_last": "predicts that nothing changes",
-    "agent_moves": "moves the agent as it truly moves, and nothing else; what it uncovers is taken from the truth",
-    "idle": "does nothing",
-    "random": "takes any action, each as likely",
-    "scripted": "pushes by rules that read the simulator",
-    "oracle": "plans like the model, with the true simulator in its place",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +76,7 @@ class ScoreSettings:
         horizon: Steps of a rollout.
         precision: Of the model's arithmetic: ``"float32"``, or ``"bf16"`` autocast.
         resamples: Draws of the bootstrap.
+        gain: At how many moments the gain captured is measured, and how.
         control: Which control tasks are worked on, and how.
     """
 
@@ -92,6 +85,7 @@ class ScoreSettings:
     horizon: int = 15
     precision: Precision = "float32"
     resamples: int = RESAMPLES
+    gain: GainScoring = field(default_factory=GainScoring)
     control: ControlScoring = field(default_factory=ControlScoring)
 
     def __post_init__(self) -> None:
@@ -100,8 +94,10 @@ class ScoreSettings:
 
     def to_json(self, metrics: tuple[str, ...]) -> dict[str, Any]:
         """The settings as a report with these groups of figures stores them."""
-        plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "control"}
-        return plain | (self.control.to_json() if "control" in metrics else {}) | {"metrics": list(metrics)}
+        plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in OWN_SETTINGS}
+        owned = {"gain": self.gain.to_json(), "control": self.control.to_json()}
+        chosen = {name: value for group in OWN_SETTINGS if group in metrics for name, value in owned[group].items()}
+        return plain | chosen | {"metrics": list(metrics)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +159,7 @@ def score_model(
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
-        metrics = tuple(metric for metric in metrics if metric == "control")
+        metrics = tuple(metric for metric in metrics if metric in OWN_SETTINGS)
     identity = (dataset.fingerprint, dataset.spec.actions, settings.split, settings.protocol, torch.get_num_threads())
     tables = [] if earlier is None else [earlier]
     with predicting(how.device):
@@ -179,6 +175,9 @@ def score_model(
             tables.append(score_steps(model, held_out, how))
         if "rollout" in metrics:
             tables.append(score_rollouts(model, held_out, how, horizon=settings.horizon))
+    if "gain" in metrics:
+        with predicting(how.device):
+            tables += gain_tables(model, dataset, settings.split, settings.gain, how)
     if "control" in metrics:
         tables += control_tables(model, dataset, settings.control, how, journal)
     return _scores(pa.concat_tables(tables) if tables else SCHEMA.empty_table(), settings)
@@ -196,7 +195,7 @@ def _scores(samples: pa.Table, settings: ScoreSettings) -> Scores:
 def score_run(
     path: AnyPath,
     *,
-    metrics: tuple[Metric, ...] = DEFAULT_METRICS,
+    metrics: tuple[Metric, ...] | None = DEFAULT_METRICS,
     settings: ScoreSettings | None = None,
     how: Execution | None = None,
     references: ReferenceScores | None = None,
@@ -210,6 +209,7 @@ def score_run(
     version; of control the same solver and objective, too.
 
     Args:
+        metrics: Which groups of figures; None for all but control that the data set can have.
         renew: Whether to score again what the report already holds.
         data: Another data set of the same environment, or an import, see ``transfer.py``; the run's own if left out.
             The other arguments are ``score_model``'s.
@@ -223,21 +223,19 @@ def score_run(
         UsageError: The run's number of threads is not allowed here.
         FolderInUse: Another process scores the run.
     """
-    run = Run.open(path)
-    dataset = Dataset.open(data or run.dataset_path)
+    run, settings = Run.open(path), settings or ScoreSettings()
+    dataset, folder = scored_data(run, settings.split, data)
     elsewhere = dataset.fingerprint != run.spec.fingerprint
-    if elsewhere and data is None:
-        raise RunMismatch(
-            f"the data set {str(run.dataset_path)!r} has changed since the run {run.name!r} was trained on it, so its "
-            "held-out episodes may no longer be held out; train again with 'dmbench train'."
-        )
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
-    settings = replace(settings or ScoreSettings(), protocol=protocol)
-    if elsewhere:
-        dataset = transferable(run, dataset, settings.split)
+    settings = replace(settings, protocol=protocol)
     if dataset.spec.actions is not None:
         run.require_aligned()
-    folder = report_folder(run.path, run.spec.fingerprint, dataset)
+    lacking = None
+    if metrics is None:
+        lacking = reason_against(dataset, settings.split, settings.gain)
+        metrics = DEFAULT_METRICS if lacking else (*DEFAULT_METRICS, "gain")
+    elif "gain" in metrics and dataset.spec.actions is not None:
+        require_gain(dataset, settings.split, settings.gain)
     if "control" in metrics:
         require_tasks(dataset)  # said before the work, not after it
     if dataset.spec.actions is None:
@@ -249,9 +247,7 @@ def score_run(
         true: tuple[str, ...] = ()
         if report is not None:
             settings = _with_stored(settings, report, metrics)
-            planned = "control" in report.settings["metrics"]
-            planning = _planning(run, dataset, settings) if planned else {}  # asks the environment, which may be absent
-            true = tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
+            true = _true_groups(run, dataset, report, settings)
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
@@ -264,17 +260,43 @@ def score_run(
                 how=how,
                 references=references,
                 earlier=_of_groups(samples, set(true) - set(metrics)),
-                journal=(journal := folder / "control.json"),
+                journal=(journal := folder / CONTROL_JOURNAL),
             )
-        scored = _report(run, dataset, scores, settings, tuple(dict.fromkeys((*true, *metrics))))
+        groups = tuple(dict.fromkeys((*true, *metrics)))
+        scored = compose_report(run, dataset, scores.figures, scores.reference, settings.to_json(groups))
+        if lacking is not None:
+            scored = replace(scored, remarks={**scored.remarks, "gain": f"not measured: {lacking}"})
         if "control" in metrics:
             arithmetic = "bfloat16" if has_bf16((how or Execution()).device) else "float32"
             scored = replace(scored, planning=_planning(run, dataset, settings) | {"arithmetic": arithmetic})
         elif "control" in true and report is not None:
             scored = replace(scored, planning=present_planning(report.planning) or _planning(run, dataset, settings))
         written = write_report(folder, scored, scores.samples)
-        journal.unlink(missing_ok=True)
+        for done in (journal, *shares_of(journal)):
+            done.unlink(missing_ok=True)
     return written
+
+
+def scored_data(run: Run, split: SplitName, data: AnyPath | None = None) -> tuple[Dataset, Path]:
+    """The data set that a run is scored on, as its model reads it, and the folder of the report.
+
+    Args:
+        run: Trained.
+        split: Whose episodes are scored.
+        data: Another data set than the run's own.
+
+    Raises:
+        RunMismatch, DatasetMissing: As ``score_run`` raises them.
+    """
+    dataset = Dataset.open(data or run.dataset_path)
+    if dataset.fingerprint != run.spec.fingerprint:
+        if data is None:
+            raise RunMismatch(
+                f"the data set {str(run.dataset_path)!r} has changed since the run {run.name!r} was trained on it, so "
+                "its held-out episodes may no longer be held out; train again with 'dmbench train'."
+            )
+        dataset = transferable(run, dataset, split)
+    return dataset, report_folder(run.path, run.spec.fingerprint, dataset)
 
 
 def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa.Table]:
@@ -298,6 +320,8 @@ def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ..
     """Take the settings of groups that are not asked for from the report."""
     if "rollout" not in metrics:
         settings = replace(settings, horizon=report.settings["horizon"])
+    if "gain" not in metrics and "gain" in report.settings["metrics"]:
+        settings = replace(settings, gain=GainScoring.from_json(report.settings))
     if "control" not in metrics and "control" in report.settings["metrics"]:
         settings = replace(settings, control=ControlScoring.from_json(report.settings))
     return settings
@@ -307,11 +331,46 @@ def _planning(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, 
     return settings.control.planning(dataset, needs_pixels=run.model.needs_pixels)
 
 
+def _true_groups(run: Run, dataset: Dataset, report: Report, settings: ScoreSettings) -> tuple[str, ...]:
+    """The groups of a report's figures that scoring now would give again."""
+    planned = "control" in report.settings["metrics"]
+    planning = _planning(run, dataset, settings) if planned else {}  # asks the environment, which may be absent
+    return tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
+
+
+def scored_report(path: AnyPath, split: SplitName, data: AnyPath | None = None) -> Report:
+    """The report of a run that was just scored.
+
+    Raises:
+        RunMissing: There is none; else as ``score_run``.
+    """
+    run = Run.open(path)
+    report = read_report(scored_data(run, split, data)[1])
+    if report is None:
+        raise RunMissing(f"the run {run.name!r} has no report; score it with 'dmbench score'.")
+    return report
+
+
+def is_scored(path: AnyPath, metric: Metric, settings: ScoreSettings, data: AnyPath | None = None) -> bool:
+    """Whether a run's report has a group of figures that scoring now would give again.
+
+    Raises:
+        As ``score_run``.
+    """
+    run = Run.open(path)
+    dataset, folder = scored_data(run, settings.split, data)
+    report, _ = _stored(folder, run, dataset)
+    return report is not None and metric in _true_groups(run, dataset, report, settings)
+
+
 def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Mapping[str, Any]) -> bool:
     """Whether a report's figures of one group are those that scoring now would give."""
     said = settings.to_json(METRICS)
     others = {"metrics", *(() if metric == "rollout" else ("horizon",))}
-    decisive = [name for name in said if name.startswith(CONTROL) == (metric == "control") and name not in others]
+    owner = {name: next((one for one in OWN_SETTINGS if name.startswith(f"{one}_")), None) for name in said}
+    mine = metric if metric in OWN_SETTINGS else None
+    shared = ("split",) if metric == "gain" else ()
+    decisive = [name for name in said if (owner[name] == mine or name in shared) and name not in others]
     if metric == "control":  # its version is among its settings; reports of before that hold no solver
         said_of = present_planning(report.planning)
         same = not said_of or all(said_of.get(name) == one for name, one in planning.items())
@@ -319,80 +378,3 @@ def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Map
         same = report.scoring_version == SCORING_VERSION
     stored = present_settings(report.settings)
     return same and all(said[name] == stored.get(name) for name in decisive)
-
-
-def _report(run: Run, dataset: Dataset, scores: Scores, settings: ScoreSettings, metrics: tuple[str, ...]) -> Report:
-    result = run.result or {}
-    own = training_of(run, dataset)
-    spec, environment, actions = run.spec, dataset.recipe.environment, dataset.spec.actions
-    published = None if own else published_for(spec.model, environment, spec.labels, actions=actions)
-    reference = {name: _json(figures) for name, figures in scores.reference.items()}
-    remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
-    left_out = refused(dataset.spec, dataset.recipe, metrics, scores.figures)
-    if dataset.spec.actions is None:
-        remarks["actions"] = EXPLAINED
-    elif not dataset.spec.objects and not dataset.spec.agent_has_color:
-        remarks["positions"] = (
-            "where the agent and the objects are is not known, so no figure is about them: " + left_out
-        )
-    elif left_out:
-        remarks["positions"] = f"the environment does not tell everything: {left_out}"
-    if any(name.startswith("control_picture") for name in scores.figures):
-        remarks["control"] = (
-            "control_picture_distance is the mean squared difference from the goal image, 1 at the start; the "
-            "environment tells no positions, so it is no distance of objects, and no task counts as solved"
-        )
-    if own:
-        remarks["trained_on"] = transfer_remark(run, dataset)
-    if published is not None:
-        reference["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
-        remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()
-    if "rollout" in metrics and not any(name.startswith("rollout_") for name in scores.figures):
-        remarks["rollout"] = (
-            f"no {settings.split} episode has the {settings.horizon + 2} frames that a rollout needs; "
-            "ask for a smaller '--horizon'"
-        )
-    if not run.model.needs_pixels:
-        remarks["prediction"] = f"{run.spec.model} draws no frames; what it is good for shows in control"
-    if settings.protocol == "paper":
-        remarks["split"] = "the paper's split shuffles triplets: most test frames were seen in training (it leaks)"
-    return Report(
-        run=run.name,
-        model=run.spec.model,
-        arch=run.spec.arch,
-        preset=run.spec.preset,
-        seed=run.spec.seed,
-        labels={
-            "asked": run.spec.labels,
-            "given": result.get("labels", {}),
-            "total": result.get("labels_total", 0),
-        },
-        dataset={
-            "name": dataset.name,
-            "environment": dataset.recipe.environment,
-            "fingerprint": dataset.fingerprint,
-        }
-        | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
-        | ({"actions": "continuous"} if isinstance(actions, Continuous) else {})
-        | ({"trained_on": own} if own else {}),
-        weights=result["weights"],
-        settings=settings.to_json(metrics),
-        training={
-            key: result[key]
-            for key in (
-                *("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes"),
-                *("threads", "precision"),
-            )
-            if result.get(key) is not None
-        },
-        versions=versions(),
-        figures=_json(scores.figures),
-        reference=reference,
-        remarks=remarks,
-        protocol=PROTOCOL,
-        scoring_version=SCORING_VERSION,
-    )
-
-
-def _json(figures: Figures) -> dict[str, Any]:
-    return {name: estimate.to_json() for name, estimate in figures.items()}

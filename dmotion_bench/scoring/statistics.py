@@ -68,6 +68,20 @@ class EpisodeBootstrap:
         low, high = self.interval(totals, lambda sums: sums[:, 0] / sums[:, 1])
         return Estimate(mean=float(samples.mean()), std=float(samples.std()), low=low, high=high, n=len(samples))
 
+    def ratio(self, parts: Float[np.ndarray, " n"], wholes: Float[np.ndarray, " n"]) -> Estimate | None:
+        """The sum of some parts divided by the sum of their wholes; its std is that of each part's own share.
+
+        Samples of which either is NaN, and wholes that are not above zero, are left out; None if none are left.
+        """
+        counted = np.isfinite(parts) & np.isfinite(wholes) & (wholes > 0)
+        if not counted.any():
+            return None
+        totals = self.totals(np.stack([np.where(counted, one, 0.0) for one in (parts, wholes)], axis=1))
+        low, high = self.interval(totals, lambda sums: sums[:, 0] / sums[:, 1])
+        shares = parts[counted] / wholes[counted]
+        mean = float(parts[counted].sum() / wholes[counted].sum())
+        return Estimate(mean=mean, std=float(shares.std()), low=low, high=high, n=len(shares))
+
     def totals(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "e m"]:
         """Sums over each episode's samples."""
         columns = values.astype(np.float64).T

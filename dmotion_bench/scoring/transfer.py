@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Int
 
-from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import DatasetError, DatasetMissing, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.run_manifest import stored_actions
@@ -111,7 +111,8 @@ def fitting(run: Run, dataset: Dataset) -> Dataset:
         return dataset
     read = dataset if own is None else _numbered(run, own, dataset)
     if spec.actions != stored_actions(read.spec.actions):
-        mine = f"{spec.actions} actions" if isinstance(spec.actions, int) else _listed(spec.action_spec)
+        known = spec.action_spec
+        mine = _listed(known) if isinstance(known, Continuous) else f"{len(known or ())} actions"
         raise RunMismatch(
             f"{run.name!r} was trained on {mine}, and those of {name!r} are {_listed(dataset.spec.actions)}; take data "
             "of the same actions."

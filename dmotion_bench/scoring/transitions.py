@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
-from dmotion_bench.specs import MASK_AGENT, SplitName
+from dmotion_bench.specs import EnvSpec, SplitName
 from dmotion_bench.storage.dataset import Dataset
 
 STARTS_PER_EPISODE = 4
@@ -28,8 +28,8 @@ class TransitionBatch:
         frames: Axis 1 is previous, current, next.
         action: Taken at the middle frame.
         pushed: Whether it moves an object.
-        agent: Which pixels show the agent; axis 1 is current, next.
-        shift: How far the agent's centre moves, (right, down) [px].
+        agents: Which agent each pixel shows, 1 + its number in ``EnvSpec.agents``, 0 for none; axis 1 is current, next.
+        shifts: How far each agent's centre moves, (right, down) [px].
     """
 
     episode: Int[np.ndarray, " b"]
@@ -37,8 +37,13 @@ class TransitionBatch:
     frames: UInt8[np.ndarray, "b 3 h w 3"]
     action: Int[np.ndarray, " b"] | Float[np.ndarray, "b a"]
     pushed: Bool[np.ndarray, " b"]
-    agent: Bool[np.ndarray, "b 2 h w"]
-    shift: Float[np.ndarray, "b 2"]
+    agents: UInt8[np.ndarray, "b 2 h w"]
+    shifts: Float[np.ndarray, "b k 2"]
+
+    @property
+    def agent(self) -> Bool[np.ndarray, "b 2 h w"]:
+        """Which pixels show an agent; axis 1 is current, next."""
+        return self.agents > 0
 
     def __len__(self) -> int:
         return len(self.step)
@@ -157,17 +162,24 @@ class HeldOut:
         for episode, start, rows in zip(episodes.tolist(), first.tolist(), count.tolist(), strict=True):
             part = self._triplets.subset(np.arange(start, start + rows))
             labels, step = self.dataset.labels(episode), part.step
-            masks = labels.masks == MASK_AGENT
-            place = labels.agent.pixel[:, 0]
+            agents, place = agents_in(labels.masks, self.dataset.spec), labels.agent.pixel
             yield TransitionBatch(
                 episode=part.episode,
                 step=step,
                 frames=part.gather(np.arange(rows)),
                 action=labels.actions[step],
                 pushed=labels.pushed[step],
-                agent=np.stack([masks[step], masks[step + 1]], axis=1),
-                shift=(place[step + 1] - place[step]).astype(np.float64),
+                agents=np.stack([agents[step], agents[step + 1]], axis=1),
+                shifts=(place[step + 1] - place[step]).astype(np.float64),
             )
+
+
+def agents_in(masks: UInt8[np.ndarray, "*t h w"], spec: EnvSpec) -> UInt8[np.ndarray, "*t h w"]:
+    """Which agent each pixel shows: 1 + its number in ``EnvSpec.agents``, 0 for none."""
+    number = np.zeros(256, np.uint8)
+    number[list(spec.agent_masks)] = np.arange(1, len(spec.agents) + 1)
+    agents: UInt8[np.ndarray, "*t h w"] = number[masks]
+    return agents
 
 
 def rollout_starts(frames: int, horizon: int) -> Int[np.ndarray, " s"]:

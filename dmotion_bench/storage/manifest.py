@@ -105,7 +105,7 @@ class Manifest:
             "complete": self.complete,
             "salvaged": self.salvaged,
             "recipe": dataclasses.asdict(self.recipe),
-            "environment": dataclasses.asdict(self.spec) | {"actions": actions_to_json(self.spec.actions)},
+            "environment": _spec_to_json(self.spec),
             "versions": dict(self.versions),
             "tables": {name: facts._asdict() for name, facts in self.tables.items()},
             "shards": [
@@ -248,6 +248,13 @@ def _recipe(fields: Fields) -> DatasetRecipe:
     )
 
 
+def _spec_to_json(spec: EnvSpec) -> dict[str, Any]:
+    content = dataclasses.asdict(spec) | {"actions": actions_to_json(spec.actions)}
+    if not spec.other_agents:
+        del content["other_agents"]  # data sets with one agent keep their bytes
+    return content
+
+
 def _spec(fields: Fields) -> EnvSpec:
     return EnvSpec(
         id=fields.text("id"),
@@ -260,6 +267,10 @@ def _spec(fields: Fields) -> EnvSpec:
         agent_has_color=fields.truth("agent_has_color"),
         shaded=fields.truth("shaded"),
         push_threshold=fields.real("push_threshold"),
+        other_agents=tuple(
+            _object(Fields(one, "an agent"))
+            for one in ([] if fields.value("other_agents") is None else fields.many("other_agents"))
+        ),
     )
 
 

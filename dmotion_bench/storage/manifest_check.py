@@ -80,10 +80,15 @@ def check_spec(spec: EnvSpec) -> None:
     """
     _check_texts("environment.id", [spec.id], LONGEST_NAME)
     _check_count("environment.objects", len(spec.objects), 0, MOST_OBJECTS)
-    for thing in (spec.agent, *spec.objects):
+    _check_count("environment.other_agents", len(spec.other_agents), 0, MOST_OBJECTS - len(spec.objects))
+    for thing in (*spec.agents, *spec.objects):
         _check_thing(thing)
     if len({thing.name for thing in spec.objects}) != len(spec.objects):
         raise ValueError("two of the objects have the same name")
+    if spec.other_agents and len({thing.name for thing in (*spec.agents, *spec.objects)}) != (
+        len(spec.agents) + len(spec.objects)
+    ):
+        raise ValueError("two of the agents and objects have the same name")
     _check_count("environment.height", spec.height, 1, LARGEST_SIDE)
     _check_count("environment.width", spec.width, 1, LARGEST_SIDE)
     _check_count("environment.step_ns", spec.step_ns, 1, LAST_NS)

@@ -53,7 +53,7 @@ _FACTORS_LARGEST: Final = 2**20  # [bytes]
 
 def chunk_limit(spec: EnvSpec) -> int:
     """Largest uncompressed chunk that a data set of this kind can hold [bytes]."""
-    states = 256 * (len(spec.objects) + 1)
+    states = 256 * (len(spec.objects) + len(spec.agents))
     return CHUNK_LIMIT + spec.height * spec.width * 3 + states + _MESSAGE_OVERHEAD
 
 
@@ -147,7 +147,7 @@ def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: 
         yield Message(
             _LABEL_NUMBER[FACTORS_TOPIC], start_ns, (_stamp(start_ns), _serialized(FACTORS.new(json=content)))
         )
-    agent = _states_encoder((spec.agent.name,)).encode(labels.agent)
+    agent = _states_encoder(tuple(one.name for one in spec.agents)).encode(labels.agent)
     objects = _states_encoder(tuple(one.name for one in spec.objects)).encode(labels.objects)
     for frame, (agent_states, object_states) in enumerate(zip(agent, objects, strict=True)):
         t_ns = start_ns + frame * step_ns
@@ -235,7 +235,7 @@ def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -
     """The labels of an episode of so many frames."""
     actions, pushed = _ActionsDecoder(spec.actions, frames), np.empty(max(frames - 1, 0), np.bool_)
     agent, objects = (
-        _StatesDecoder((spec.agent.name,), frames),
+        _StatesDecoder(tuple(one.name for one in spec.agents), frames),
         _StatesDecoder(tuple(one.name for one in spec.objects), frames),
     )
     factors: dict[str, Scalar] = {}

@@ -12,7 +12,7 @@ from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.specs import EnvSpec, EpisodeLabels
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.eye import eye_of_camera
-from dmotion_bench.viewing.labels import log_labels, log_legend, places_known, plain, what_happens
+from dmotion_bench.viewing.labels import log_labels, log_legend, places_known, what_happens
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import log_images
 
@@ -94,7 +94,7 @@ def _explanation(dataset: ReadableDataset, episode: int, frames: int, labels: Ep
         f"**{dataset.name}, episode {episode}**",
         "",
         f"{frames} frames of {spec.width} x {spec.height} pixels, {seconds:.1f} s at {1e9 / spec.step_ns:g} frames/s. "
-        f"One of {len(dataset)} episodes of *{plain(recipe.environment)}*, policy *{plain(recipe.policy)}*, "
+        f"One of {len(dataset)} episodes of `{recipe.environment}`, policy `{recipe.policy}`, "
         f"seed {recipe.seed}; in the **{part}** split.",
         "",
         "**Camera** is all that a model learns from.",

@@ -24,7 +24,7 @@ from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.positions import PositionFinder
-from dmotion_bench.scoring.identification import LatentActionModel, ShiftModel
+from dmotion_bench.scoring.identification import LatentActionModel, ShiftModel, motions_of
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.position_errors import position_errors
 from dmotion_bench.scoring.prediction import predicting
@@ -65,7 +65,7 @@ class Imagination:
         places: Of the things that are found in them [px]; None where nothing has a colour of its own.
         one_step, imagined, copied: Predictions; the last repeats the frame before, the least that one can do.
         maps, moved: The feature maps of frames 0 ... t-2, and the same moved to the frame after.
-        shift: How far the agent moves from each of these frames to the next, as the model sees it [px].
+        shift: How far each agent moves from each of these frames to the next, as the model sees it [px].
         by_motion: Whether the motions of the true frames were told instead of the actions.
     """
 
@@ -76,7 +76,7 @@ class Imagination:
     copied: Prediction
     maps: Float[np.ndarray, "n m y x"] | None
     moved: Float[np.ndarray, "n m y x"] | None
-    shift: Float[np.ndarray, "n 2"] | None
+    shift: Float[np.ndarray, "a n 2"] | None
     by_motion: bool = False
 
 
@@ -184,8 +184,9 @@ def _maps(
     return torch.cat(before).float().numpy(), torch.cat(after).float().numpy()
 
 
-def _shift(model: ForwardModel[Any], images: Float[Tensor, "t c h w"]) -> Float[np.ndarray, "s 2"] | None:
+def _shift(model: ForwardModel[Any], images: Float[Tensor, "t c h w"]) -> Float[np.ndarray, "a s 2"] | None:
     if not isinstance(model, LatentActionModel) or not isinstance(model, ShiftModel):
         return None
     before = torch.cat([images[:1], images[:-2]])  # nothing is known of what was before the first
-    return model.pixel_shift(model.latent_action(before, images[:-1], images[1:])).float().numpy()
+    latent = model.latent_action(before, images[:-1], images[1:])
+    return np.stack([model.pixel_shift(part).float().numpy() for part in motions_of(model, latent).unbind(1)])

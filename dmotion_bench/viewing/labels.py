@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 from jaxtyping import Bool, Float, UInt8
 
 from dmotion_bench.actions import Continuous, require_discrete
-from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, EpisodeLabels
+from dmotion_bench.specs import MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, EpisodeLabels
 from dmotion_bench.viewing.scene import FRAME
 from dmotion_bench.viewing.tracks import Color, log_classes, log_points, log_rings, log_states, log_trails
 
@@ -46,13 +46,13 @@ def brightened(color: Color) -> Color:
 
 
 def classes_of(spec: EnvSpec) -> list[int]:
-    """The mask values of the objects, then of the agent."""
-    return [MASK_FIRST_OBJECT + number for number in range(len(spec.objects))] + [MASK_AGENT]
+    """The mask values of the objects, then of the agents."""
+    return [MASK_FIRST_OBJECT + number for number in range(len(spec.objects))] + list(spec.agent_masks)
 
 
 def log_legend(recording: rr.RecordingStream, spec: EnvSpec) -> None:
     """Name and colour every mask value, for masks, dots and trails alike."""
-    things = [(MASK_AGENT, spec.agent), *enumerate(spec.objects, start=MASK_FIRST_OBJECT)]
+    things = sorted(zip(classes_of(spec), (*spec.objects, *spec.agents), strict=True), key=lambda one: one[0])
     known = [(MASK_BACKGROUND, "background", BACKGROUND)]
     known += [(number, plain(thing.name), brightened(thing.color)) for number, thing in things]
     recording.log("/", rr.AnnotationContext(known), static=True)

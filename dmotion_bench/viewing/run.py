@@ -17,7 +17,7 @@ from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.curves import read_curves, training_tab
 from dmotion_bench.viewing.dataset import labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
-from dmotion_bench.viewing.labels import log_events, log_legend, plain, what_happens
+from dmotion_bench.viewing.labels import log_events, log_legend, what_happens
 from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
 from dmotion_bench.viewing.report import report_tab
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
@@ -157,9 +157,10 @@ def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labe
     if seen.places is not None:
         log_rings(recording, f"{root}/camera/places", seen.places)
     if seen.shift is not None and labels is not None:
-        agent = labels.agent.pixel[:, 0]
-        log_arrows(recording, f"{root}/camera/true_motion", agent[:-1], np.diff(agent, axis=0), TRUE_MOTION, 1.2, 40)
-        log_arrows(recording, f"{root}/camera/motion_seen", agent[:-1], seen.shift, SEEN_MOTION, 0.7, 50)
+        for number, (place, shift) in enumerate(zip(labels.agent.pixel.swapaxes(0, 1), seen.shift, strict=False)):
+            own = f"{root}/camera/agent_{number}" if number else f"{root}/camera"
+            log_arrows(recording, f"{own}/true_motion", place[:-1], np.diff(place, axis=0), TRUE_MOTION, 1.2, 40)
+            log_arrows(recording, f"{own}/motion_seen", place[:-1], shift, SEEN_MOTION, 0.7, 50)
 
 
 def log_prediction(recording: rr.RecordingStream, path: str, seen: Imagination, prediction: Prediction) -> None:
@@ -246,7 +247,7 @@ def _of_episode(run: Run, dataset: ReadableDataset, episode: int, seen: Imaginat
             "**Feature maps**: |m| of each, in its own unit, the same before and after. Map 0 should show the agent "
             "alone; moved, it is where the agent is next.",
         ]
-    lines += ["", f"*frame before* repeats the last frame: the least that one can do. {plain(dataset.spec.id)}."]
+    lines += ["", f"*frame before* repeats the last frame: the least that one can do. `{dataset.spec.id}`."]
     return "\n".join(lines)
 
 

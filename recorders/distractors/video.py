@@ -79,13 +79,17 @@ class Video:
         surroundings: tuple[int, int, int] = (0, 0, 0),
     ) -> None:
         strong, size = strengths(values), facts.height
-        own = (facts.agent.color, *(one.color for one in facts.objects))
+        own = tuple(one.color for one in (facts.agent, *facts.objects, *facts.other_agents))
         looks = Looks(size=size, shapes=FAMILIES[scene.family], colors=mover_colors(own))
 
         def numbers(factor: str) -> np.random.Generator:
             return stream(entropy, factor, scene.family)
 
-        self.delay, self._surroundings, self._things = int(strong["delay"]), surroundings, 1 + len(facts.objects)
+        self.delay, self._surroundings, self._things = (
+            int(strong["delay"]),
+            surroundings,
+            len(facts.agents) + len(facts.objects),
+        )
         self._background: Backdrop | None = None
         if strong["background"]:
             share = strong["background"]

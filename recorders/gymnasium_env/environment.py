@@ -25,7 +25,7 @@ from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed
 from dmotion_bench.specs import UNPLACED_AGENT, EnvSpec, Preset, Scalar
 from dmotion_bench.storage.imports.fitting import area_mean
 from dmotion_bench.wording import shown
-from recorders.gymnasium_env.guest import quiet, unmade
+from recorders.gymnasium_env.guest import missing_package, quiet, unmade
 from recorders.gymnasium_env.legacy_randomness import LegacyRandomness
 from recorders.gymnasium_env.modules import import_named
 from recorders.gymnasium_env.spaces import action_spec, for_simulator
@@ -262,6 +262,8 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         except DmbenchError:
             raise
         except Exception as error:
+            if (missing := missing_package(self.name, error)) is not None:  # pygame is imported when it is drawn with
+                raise missing from error
             raise RecordingFailed(
                 f"{self.name!r} raised {type(error).__name__} in {what!r} {self._when()}: {error}. "
                 "Nothing is recorded; mend the environment, or give it other settings with '--set'."

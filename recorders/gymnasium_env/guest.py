@@ -29,17 +29,24 @@ def quiet() -> Iterator[None]:
         yield
 
 
+def missing_package(name: str, error: BaseException) -> PackageNotInstalled | None:
+    """The error for an environment that needs an absent package, if that is what its error comes from."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, ModuleNotFoundError):
+        cause = cause.__cause__ or cause.__context__
+    if cause is None or not cause.name:
+        return None
+    module = cause.name.partition(".")[0]
+    extra = MODULES.get(module)
+    return PackageNotInstalled(
+        module, repr(name), f"pip install 'dmbench[{extra}]'" if extra else f"pip install {module}"
+    )
+
+
 def unmade(name: str, error: Exception) -> DmbenchError:
     """The error for an environment that cannot be made."""
-    missing = error
-    while missing is not None and not isinstance(missing, ModuleNotFoundError):
-        missing = missing.__cause__ or missing.__context__  # type: ignore[assignment]
-    if isinstance(missing, ModuleNotFoundError) and missing.name:
-        module = missing.name.partition(".")[0]
-        extra = MODULES.get(module)
-        return PackageNotInstalled(
-            module, repr(name), f"pip install 'dmbench[{extra}]'" if extra else f"pip install {module}"
-        )
+    if (missing := missing_package(name, error)) is not None:
+        return missing
     said = f"{type(error).__name__}: {error}".rstrip(".")
     if any(word in said.lower() for word in ("egl", "opengl", "glfw", "osmesa", "display")):
         return InvalidSetting(

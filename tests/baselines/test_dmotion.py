@@ -193,3 +193,73 @@ def test_the_extractor_cannot_know_where_in_the_picture_it_looks() -> None:
     torch.testing.assert_close(model.motion(*moved), model.motion(current, following), atol=1e-5, rtol=1e-4)
     maps = model.feature_maps(current).roll((24, 8), dims=(-2, -1))
     torch.testing.assert_close(model.feature_maps(moved[0]), maps, atol=1e-5, rtol=1e-4)
+
+
+JOINT = Discrete.joint(("up", "down"), ("left", "right"))
+TWO = ModelInputs(height=32, width=32, actions=JOINT)
+
+
+@pytest.mark.parametrize("arch", ["compact", "paper"])
+def test_of_two_agents_each_is_seen_through_its_own_map_and_motion(arch: str) -> None:
+    """The prediction depends on both maps' motions and, of the next frame, on nothing else."""
+    model = _model(TWO, arch=arch, agents=2).eval()
+    previous, current, following = (_images(2, seed=seed) for seed in (1, 2, 3))
+    with torch.no_grad():
+        for parameter in model.motion_encoder.parameters():  # the paper's networks begin with no motion at all
+            parameter.add_(torch.randn(parameter.shape, generator=torch.Generator().manual_seed(4)) * 0.1)
+        latent = model.latent_action(previous, current, following)
+        assert latent.shape == (2, 4)
+        motions = model.agent_motions(latent)
+        torch.testing.assert_close(motions, model.motion_encoder(model.pack(current), model.pack(following))[:, :2])
+        base = model.predict_with_latent(previous, current, latent)
+        for agent in (0, 1):
+            other = motions.clone()
+            other[:, agent] += 0.4
+            assert not torch.equal(model.predict_with_latent(previous, current, other.flatten(1)), base)
+        maps = model.agent_maps(current)
+        torch.testing.assert_close(maps, model.feature_maps(current)[:, :2].abs())
+        torch.testing.assert_close(model.agent_map(current), maps[:, 0])
+
+
+def test_after_alignment_everything_is_in_the_order_of_the_agents() -> None:
+    model = _model(TWO, agents=2).eval()
+    previous, current, following = (_images(8, seed=seed) for seed in (1, 2, 3))
+    with torch.no_grad():
+        before = model.latent_action(previous, current, following)
+        maps = model.agent_maps(current)
+        predicted = model.predict_with_latent(previous, current, before)
+        first, second = model.agent_motions(before).unbind(1)
+        # actions that tell the second map's motion by the first agent's part: the maps are swapped
+        action = 2 * (second[:, 0] > second[:, 0].median()).long() + (first[:, 0] > first[:, 0].median()).long()
+        model.align(Demonstrations(previous=previous, current=current, next=following, action=action))
+        assert model.table.order.tolist() == [1, 0]
+        after = model.latent_action(previous, current, following)
+        torch.testing.assert_close(model.agent_motions(after), torch.stack([second, first], 1))
+        torch.testing.assert_close(model.agent_maps(current), maps.flip(1))
+        torch.testing.assert_close(model.predict_with_latent(previous, current, after), predicted)
+        told = torch.stack(
+            [table(part) for table, part in zip(model.table.tables, (action // 2, action % 2), strict=True)], 1
+        )
+        torch.testing.assert_close(
+            model.predict(previous, current, action), model.predict_with_latent(previous, current, told.flatten(1))
+        )
+        kept = _model(TWO, agents=2).eval()
+        kept.load_state_dict(model.state_dict())
+        assert torch.equal(kept.predict(previous, current, action), model.predict(previous, current, action))
+
+
+def test_agents_that_cannot_be_are_said() -> None:
+    for agents in (0, 5):
+        with pytest.raises(InvalidSetting, match=f"agents is {agents}; it can be 1 to 4, with 8 maps"):
+            DMotionConfig(agents=agents)
+    with pytest.raises(InvalidSetting, match="agents is 2; it can be 1 to 1, with 1 maps"):
+        DMotionConfig(agents=2, maps=1)
+    with pytest.raises(InvalidSetting, match=r"2 agents, and the actions of its data set are of 1 agent.*agents=1"):
+        _model(SMALL, agents=2)
+
+
+def test_a_setting_of_one_agent_changes_no_weight() -> None:
+    plain, named = _model().state_dict(), _model(agents=1).state_dict()
+    assert list(plain) == list(named)
+    assert "table" in plain
+    assert all(torch.equal(plain[name], named[name]) for name in plain)

@@ -105,7 +105,7 @@ def test_of_all_runs_those_that_do_not_fit_the_data_are_left_out(
     run: Callable[..., Result], shifted: str, tmp_path: Path
 ) -> None:
     (tmp_path / "runs/broken/run.json").unlink()
-    result = run("--all", "--data", shifted)
+    result = run("--all", "--workers", "1", "--data", shifted)
     assert result.exit_code == 0
     assert "a (trained on grid_world-small)" in result.stdout
     assert "left out: 'b' was trained in another environment" in result.stderr
@@ -128,7 +128,7 @@ def test_many_runs_stand_in_one_table_the_best_first(run: Callable[..., Result])
 
 
 def test_all_goes_on_after_a_run_that_fails(run: Callable[..., Result]) -> None:
-    result = run("--all", "--json")
+    result = run("--all", "--workers", "1", "--json")
 
     assert [Path(report["run"]).name for report in json.loads(result.stdout)["reports"]] == ["a", "b"]
     assert isinstance(result.exception, RunError)
@@ -153,6 +153,7 @@ def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
         (["a", "--precision", "fp16"], UnknownName, "bf16"),
         (["a", "--device", "tpu"], UnknownName, "did you mean 'cpu'"),
         (["a", "--all"], UsageError, "not both"),
+        (["a", "--workers", "2"], UsageError, "give --all to score them"),
         (["c"], UnknownName, "no run named 'c'"),
         ([], UsageError, "several runs are here"),
     ],

@@ -79,6 +79,19 @@ def test_models_trained_beside_each_other_are_those_trained_in_turn(
         shutil.move(tmp_path / "runs", tmp_path / f"by-{workers}")
     assert len(weights["1"]) == 4
     assert weights["1"] == weights["2"]
+    told = {}
+    for workers in ("1", "2"):
+        shutil.copytree(tmp_path / "by-1", tmp_path / "runs")
+        outcome = run("score", "--all", "--workers", workers, "--json")
+        assert outcome.code == 0, outcome.err
+        told[workers] = json.loads(outcome.out)["reports"]
+        assert len(told[workers]) == 4
+        assert not list(tmp_path.glob(".jobs-*"))
+        samples = sorted((tmp_path / "runs").glob("*/report/samples.parquet"))
+        told[f"samples {workers}"] = [path.read_bytes() for path in samples]
+        shutil.rmtree(tmp_path / "runs")
+    assert told["1"] == told["2"]
+    assert told["samples 1"] == told["samples 2"]
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,7 @@ FAULTS = (
     Fault(
         name="Grid World pushes one object instead of the chain",
         file="recorders/grid_world.py",
-        right="for _ in range(OBJECTS):  # whoever stands before the last of the chain joins it",
+        right="for _ in range(cells.shape[1] - 1):  # whoever stands before the last of the chain joins it",
         wrong="for _ in range(1):",
         tests=("tests/recorders/test_grid_world.py",),
     ),
@@ -157,8 +157,8 @@ FAULTS = (
     Fault(
         name="DMotion's interaction learner sees every map instead of the agent's",
         file="baselines/dmotion.py",
-        right="agent = self.transform(maps[:, :1], self._with_noise(motion[:, :1], maps.shape[-1]), blur)",
-        wrong="agent = self.transform(maps, self._with_noise(motion, maps.shape[-1]), blur).sum(1, keepdim=True)",
+        right="agents = self.transform(maps[:, :count], self._with_noise(motion[:, :count], maps.shape[-1]), blur)",
+        wrong="agents = self.transform(maps, self._with_noise(motion, maps.shape[-1]), blur).sum(1, keepdim=True)",
         tests=("tests/baselines/test_dmotion.py",),
     ),
     Fault(

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from dmotion_bench.actions import Continuous, Discrete
+from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import ActionEncoding, action_embedding
-from dmotion_bench.learning.action_to_latent import PENALTIES, ActionToLatent, ridge
+from dmotion_bench.learning.action_to_latent import PENALTIES, ActionToLatent, JointActionToLatent, ridge
 
 STEPS = Continuous(names=("dx", "dy"), low=(-0.04, 0.0), high=(0.04, 0.1), units=("m", "m"))
 
@@ -105,3 +106,68 @@ def test_noise_alone_is_answered_by_the_mean() -> None:
     found = ridge(ActionEncoding(STEPS)(drawn(40)), wanted)
     assert found[1:].abs().max() < 0.5 * math.sqrt(2)
     torch.testing.assert_close(found[0], wanted.mean(0), atol=0.2, rtol=0)
+
+
+JOINT = Discrete.joint(("up", "down", "left"), ("near", "far"))
+OF_FIRST = torch.tensor([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0]])
+OF_SECOND = torch.tensor([[0.1, 0.0], [0.3, 0.0]])
+
+
+def seen(action: torch.Tensor, order: tuple[int, int], noise: float = 0.01) -> torch.Tensor:
+    """What a model reads off joint actions whose map of agent k is number ``order[k]``, a bit inexactly."""
+    parts = torch.from_numpy(JOINT.divided(action.numpy()))
+    motions = torch.stack([OF_FIRST[parts[:, 0]], OF_SECOND[parts[:, 1]]], 1)
+    motions = motions + noise * torch.randn(motions.shape, generator=torch.Generator().manual_seed(1))
+    return motions[:, torch.tensor(order).argsort()]
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_demonstrations_say_whose_latent_actions_are_whose(order: tuple[int, int]) -> None:
+    action = torch.arange(6)
+    table = JointActionToLatent(JOINT, 2, 2)
+    table.fit(seen(action, order), action)
+    assert table.order.tolist() == list(order)
+    parts = torch.from_numpy(JOINT.divided(action.numpy()))
+    found = table(action)
+    torch.testing.assert_close(found[:, 0], OF_FIRST[parts[:, 0]], atol=0.03, rtol=0)
+    torch.testing.assert_close(found[:, 1], OF_SECOND[parts[:, 1]], atol=0.03, rtol=0)
+    kept = JointActionToLatent(JOINT, 2, 2)
+    kept.load_state_dict(table.state_dict())
+    torch.testing.assert_close(kept(action), found, atol=0, rtol=0)
+    assert kept.order.tolist() == list(order)
+
+
+def test_a_scale_of_a_latent_action_decides_nothing() -> None:
+    action = torch.arange(6)
+    latent = seen(action, (1, 0))
+    for place in (0, 1):
+        table = JointActionToLatent(JOINT, 2, 2)
+        scaled = latent.clone()
+        scaled[:, place] *= 1000
+        table.fit(scaled, action)
+        assert table.order.tolist() == [1, 0]
+
+
+def test_joint_actions_that_were_not_shown_are_put_together_from_their_parts() -> None:
+    shown = torch.tensor([0, 1, 2, 5])  # up/near, up/far, down/near, left/far
+    table = JointActionToLatent(JOINT, 2, 2)
+    table.fit(seen(shown, (0, 1), noise=0), shown)
+    assert table(torch.tensor([3])).tolist() == [[[0, 1], pytest.approx([0.3, 0])]]  # down/far
+    table = JointActionToLatent(JOINT, 2, 2, unaligned=torch.tensor([7.0, 7.0]))
+    table.fit(seen(shown[:2], (0, 1), noise=0), shown[:2])
+    assert table(torch.tensor([4]))[0, 0].tolist() == [7, 7]  # nobody has shown what "left" is
+
+
+def test_where_nothing_decides_the_models_own_order_stands() -> None:
+    table = JointActionToLatent(JOINT, 2, 2)
+    table.fit(torch.ones(3, 2, 2), torch.tensor([0, 3, 4]))
+    assert table.order.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("spec", [Discrete.numbered(16), STEPS, Discrete.joint(("a", "b"), ("a", "b"), ("a", "b"))])
+def test_actions_of_another_number_of_agents_are_refused(spec: Discrete | Continuous) -> None:
+    with pytest.raises(
+        InvalidSetting,
+        match=r"actions of its data set are (continuous|of 1 agent|of 3 agents)\.",
+    ):
+        JointActionToLatent(spec, 2, 2)

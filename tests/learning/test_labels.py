@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dmotion_bench.actions import Continuous
+from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.triplets import TripletSet
@@ -182,3 +182,71 @@ def test_a_number_that_is_not_there_is_given_as_far_as_it_is(dataset) -> None:
     budget = LabelBudget(dataset, LabelRequest.parse("4096"), seed=1)
     unpushed = sum(not dataset.pushed[e][s] for e, s in zip(triplets.episode, triplets.step, strict=True))
     assert len(budget.demonstrations(triplets).actions) == budget.total == unpushed
+
+
+JOINT = Discrete.joint(("up", "down"), ("left", "right", "stay"))
+
+
+@pytest.fixture
+def joint(dataset):
+    """The noise, with actions of two agents."""
+    generator = np.random.default_rng(3)
+    dataset.spec = dataclasses.replace(dataset.spec, actions=JOINT)
+    dataset.actions = [generator.integers(0, 6, len(one)) for one in dataset.actions]
+    return dataset
+
+
+@pytest.mark.parametrize("text", ["one-shot-per-agent", "5-shot-per-agent"])
+def test_shots_of_agents_print_as_they_were_written(text: str) -> None:
+    assert str(LabelRequest.parse(text)) == text
+    assert str(LabelRequest.for_model("dmotion", Supervision.NONE, text, JOINT)) == text
+
+
+@pytest.mark.parametrize("shots", [1, 2, 3])
+def test_each_agents_every_action_is_shown_and_no_transition_for_nothing(joint, shots: int) -> None:
+    triplets = TripletSet.of_split(joint, "train")
+    budget = LabelBudget(joint, LabelRequest.parse(f"{shots}-shot-per-agent"), seed=1)
+    given = budget.demonstrations(triplets)
+    parts = JOINT.divided(given.actions)
+    for agent, names in enumerate(JOINT.parts):
+        counts = np.bincount(parts[:, agent], minlength=len(names))
+        assert (counts >= shots).all()
+    assert 3 * shots <= len(given.actions) <= 5 * shots  # six joint actions once each would be six a shot
+    assert budget.given == {"demonstrations": len(given.actions)}
+    everything = triplets.gather(np.arange(len(triplets)))
+    for frames, action in zip(given.frames, given.actions, strict=True):
+        (row,) = np.flatnonzero((everything == frames).all((1, 2, 3, 4)))
+        assert joint.actions[triplets.episode[row]][triplets.step[row]] == action
+
+
+def test_what_an_agent_never_does_is_named(joint) -> None:
+    joint.actions = [np.where(JOINT.divided(one)[:, 1] == 1, one - 1, one) for one in joint.actions]
+    with pytest.raises(LabelsNotAvailable, match="fewer than 1 demonstrations of right of agent 1"):
+        LabelBudget(joint, LabelRequest.parse("one-shot-per-agent"), seed=1).demonstrations(
+            TripletSet.of_split(joint, "train")
+        )
+
+
+def test_shots_of_agents_are_for_joint_actions_and_models_of_video() -> None:
+    with pytest.raises(UsageError, match="not a joint one; give it --labels 2-shot"):
+        LabelRequest.for_model("dmotion", Supervision.NONE, "2-shot-per-agent", Discrete.numbered(4))
+    with pytest.raises(UsageError, match="--labels 64"):
+        LabelRequest.for_model("dmotion", Supervision.NONE, "2-shot-per-agent", MOVES)
+    with pytest.raises(UsageError, match="learns from the actions"):
+        LabelRequest.for_model("ed-cnn", Supervision.ACTIONS, "2-shot-per-agent", JOINT)
+
+
+def test_agents_that_act_alike_are_shown_once_acting_otherwise(dataset) -> None:
+    alike = Discrete.joint(("up", "down"), ("up", "down"))
+    dataset.spec = dataclasses.replace(dataset.spec, actions=alike)
+    dataset.actions = [np.full(len(one), 3 * (number % 2)) for number, one in enumerate(dataset.actions)]
+    triplets, ask = TripletSet.of_split(dataset, "train"), LabelRequest.parse("one-shot-per-agent")
+    for seed in range(5):
+        given = LabelBudget(dataset, ask, seed=seed).demonstrations(triplets)
+        assert given.actions.tolist() == [0, 3]  # there is nothing else
+
+    dataset.actions[0][:] = 1  # up/down
+    for seed in range(20):
+        given = LabelBudget(dataset, ask, seed=seed).demonstrations(triplets)
+        assert 1 in given.actions
+        assert len(given.actions) <= 3

@@ -10,10 +10,12 @@ import pytest
 import torch
 from known_model import result_of
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, RunMismatch
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.run_manifest import stored_actions
 from dmotion_bench.learning.settings import to_json
 from dmotion_bench.learning.twins import take_over
 from dmotion_bench.registry import model_class
@@ -119,3 +121,21 @@ def test_a_setting_that_this_version_does_not_know_is_named(tmp_path: Path) -> N
     stored = _stored(tmp_path / "one", _asked(whirl=2))
     with pytest.raises(InvalidSetting, match="whirl"):
         Run.create_or_open(stored.path, _asked(), dataset_path=Path("data/grid"), versions={})
+
+
+def test_a_run_remembers_how_many_actions_each_of_several_agents_has(tmp_path: Path) -> None:
+    joint = Discrete.joint(("up", "down"), ("left", "right", "stay"))
+    spec = dataclasses.replace(_asked(agents=2), actions=stored_actions(joint), height=32, width=32)
+    assert spec.actions == {"parts": [2, 3]}
+    read = _stored(tmp_path / "one", spec).spec
+    assert read.action_spec is not None
+    assert read.action_spec.fits(joint)
+    assert [len(names) for names in read.action_spec.parts] == [2, 3]  # type: ignore[union-attr]
+    assert {"table.order", "table.tables.0.rows", "table.tables.1.rows"} < set(read.build().state_dict())
+    assert stored_actions(Discrete.numbered(6)) == 6
+
+
+@pytest.mark.parametrize("parts", [None, 4, [], [4], [4, 1], [4, "4"], [4, True], [64, 65], [2] * 13, [4, -4, -4]])
+def test_parts_that_cannot_be_are_named(parts: object) -> None:
+    with pytest.raises(InvalidSetting, match="the parts of the actions are"):
+        dataclasses.replace(_asked(), actions={"parts": parts})

@@ -13,7 +13,7 @@ from dmotion_bench.actions import Continuous
 from dmotion_bench.planning.objectives.tabletop.exploration import Exploration, History, misplaced
 from dmotion_bench.planning.objectives.tabletop.followed import FollowedObjects
 from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
-from dmotion_bench.planning.objectives.tabletop.tracking import Tracker
+from dmotion_bench.planning.objectives.tracking import Tracker
 
 GOAL = (44, 30)
 LEFT, RIGHT = torch.tensor([0]), torch.tensor([1])

@@ -11,7 +11,7 @@ from dmotion_bench.planning.objectives.tabletop.followed import FollowedObjects
 from dmotion_bench.planning.objectives.tabletop.objective import TabletopEvaluator
 from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
 from dmotion_bench.planning.objectives.tabletop.table_area import TableArea
-from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes, Tracker
+from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
 
 PRICE = (SETTINGS.lost_distance * SPEC.width) ** 2
 FALLS, STAYS = [round(SETTINGS.fall_likely, 4), 0], [0, 0]

@@ -17,8 +17,8 @@ from dmotion_bench.planning.objectives.base import PARTS
 from dmotion_bench.planning.objectives.centres import CentresEvaluator
 from dmotion_bench.planning.objectives.tabletop.followed import FollowedObjects
 from dmotion_bench.planning.objectives.tabletop.objective import Tabletop, TabletopEvaluator
-from dmotion_bench.planning.objectives.tabletop.tracked import TrackedEvaluator
-from dmotion_bench.planning.objectives.tabletop.tracking import Tracker
+from dmotion_bench.planning.objectives.tracked import Tracked, TrackedEvaluator
+from dmotion_bench.planning.objectives.tracking import Tracker
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.specs import EnvSpec
 from recorders.grid_world import FACTS, draw
@@ -62,7 +62,7 @@ def test_an_object_that_fades_away_stays_where_it_was_imagined_last() -> None:
     gone = picture(red=None)
     prices = followed(picture(red=(24, 30)), picture(red=(28, 30)), gone, gone)
     assert prices == pytest.approx([20**2, 16**2, 16**2, 16**2])
-    tracked = TrackedEvaluator(SPEC, picture(), picture(red=GOAL), SETTINGS)
+    tracked = TrackedEvaluator(SPEC, picture(), picture(red=GOAL), Tracked())
     assert tracked.of_boxes(Tracker(SPEC, SETTINGS).look(gone), FIRST).item() == 32**2
 
 

@@ -28,7 +28,7 @@ from dmotion_bench.planning.agents import (
 )
 from dmotion_bench.planning.journal import Journal, TaskRecord
 from dmotion_bench.planning.mpc import ControlProgress, ControlResult, ControlSettings, Scene, control
-from dmotion_bench.planning.objectives.tabletop.tracked import Tracked
+from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.planning.solvers.base import PlanContext
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.solvers.exhaustive import Exhaustive

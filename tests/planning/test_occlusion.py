@@ -8,7 +8,7 @@ from planning.boxes import AT, FIRST, SETTINGS, SPEC, on_a_table, picture
 
 from dmotion_bench.planning.objectives.tabletop.followed import FollowedObjects
 from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
-from dmotion_bench.planning.objectives.tabletop.tracking import Tracker
+from dmotion_bench.planning.objectives.tracking import Tracker
 
 GOAL = (44, 30)
 MAY_BE_LOST = SETTINGS.fall_unlikely * (SETTINGS.lost_distance * SPEC.width) ** 2

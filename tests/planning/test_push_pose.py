@@ -9,7 +9,7 @@ from planning.boxes import AT, FIRST, SETTINGS, SPEC, picture
 from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
 from dmotion_bench.planning.objectives.tabletop.push_pose import PushPoseBonus
 from dmotion_bench.planning.objectives.tabletop.table_area import TableArea
-from dmotion_bench.planning.objectives.tabletop.tracking import Tracker
+from dmotion_bench.planning.objectives.tracking import Tracker
 
 RIGHT_OF = (44, 30)
 SOUGHT = torch.tensor([[True, True]])

@@ -8,7 +8,7 @@ from planning.boxes import FIRST, SETTINGS, SPEC, on_a_table, picture
 
 from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
 from dmotion_bench.planning.objectives.tabletop.table_area import TableArea
-from dmotion_bench.planning.objectives.tabletop.tracking import Tracker
+from dmotion_bench.planning.objectives.tracking import Tracker
 
 LEFT, RIGHT, TOP, END = 8, 60, 12, 62
 """The table's first and last columns and rows, each last one excluded."""

@@ -7,8 +7,8 @@ import torch
 from planning.boxes import AT, FIRST, SETTINGS, SPEC, picture
 
 from dmotion_bench.planning.objectives.centres import CentresEvaluator
-from dmotion_bench.planning.objectives.tabletop.tracked import TrackedEvaluator
-from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes, Tracker
+from dmotion_bench.planning.objectives.tracked import Tracked, TrackedEvaluator
+from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_each_row_of_a_batch_is_its_own(tracker: Tracker) -> None:
 
 def test_the_cost_is_the_papers_where_all_is_seen_and_does_not_fall_behind_a_curtain(tracker: Tracker) -> None:
     start, goal = picture(), picture(red=(40, 30))
-    papers, tracked = CentresEvaluator(SPEC, goal, 32.0), TrackedEvaluator(SPEC, start, goal, SETTINGS)
+    papers, tracked = CentresEvaluator(SPEC, goal, 32.0), TrackedEvaluator(SPEC, start, goal, Tracked())
     for place in ((20, 30), (33, 41), (40, 30)):
         frame = picture(red=place)
         assert tracked.of_boxes(tracker.look(frame), FIRST).item() == pytest.approx(

@@ -198,6 +198,12 @@ def test_what_repeats_is_recorded_too_and_known_environments_are_not_asked(run: 
         (("gym:Strange/Slider-v3",), "did you mean 'Strange/Slider-v0'?"),
         (("gym:nothing like it",), "'dmbench list environments' lists some"),
         (("gim:Strange/Slider-v0",), "no family of environments named 'gim'; did you mean 'gym'?"),
+        (
+            ("gym:Strange/Paintless-v0",),
+            "'gym:Strange/Paintless-v0' needs the package 'pygame', which is not installed; install it: "
+            "pip install 'dmbench[gym-classic]'",
+        ),
+        (("Pendulum-v1",), "no environment named 'Pendulum-v1'; did you mean 'gym:Pendulum-v1'?"),
         (("gym:Strange/Blind-v0",), "has no render mode 'rgb_array', so it cannot be recorded; it has 'ansi'."),
         (("gym:Strange/Keyed-v0",), "a space of the kind 'Dict', and only 'Discrete' and bounded 'Box'"),
         (("gym:Strange/Buttons-v0",), "a space of the kind 'MultiBinary'"),

@@ -20,7 +20,7 @@ from torch import Tensor
 from dmotion_bench.errors import DatasetError, FolderInUse
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress
-from dmotion_bench.planning.objectives.tabletop.tracked import Tracked
+from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, known_references, require_tasks, score_reference
 from dmotion_bench.scoring.earlier_planning import earlier_planning
@@ -147,7 +147,8 @@ def test_another_version_of_scoring_leaves_control_true_and_one_of_control_does_
     how = Execution(progress=lambda what, done, total: asked.append(what.partition(",")[0]))
     before = score(run, "prediction", "control")
     control = {name: one for name, one in before.figures.items() if name.startswith("control_")}
-    monkeypatch.setattr("dmotion_bench.scoring.score.SCORING_VERSION", 2)
+    for module in ("score", "run_report"):
+        monkeypatch.setattr(f"dmotion_bench.scoring.{module}.SCORING_VERSION", 2)
 
     renewed = score(run, "prediction", how=how, renew=False)
 

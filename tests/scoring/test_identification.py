@@ -91,7 +91,7 @@ def test_the_report_has_what_identification_found(grid: Dataset) -> None:
 
     held = next(HeldOut(grid, "test").batches(10_000))
     partner = swap_partners(held.action)
-    level = held.shift @ (1, 2) + 127.5
+    level = held.shifts[:, 0] @ (1, 2) + 127.5
     change = (np.rint(level) - np.rint(level[partner])) ** 2
     assert scores.figures["motion_swap_change"].mean == pytest.approx(change.mean(), rel=0.02)
     assert scores.figures["agent_iou"].mean == 1

@@ -16,7 +16,7 @@ from dmotion_bench.learning.training import train
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.samples import read_samples
-from dmotion_bench.scoring.score import METRICS, ScoreSettings, score_run
+from dmotion_bench.scoring.score import ScoreSettings, score_run
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_model
@@ -45,7 +45,7 @@ def test_it_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ch
     quick = ("samples=2", "horizon=2", "iterations=1", "elites=1")
     control = replace(default.control, planner="cem", planner_set=quick, tasks=1, steps=2)
     few = replace(default, horizon=3, resamples=100, control=control)
-    report = score_run(str(run.path), metrics=METRICS, settings=few)
+    report = score_run(str(run.path), metrics=("prediction", "rollout", "control"), settings=few)
 
     assert {"mse", "mse_true_motion", "rollout_mse[3]", "control_distance[2]"} <= set(report.figures)
     trained = Run.open(str(run.path))

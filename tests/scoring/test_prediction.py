@@ -147,8 +147,8 @@ def _transitions(frames: np.ndarray, masks: np.ndarray) -> TransitionBatch:
         frames=np.stack([frames[:-2], frames[1:-1], frames[2:]], axis=1),
         action=np.zeros(count, np.int64),
         pushed=np.zeros(count, bool),
-        agent=np.stack([masks[1:-1], masks[2:]], axis=1) == MASK_AGENT,
-        shift=np.zeros((count, 2)),
+        agents=(np.stack([masks[1:-1], masks[2:]], axis=1) == MASK_AGENT).astype(np.uint8),
+        shifts=np.zeros((count, 1, 2)),
     )
 
 

@@ -31,7 +31,7 @@ def test_batches_are_the_episodes_own_frames_and_labels(grid: Dataset, size: int
             np.testing.assert_array_equal(batch.agent[row], labels.masks[step : step + 2] == MASK_AGENT)
             assert batch.action[row] == labels.actions[step]
             assert batch.pushed[row] == labels.pushed[step]
-            assert batch.shift[row] == pytest.approx(labels.agent.pixel[step + 1, 0] - labels.agent.pixel[step, 0])
+            assert batch.shifts[row, 0] == pytest.approx(labels.agent.pixel[step + 1, 0] - labels.agent.pixel[step, 0])
 
     assert seen == [(episode, step) for episode in grid.split("test").tolist() for step in range(1, FRAMES - 1)]
 

@@ -132,6 +132,7 @@ def test_the_text_says_which_split_an_episode_is_of(dataset: Dataset, rrd: Path)
     for name, episode in episodes.items():
         (text,) = static(rrd, f"/episode_{episode}/about", "TextDocument:text")
         assert f"in the **{name}** split" in text
+        assert f"episodes of `{dataset.recipe.environment}`, policy `{dataset.recipe.policy}`" in text
 
 
 def test_without_labels_the_video_is_shown_alone(dataset: Dataset, tmp_path: Path, rrd: Path) -> None:

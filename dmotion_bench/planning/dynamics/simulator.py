@@ -39,6 +39,7 @@ class Place:
         name: Where everything is, bit by bit: places of the same name are the same. Of an environment that does not
             tell it, what was done since the start: pictures that look the same may hide different velocities.
         cost: Its true cost; NaN where it was not asked for.
+        distance: Its judged distance from the goal, likewise.
         picture: What is seen there, compressed; None where it was not asked for.
     """
 
@@ -46,6 +47,7 @@ class Place:
     snapshot: Any
     name: bytes
     cost: float
+    distance: float
     picture: bytes | None
 
 
@@ -117,7 +119,8 @@ class Simulation:
         picture = None
         if self._pictures and frame is not None:
             picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1)
-        return replace(self._seen_from(self.env, actions), cost=self._measure.cost(self.env), picture=picture)
+        cost, distance = self._measure.cost(self.env), self._measure.distance(self.env)
+        return replace(self._seen_from(self.env, actions), cost=cost, distance=distance, picture=picture)
 
     def _seen_from(self, env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
         parts: tuple[np.ndarray, ...] = (np.array(actions),)
@@ -132,6 +135,7 @@ class Simulation:
             snapshot=env.snapshot() if isinstance(env, Restorable) else None,
             name=name,
             cost=float("nan"),
+            distance=float("nan"),
             picture=None,
         )
 

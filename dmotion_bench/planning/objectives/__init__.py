@@ -4,8 +4,10 @@
 
     base.py       the contract: settings, and a memory over an episode; costs in named parts
     centres.py    the paper's: squared distances of the objects' centres
+    tracked.py    the same with a memory: a hidden object is where it was last seen
+    tracking.py   where objects are, those that are hidden too, as far as pictures tell
     pixel.py      the difference of pictures
     feature.py    the difference of states, for models that draw no frames
     true_cost.py  the oracle's own: what the simulator says
-    tabletop/     for arms that push objects on a table: hidden objects, falls, exploring
+    tabletop/     for arms that push objects on a table: falls, exploring, ways to a push
 """

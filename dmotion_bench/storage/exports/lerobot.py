@@ -205,8 +205,10 @@ class _Export:
             labels = self._dataset.states(episode)
             columns[ACTION] = _action_column(labels.actions, self._actions())
             if self._state:
-                position = labels.agent.position[:, 0].astype(np.float32)
-                columns[STATE] = pa.FixedSizeListArray.from_arrays(pa.array(position.reshape(-1)), 3)
+                position = labels.agent.position.astype(np.float32)  # of each agent, one after the other
+                columns[STATE] = pa.FixedSizeListArray.from_arrays(
+                    pa.array(position.reshape(-1)), 3 * position.shape[1]
+                )
         columns["timestamp"] = pa.array((frame / float(self._fps)).astype(np.float32))
         columns["frame_index"] = pa.array(frame)
         columns["episode_index"] = pa.array(np.full(length, episode))
@@ -267,7 +269,8 @@ class _Export:
         if self._labels:
             features[ACTION] = _action_feature(self._actions(), table.schema.field(ACTION).type)
         if self._state:
-            features[STATE] = {"dtype": "float32", "shape": [3], "names": ["x", "y", "z"]}
+            names = [f"{axis}{agent or ''}" for agent in range(len(self._dataset.spec.agents)) for axis in "xyz"]
+            features[STATE] = {"dtype": "float32", "shape": [len(names)], "names": names}
         for name, kind in (("timestamp", "float32"), *((index, "int64") for index in _INDICES)):
             features[name] = {"dtype": kind, "shape": [1], "names": None}
         return {

@@ -25,6 +25,8 @@ INFO: Final = Path("meta") / "info.json"
 EPISODES_V2: Final = Path("meta") / "episodes.jsonl"
 ACTION_NAMES: Final = "dmbench_actions"
 """Where ``data export`` leaves the actions' names within the feature, beside LeRobot's own keys."""
+ROWS_AT_ONCE: Final = 4096
+"""Of a table of episodes that are taken apart."""
 _KEY: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
 _CAMERA_KINDS: Final = ("video", "image")
 
@@ -201,8 +203,7 @@ class LeRobotLayout:
         if with_video:
             columns += [f"{video}/chunk_index", f"{video}/file_index", f"{video}/from_timestamp"]
         for file in sorted(self.path.glob("meta/episodes/*/*.parquet")):
-            table = self.table(file, columns)
-            for number, frames, *place in zip(*(table.column(name).to_pylist() for name in columns), strict=True):
+            for number, frames, *place in _rows(self.table(file, columns), columns):
                 start_s = place.pop() if with_video else 0.0
                 if not isinstance(start_s, int | float) or not math.isfinite(start_s) or not 0 <= start_s < 2**31:
                     raise self.bad(f"says that an episode starts at {str(start_s)[:40]!r} s of its video")
@@ -264,3 +265,9 @@ class LeRobotLayout:
         if not file.is_file():
             raise self.bad(f"lacks the file {relative!r}")
         return file
+
+
+def _rows(table: Any, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:
+    """The rows of a table; only so many at a time become Python's values, so that a fault ends it early."""
+    for batch in table.to_batches(max_chunksize=ROWS_AT_ONCE):
+        yield from zip(*(batch.column(name).to_pylist() for name in columns), strict=True)

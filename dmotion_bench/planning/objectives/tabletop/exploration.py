@@ -27,7 +27,7 @@ from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.planning.dynamics.base import Actions
 from dmotion_bench.planning.objectives.tabletop.push_pose import PushPoseBonus
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
-from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes
+from dmotion_bench.planning.objectives.tracking import BoundingBoxes
 from dmotion_bench.specs import EnvSpec
 
 

@@ -30,7 +30,7 @@ from dmotion_bench.planning.objectives.tabletop.exploration import Exploration
 from dmotion_bench.planning.objectives.tabletop.falls import FallRisk
 from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
-from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes, Tracker
+from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
 from dmotion_bench.specs import EnvSpec
 
 

@@ -27,7 +27,7 @@ from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
 from dmotion_bench.planning.objectives.tabletop.push_pose import PushPoseBonus
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.planning.objectives.tabletop.table_area import TableArea
-from dmotion_bench.planning.objectives.tabletop.tracking import Tracker
+from dmotion_bench.planning.objectives.tracking import Tracker
 from dmotion_bench.specs import EnvSpec
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
-from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes, Tracker
+from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
 
 
 class OcclusionModel:

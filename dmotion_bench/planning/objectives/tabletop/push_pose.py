@@ -18,7 +18,7 @@ from torch import Tensor
 from dmotion_bench.planning.objectives.tabletop.occlusion import OcclusionModel
 from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.planning.objectives.tabletop.table_area import TableArea
-from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes, Tracker
+from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
 
 
 class PushPoseBonus:

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, fields
 
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.values import require_bounds
 
 
@@ -72,13 +73,13 @@ class TabletopSettings:
         tip_rows: The tool's tip is looked for in so many rows.
     """
 
-    fully_seen: float = 0.85
-    box_margin_px: float = 1.0
+    fully_seen: float = Tracked.fully_seen
+    box_margin_px: float = Tracked.box_margin_px
     search_reach: float = 6 / 128
     still_px: float = 1.0
     least_gain: float = 4 / 128
     touch_distance: float = 4 / 128
-    lost_distance: float = 0.5
+    lost_distance: float = Tracked.lost_distance
     turned_size: float = 1.5
     ground_from: float = 2 / 128
     ground_to: float = 6 / 128

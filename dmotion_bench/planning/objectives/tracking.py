@@ -10,14 +10,30 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, fields
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
 from dmotion_bench.positions import PositionFinder, Positions
 from dmotion_bench.specs import EnvSpec
+
+
+@runtime_checkable
+class TrackingSettings(Protocol):
+    """What the tracker asks of an objective's settings.
+
+    Attributes:
+        fully_seen: The share of an object's usual pixels from which on it counts as fully seen.
+        box_margin_px: A visible part may lie this far outside the bounding box [px]: predicted edges are not sharp.
+    """
+
+    @property
+    def fully_seen(self) -> float: ...
+
+    @property
+    def box_margin_px(self) -> float: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +81,7 @@ class Tracker:
         settings: What counts as fully seen.
     """
 
-    def __init__(self, spec: EnvSpec, settings: TabletopSettings) -> None:
+    def __init__(self, spec: EnvSpec, settings: TrackingSettings) -> None:
         self._finder, self._objects, self._settings = _finder(spec), len(spec.objects), settings
 
     def look(self, frames: UInt8[Tensor, "b h w 3"]) -> BoundingBoxes:

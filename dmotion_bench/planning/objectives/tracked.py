@@ -14,33 +14,30 @@ from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.planning.dynamics.base import Dynamics, State
 from dmotion_bench.planning.objectives.base import CostState, StepCost, Taken
 from dmotion_bench.planning.objectives.centres import require_objects
-from dmotion_bench.planning.objectives.tabletop.settings import TabletopSettings
-from dmotion_bench.planning.objectives.tabletop.tracking import BoundingBoxes, Tracker
+from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
 from dmotion_bench.specs import EnvSpec
-
-DEFAULTS = TabletopSettings()
+from dmotion_bench.values import require_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tracked:
     """Summed squared distances of the objects' centres, with each hidden object at its estimated place [px^2].
 
-    An object that is seen now and not in the prediction costs a fixed distance: it may have been lost.
-    The fields are those of ``TabletopSettings``.
+    It knows nothing of tables, arms or pushes. An object that is seen now and not in the prediction costs a fixed
+    distance: it may have been lost.
+
+    Attributes:
+        fully_seen, box_margin_px: Of the tracker (``TrackingSettings``).
+        lost_distance: What an object costs that may have been lost: this share of the frame's width, as a distance.
     """
 
-    fully_seen: float = DEFAULTS.fully_seen
-    box_margin_px: float = DEFAULTS.box_margin_px
-    lost_distance: float = DEFAULTS.lost_distance
+    fully_seen: float = 0.85
+    box_margin_px: float = 1.0
+    lost_distance: float = 0.5
     finds_objects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        self._settings()
-
-    def _settings(self) -> TabletopSettings:
-        return TabletopSettings(
-            fully_seen=self.fully_seen, box_margin_px=self.box_margin_px, lost_distance=self.lost_distance
-        )
+        require_bounds(self, from_zero=("fully_seen", "box_margin_px", "lost_distance"))
 
     def reset(
         self, spec: EnvSpec, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]
@@ -51,7 +48,7 @@ class Tracked:
             InvalidSetting: The environment has no coloured objects.
         """
         require_objects(spec)
-        return TrackedEvaluator(spec, torch.from_numpy(first), torch.from_numpy(goals), self._settings())
+        return TrackedEvaluator(spec, torch.from_numpy(first), torch.from_numpy(goals), self)
 
 
 class TrackedEvaluator:
@@ -60,7 +57,7 @@ class TrackedEvaluator:
     Args:
         spec: Says what the objects look like.
         first, goals: What is seen at the start, and what should be seen; what one hides is completed from the other.
-        settings: Of the tracker.
+        settings: Of the objective.
     """
 
     def __init__(
@@ -68,7 +65,7 @@ class TrackedEvaluator:
         spec: EnvSpec,
         first: UInt8[Tensor, "b h w 3"],
         goals: UInt8[Tensor, "b h w 3"],
-        settings: TabletopSettings,
+        settings: Tracked,
     ) -> None:
         self._tracker, self._missing = Tracker(spec, settings), settings.lost_distance * spec.width
         self.known, self.wanted = self._tracker.meet(first, goals)

@@ -1,0 +1,166 @@
+"""Scoring many runs beside each other: a job for each run and, before it, one for each group of its control tasks.
+
+Jobs are plain values. A group's job keeps what it did in a journal of its own beside the run's report
+(``planning/journal.py``); the run's job takes these over and has nothing left to plan. So the figures are those of
+runs that are scored in turn, and a job that was killed goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import torch
+
+from dmotion_bench.errors import DmbenchError, RunMismatch
+from dmotion_bench.execution.executor import Executor
+from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.planning.mpc import ControlProgress
+from dmotion_bench.scoring.control import score_control, share_of
+from dmotion_bench.scoring.prediction import Execution
+from dmotion_bench.scoring.score import (
+    CONTROL_JOURNAL,
+    Metric,
+    ReferenceScores,
+    ScoreSettings,
+    is_scored,
+    score_run,
+    scored_data,
+)
+
+_REFERENCES: Final = ReferenceScores()
+"""Of the present process: a worker computes them once for all runs of a data set that it scores."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreJob:
+    """A run to be scored, or some of its control tasks.
+
+    Attributes:
+        run: Its folder.
+        metrics, settings, renew, data: As ``score_run`` takes them.
+        batch_size, device: Of the computation.
+        tasks: Numbers of control tasks; None: the whole run.
+        progress: The file in which it says how far it is; None: nowhere.
+    """
+
+    run: Path
+    metrics: tuple[Metric, ...] | None
+    settings: ScoreSettings
+    renew: bool
+    data: Path | None
+    batch_size: int
+    device: str
+    tasks: tuple[int, ...] | None = None
+    progress: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreOutcome:
+    """How the scoring of a run ended.
+
+    Attributes:
+        run: Its folder.
+        error: Why it failed, in a sentence; None if it did not.
+        unfit: Whether that is because the run does not fit the data set that was named.
+    """
+
+    run: Path
+    error: str | None = None
+    unfit: bool = False
+
+
+def score_job(job: ScoreJob) -> ScoreOutcome:
+    """Do a job in the present process; what goes wrong is told, since it concerns one run alone."""
+    told = ProgressFile(job.progress)
+
+    def show(what: str, done: int, total: int) -> None:
+        told.tell(JobProgress(what=job.run.name, done=done, total=total, status=what))
+
+    how = Execution(batch_size=job.batch_size, device=torch.device(job.device), progress=show)
+    try:
+        if job.tasks is not None:
+            _control_share(job, how)
+        else:
+            score_run(
+                job.run,
+                metrics=job.metrics,
+                settings=job.settings,
+                how=how,
+                references=_REFERENCES,
+                renew=job.renew,
+                data=job.data,
+            )
+    except Exception as error:  # a stranger's model may raise anything; the others are to be scored
+        known = isinstance(error, DmbenchError)
+        text = str(error) if known else f"{type(error).__name__}: {error}"
+        return ScoreOutcome(run=job.run, error=text, unfit=isinstance(error, RunMismatch))
+    finally:
+        told.end()
+    return ScoreOutcome(run=job.run)
+
+
+def _control_share(job: ScoreJob, how: Execution) -> None:
+    """Work on some control tasks of a run, and leave what was done where the run's own job finds it."""
+    run, tasks = Run.open(job.run), job.tasks or ()
+    data, folder = scored_data(run, job.settings.split, job.data)
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def show(progress: ControlProgress) -> None:
+        how.progress(f"control, tasks {tasks[0]} to {tasks[-1]}", progress.steps, progress.total)
+
+    with using_threads(run.threads):
+        score_control(
+            run.model,
+            data,
+            job.settings.control,
+            device=how.device,
+            progress=show,
+            checkpoint=share_of(folder / CONTROL_JOURNAL, tasks[0]),
+            numbers=tasks,
+        )
+
+
+def control_shares(job: ScoreJob) -> Iterator[ScoreJob]:
+    """The groups of control tasks of a run as jobs of their own; none where control is not asked for or impossible."""
+    if job.metrics is None or "control" not in job.metrics:
+        return
+    with contextlib.suppress(DmbenchError):  # said when the run is scored
+        if not job.renew and is_scored(job.run, "control", job.settings, job.data):
+            return
+        data, _ = scored_data(Run.open(job.run), job.settings.split, job.data)
+        scoring, known = job.settings.control, len(data.tasks())
+        count = known if scoring.tasks is None else min(scoring.tasks, known)
+        for first in range(0, count, scoring.group):
+            numbers = tuple(range(first, min(first + scoring.group, count)))
+            yield ScoreJob(**{**vars(job), "tasks": numbers})
+
+
+def score_side_by_side(
+    jobs: Sequence[ScoreJob], executor: Executor, *, progress: Path | None = None
+) -> Generator[ScoreOutcome]:
+    """Score runs beside each other; the outcomes come as they are ready.
+
+    Args:
+        jobs: One for each run.
+        executor: Runs them; all its machines see the runs and data sets under the same paths.
+        progress: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
+    """
+
+    def told(many: Sequence[ScoreJob], kind: str) -> list[ScoreJob]:
+        places = (None if progress is None else progress / f"{kind}-{number}.json" for number in range(len(many)))
+        return [ScoreJob(**{**vars(job), "progress": place}) for job, place in zip(many, places, strict=True)]
+
+    shares = [share for job in jobs for share in control_shares(job)]
+    planned = executor.map_unordered(score_job, told(shares, "control"))
+    with contextlib.closing(planned):  # type: ignore[type-var]
+        for _ in planned:  # what failed fails again, and is said, when the run is scored
+            pass
+    scored = executor.map_unordered(score_job, told(jobs, "run"))
+    with contextlib.closing(scored):  # type: ignore[type-var]
+        yield from scored

@@ -1,0 +1,199 @@
+"""The gain captured: what models' favourite sequences truly bring, beside the best that could be had."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+from known_model import Known, NoConfig, write_run
+from planning.worlds import PerfectGridModel
+
+from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
+from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.learning.run import Run
+from dmotion_bench.pairing import compare_runs
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.gain import GainScoring, gain_tables, known_truth
+from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.report import read_report
+from dmotion_bench.scoring.samples import GAIN, SampleRows, read_samples
+from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.workspace import cache_folder
+
+FEW = GainScoring(moments=6, sequences=10, horizon=3)
+QUICK = ScoreSettings(horizon=3, resamples=100, gain=FEW)
+
+
+@pytest.fixture(scope="module")
+def pushed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A Grid World whose test episodes move something; its cache knows what can be gained."""
+    path = tmp_path_factory.mktemp("data") / "grid"
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", episodes=200, frames=32
+    )
+    record_dataset(path, recipe)
+    dataset = Dataset.open(path)
+    known_truth(dataset, "test", FEW, Execution())
+    return dataset
+
+
+@pytest.fixture
+def no_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: Any) -> Any:
+        raise AssertionError("the simulator was asked for")
+
+    monkeypatch.setattr("dmotion_bench.scoring.gain.task_environment", gone)
+
+
+def _figures(samples: pa.Table, who: str = MODEL) -> Any:
+    return figures_of(samples, who, resamples=100)["planning_gain"]
+
+
+def _rows(gains: list[float], best: list[float], episodes: list[int], who: str = MODEL) -> pa.Table:
+    rows, count = SampleRows(GAIN, who), len(gains)
+    columns = {"gain": np.array(gains), "best_gain": np.array(best), "episode": np.array(episodes)}
+    rows.add(columns | {"step": np.arange(count), "ahead": np.full(count, 5)})
+    return rows.table()
+
+
+def test_the_figure_is_a_share_of_all_that_could_be_gained() -> None:
+    figure = _figures(_rows([0.5, 0.0, -0.1], [0.5, 0.3, 0.2], [1, 1, 2]))
+
+    assert figure.mean == pytest.approx(0.4)
+    assert figure.n == 3
+    assert figure.low <= figure.mean <= figure.high
+    assert figure.std == pytest.approx(np.std([1, 0, -0.5]))
+
+
+def test_a_perfect_model_picks_as_the_true_frames_do(pushed: Dataset, no_simulator: None) -> None:
+    tables = pa.concat_tables(gain_tables(PerfectGridModel(2).eval(), pushed, "test", FEW, Execution()))
+    model, oracle, chance = (_figures(tables, who) for who in (MODEL, "oracle", "random"))
+
+    assert model.mean == oracle.mean
+    assert 0.8 < oracle.mean <= 1
+    assert chance.mean < 0.3
+    assert model.n == len(known_truth(pushed, "test", FEW, Execution()).moments)
+
+
+def test_a_model_that_sees_no_change_brings_what_the_first_sequence_brings(pushed: Dataset, no_simulator: None) -> None:
+    still = Known(NoConfig(), ModelInputs(height=128, width=128, actions=Discrete.numbered(4))).eval()
+    tables = pa.concat_tables(gain_tables(still, pushed, "test", FEW, Execution()))
+    first = [moment.gains[0] for moment in known_truth(pushed, "test", FEW, Execution()).moments]
+    mine = tables.filter(pc.equal(tables["predictor"], MODEL))
+
+    assert mine["gain"].to_pylist() == pytest.approx(first)
+    assert mine["action"].to_pylist() == [0] * len(first)
+
+
+def test_what_is_kept_is_what_was_found(pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = known_truth(pushed, "test", FEW, Execution())
+    monkeypatch.setenv("DMBENCH_CACHE", str(tmp_path))
+    anew = known_truth(pushed, "test", FEW, Execution())
+
+    assert [moment.offset for moment in anew.moments] == [moment.offset for moment in before.moments]
+    assert all((one.after == other.after).all() for one, other in zip(anew.moments, before.moments, strict=True))
+    assert (anew.oracle == before.oracle).all()
+    assert (anew.sequences == before.sequences).all()
+
+
+@pytest.mark.parametrize("spoil", ["digit", "cut", "key", "list"])
+def test_a_damaged_cache_is_made_again(
+    pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spoil: str
+) -> None:
+    (sound_file,) = cache_folder(pushed.path).glob("gain-*.json")
+    sound = sound_file.read_text()
+    monkeypatch.setenv("DMBENCH_CACHE", str(tmp_path))
+    content = json.loads(sound)
+    spoilt = {
+        "digit": lambda: sound.replace('\\"now\\": 1.0', '\\"now\\": 1.5'),
+        "cut": lambda: sound[: len(sound) // 2],
+        "key": lambda: json.dumps({name: value for name, value in content.items() if name != "known"}),
+        "list": lambda: json.dumps(content | {"known": []}),
+    }[spoil]()
+    assert spoilt != sound
+    file = tmp_path / "gain.json"
+    monkeypatch.setattr("dmotion_bench.scoring.gain._place", lambda *_: file)
+    file.write_text(spoilt)
+
+    known_truth(pushed, "test", FEW, Execution())
+
+    assert json.loads(file.read_text()) == content
+
+
+def test_other_settings_have_moments_of_their_own(pushed: Dataset, no_simulator: None) -> None:
+    with pytest.raises(AssertionError, match="asked for"):
+        known_truth(pushed, "test", GainScoring(moments=6, sequences=10, horizon=2), Execution())
+    with pytest.raises(AssertionError, match="asked for"):
+        known_truth(pushed, "validation", FEW, Execution())
+
+
+@pytest.fixture
+def run(pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+    return write_run(tmp_path / "first", pushed)
+
+
+def test_a_report_has_the_gain_unless_it_is_left_out(run: Run) -> None:
+    report = score_run(run.path, metrics=None, settings=QUICK)
+    kept = score_run(run.path, metrics=("rollout",), settings=QUICK)
+
+    assert report.settings["metrics"] == ["prediction", "rollout", "gain"]
+    assert report.settings["gain_horizon"] == 3
+    assert kept.figures == report.figures
+    assert {"random", "oracle"} <= report.reference.keys()
+
+
+def test_a_report_without_the_gain_is_written_as_before(run: Run) -> None:
+    report = score_run(run.path, metrics=("prediction",), settings=QUICK)
+    samples = run.path / "report" / "samples.parquet"
+
+    assert not [name for name in report.settings if name.startswith("gain")]
+    assert "best_gain" not in pa.parquet.read_schema(samples).names
+    assert read_samples(samples)["best_gain"].null_count == report.samples["rows"]
+
+
+def test_other_moments_are_scored_anew(run: Run) -> None:
+    first = score_run(run.path, metrics=("gain",), settings=QUICK)
+    fewer = ScoreSettings(horizon=3, resamples=100, gain=GainScoring(moments=3, sequences=10, horizon=3))
+    second = score_run(run.path, metrics=("gain",), settings=fewer, renew=False)
+
+    assert first.figures["planning_gain"]["n"] > second.figures["planning_gain"]["n"] > 0
+
+
+def test_runs_are_compared_at_the_same_moments(
+    run: Run, pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    still = score_run(run.path, metrics=("gain",), settings=QUICK)
+    perfect = write_run(tmp_path / "second", pushed)
+    monkeypatch.setattr(Run, "model", property(lambda _: PerfectGridModel(2).eval()))
+    better = score_run(perfect.path, metrics=("gain",), settings=QUICK)
+
+    (difference,) = compare_runs(perfect.path, run.path)
+
+    assert difference.figure == "planning_gain"
+    assert difference.difference.mean == pytest.approx(
+        better.figures["planning_gain"]["mean"] - still.figures["planning_gain"]["mean"]
+    )
+    assert difference.difference.mean > 0
+
+
+def test_a_gain_that_cannot_be_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    for wrong in ({"moments": 0}, {"sequences": 0}, {"horizon": 0}, {"objective_set": ("a=1",)}):
+        with pytest.raises(InvalidSetting):
+            GainScoring(**wrong)
+    monkeypatch.setattr("dmotion_bench.scoring.gain._stretches", lambda *_: [])
+    other = ScoreSettings(gain=GainScoring(moments=1))
+    with pytest.raises(LabelsNotAvailable, match="nothing is moved in the test episodes"):
+        score_run(run.path, metrics=("gain",), settings=other)
+    report = score_run(run.path, metrics=None, settings=other)
+    assert report.remarks["gain"] == "not measured: nothing is moved in the test episodes"
+    assert read_report(run.path / "report") == report

@@ -1,0 +1,128 @@
+"""Scoring as jobs: control in shares is control in one piece, whatever happens to a job on the way."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from known_model import Known, write_run
+
+from dmotion_bench.execution.job_progress import read_progress
+from dmotion_bench.execution.local_executor import local_executor
+from dmotion_bench.learning.run import Run
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring import side_by_side
+from dmotion_bench.scoring.control import ControlScoring, shares_of
+from dmotion_bench.scoring.report import read_report
+from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.side_by_side import ScoreJob, control_shares, score_job, score_side_by_side
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+
+FEW = ("samples=3", "horizon=2", "iterations=1", "elites=2")
+SCORING = ControlScoring(tasks=5, steps=4, group=2, planner_set=FEW)
+SETTINGS = ScoreSettings(horizon=3, resamples=100, control=SCORING)
+MakeJob = Callable[..., ScoreJob]
+
+
+@pytest.fixture(scope="module")
+def tasks(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A Grid World with tasks; read only but for its cache."""
+    path = tmp_path_factory.mktemp("data") / "grid"
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", episodes=40, frames=32, tasks=6
+    )
+    record_dataset(path, recipe)
+    return Dataset.open(path)
+
+
+@pytest.fixture
+def job(tasks: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MakeJob:
+    """Makes the job of a run that does not exist yet."""
+    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+
+    def make(name: str, **changes: Any) -> ScoreJob:
+        path = write_run(tmp_path / name, tasks).path if not (tmp_path / name).exists() else tmp_path / name
+        asked: dict[str, Any] = {"metrics": ("control",), "settings": SETTINGS, "renew": False, "data": None}
+        return ScoreJob(run=path, batch_size=64, device="cpu", **(asked | changes))
+
+    return make
+
+
+def _told(run: Path) -> tuple[Any, bytes]:
+    report = read_report(run / "report")
+    assert report is not None
+    return (report.figures, report.reference), (run / "report" / "samples.parquet").read_bytes()
+
+
+def test_shares_are_whole_groups(job: MakeJob) -> None:
+    assert [share.tasks for share in control_shares(job("a"))] == [(0, 1), (2, 3), (4,)]
+    assert not list(control_shares(job("a", metrics=("prediction",))))
+    assert not list(control_shares(job("a", metrics=None)))
+
+
+def test_control_in_shares_is_control_in_one_piece(job: MakeJob, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = job("whole")
+    score_run(whole.run, metrics=("control",), settings=SETTINGS)
+    shared = job("shared")
+    for share in reversed(list(control_shares(shared))):
+        assert score_job(share).error is None
+    assert len(shares_of(shared.run / "report" / "control.json")) == 3
+    with monkeypatch.context() as patch:  # nothing is left to plan
+        patch.setattr(Known, "predict", None)
+        assert score_job(shared).error is None
+
+    assert _told(shared.run) == _told(whole.run)
+    assert not shares_of(shared.run / "report" / "control.json")
+    assert not list(control_shares(shared))  # it is scored
+
+
+def test_a_damaged_share_is_planned_again(job: MakeJob) -> None:
+    whole = job("whole")
+    score_run(whole.run, metrics=("control",), settings=SETTINGS)
+    shared = job("shared")
+    for share in control_shares(shared):
+        score_job(share)
+    first, second, _ = shares_of(shared.run / "report" / "control.json")
+    content = json.loads(first.read_text())
+    content["tasks"]["0"]["actions"][0] = (content["tasks"]["0"]["actions"][0] + 1) % 4
+    first.write_text(json.dumps(content))
+    second.write_text(second.read_text()[:40])
+
+    assert score_job(shared).error is None
+
+    assert _told(shared.run) == _told(whole.run)
+
+
+def test_one_that_fails_does_not_stop_the_others(job: MakeJob, tmp_path: Path) -> None:
+    jobs = [job("sound"), ScoreJob(**{**vars(job("sound")), "run": tmp_path / "nothing"})]
+
+    outcomes = {outcome.run.name: outcome.error for outcome in score_side_by_side(jobs, local_executor(1))}
+
+    assert outcomes["sound"] is None
+    assert "nothing" in (outcomes["nothing"] or "")
+    assert read_report(jobs[0].run / "report") is not None
+
+
+def test_jobs_say_how_far_they_are(job: MakeJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    (folder := tmp_path / "jobs").mkdir()
+    sound = side_by_side.score_control
+
+    def look(*given: Any, **named: Any) -> Any:
+        def progress(told: Any) -> None:
+            named_progress(told)
+            seen.extend(f"{name}: {one.what} {one.status}" for name, one in read_progress(folder).items())
+
+        named_progress = named["progress"]
+        return sound(*given, **(named | {"progress": progress}))
+
+    monkeypatch.setattr(side_by_side, "score_control", look)
+    list(score_side_by_side([job("a")], local_executor(1), progress=folder))
+
+    assert any(one.startswith("control-0: a control, tasks 0 to 1") for one in seen), seen
+    assert not list(folder.iterdir())
+    assert Run.open(job("a").run).result is not None

@@ -176,6 +176,8 @@ def test_sizes_that_it_cannot_take_are_said(height: int) -> None:
 def test_the_papers_interaction_learner_paints() -> None:
     with pytest.raises(InvalidSetting, match="warp is for arch=compact"):
         DMotionConfig(arch="paper", warp=True)
+    with pytest.raises(InvalidSetting, match="gate_floor is for arch=compact"):
+        DMotionConfig(arch="paper", gate_floor=0.01)
 
 
 def test_going_back_undoes_going_there() -> None:

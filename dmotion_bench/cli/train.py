@@ -15,7 +15,7 @@ import typer
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.live import Live, LiveTo, following
-from dmotion_bench.cli.options import DEVICES, AsJson, Device, listed, require_one_of
+from dmotion_bench.cli.options import DEVICES, TRACKERS, AsJson, Device, listed, require_one_of
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
 from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
 from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset
@@ -130,6 +130,14 @@ def train(
     cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
+    log: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar=listed(TRACKERS),
+            help="Show the curves in TensorBoard (folder RUN/tensorboard) or Weights & Biases (RUN/wandb; offline "
+            "unless WANDB_MODE says otherwise), too. Can be repeated.",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Train a model, or all models. Run the same command again to continue an interrupted training."""
@@ -139,6 +147,13 @@ def train(
 
     require_one_of("split", split, ("episode", "paper"))
     require_one_of("device", device, DEVICES)
+    trackers = tuple(dict.fromkeys(log or ()))
+    for name in trackers:
+        require_one_of("log", name, TRACKERS)
+    if trackers:
+        from dmotion_bench.learning.tracking import require_trackers
+
+        require_trackers(trackers)
     use_cache(cache)
     workspace = Workspace.current()
     if everything:
@@ -153,7 +168,7 @@ def train(
         asked = TrainingRequest(
             model="", preset=preset, seed=seed, protocol="paper" if split == "paper" else "episode", threads=threads
         )
-        _train_all(asked, workspace, data, workers, executor, device, as_json)
+        _train_all(asked, workspace, data, workers, executor, device, trackers, as_json)
         return
     require_all("train", workers, executor)
     if model is None:
@@ -193,10 +208,10 @@ def train(
             f"--devices {devices} --nodes {nodes} says otherwise; leave these options out."
         )
     if together.rank > 0:
-        train_run(run, dataset, device)
+        train_run(run, dataset, device, trackers=trackers)
         return
     with following(lambda: _follower(run.path), live, live_to) as poll:
-        _tell(run, dataset, train_run(run, dataset, device, poll), as_json)
+        _tell(run, dataset, train_run(run, dataset, device, poll, trackers), as_json)
 
 
 def _require_share(run: Any, processes: int) -> None:
@@ -274,6 +289,7 @@ def _train_all(
     workers: int | None,
     executor: str | None,
     device: str,
+    trackers: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Train every model with each of its budgets; raises an error at the end if one of them failed."""
@@ -287,9 +303,11 @@ def _train_all(
     wanted = list(rows_of(dataset))
     at_once = workers or _trainings_at_once(device, executor, len({row.model for row in wanted}))
     if executor in (None, "local") and at_once == 1:
-        outcomes = train_table(request, dataset, workspace, lambda run: train_run(run, dataset, device))
+        outcomes = train_table(
+            request, dataset, workspace, lambda run: train_run(run, dataset, device, trackers=trackers)
+        )
     else:
-        outcomes = _beside_each_other(request, dataset, workspace, executor or "local", at_once, device)
+        outcomes = _beside_each_other(request, dataset, workspace, executor or "local", at_once, device, trackers)
     told: dict[Row, dict[str, Any]] = {}
     for outcome in outcomes:
         row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels, "error": outcome.error}
@@ -328,7 +346,13 @@ def _trainings_at_once(device: str, executor: str | None, models: int) -> int | 
 
 
 def _beside_each_other(
-    request: TrainingRequest, dataset: Any, workspace: Workspace, executor: str, workers: int | None, device: str
+    request: TrainingRequest,
+    dataset: Any,
+    workspace: Workspace,
+    executor: str,
+    workers: int | None,
+    device: str,
+    trackers: tuple[str, ...],
 ) -> Generator[Outcome]:
     """Train the table by an executor, and show how far all of its jobs are."""
     from dmotion_bench.cli.jobs import jobs_folder
@@ -346,7 +370,7 @@ def _beside_each_other(
         task = bar.add_task(f"training {dataset.name}", total=total, status="")
         bar.update(task, completed=0)
         outcomes = train_side_by_side(
-            request, dataset, workspace, hands, threads=threads, device=device, progress=folder
+            request, dataset, workspace, hands, threads=threads, device=device, progress=folder, trackers=trackers
         )
         with watching(folder, lambda jobs: bar.show_jobs(task, jobs)), contextlib.closing(outcomes):
             for done, outcome in enumerate(outcomes, start=1):
@@ -354,7 +378,13 @@ def _beside_each_other(
                 yield outcome
 
 
-def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], None] = lambda: None) -> dict[str, Any]:
+def train_run(
+    run: Any,
+    dataset: Any,
+    device: str = "auto",
+    poll: Callable[[], None] = lambda: None,
+    trackers: tuple[str, ...] = (),
+) -> dict[str, Any]:
     """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step.
 
     Of several processes the first one settles what is to be done, and builds the frame cache with the first ones of
@@ -404,7 +434,7 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
             )
             poll()
 
-        result: dict[str, Any] = train(run, training_data(run, dataset), fabric, on_step)
+        result: dict[str, Any] = train(run, training_data(run, dataset), fabric, on_step, trackers)
     return result
 
 

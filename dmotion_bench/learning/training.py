@@ -15,7 +15,7 @@ import itertools
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,7 @@ from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sa
 from dmotion_bench.learning.samples import FOLDER as SAMPLES
 from dmotion_bench.learning.step import Stepper
 from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.learning.tracking import tracked
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.lock import held
 
@@ -86,7 +87,13 @@ class _State:
     clock: _Clock = field(default_factory=_Clock)
 
 
-def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Report], None]) -> dict[str, Any]:
+def train(
+    run: Run,
+    data: TrainingData,
+    fabric: Fabric,
+    on_step: Callable[[Report], None],
+    trackers: Sequence[str] = (),
+) -> dict[str, Any]:
     """Train a run from its last checkpoint to the end, align it, and write its result.
 
     Args:
@@ -94,11 +101,13 @@ def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Repor
         data: Training and validation triplets and the label budget.
         fabric: The device, and the other processes if there are any; launched already.
         on_step: Told after every step; may raise to stop, after which the run can be resumed.
+        trackers: Where the curves go besides ``metrics.jsonl``: ``tensorboard``, ``wandb``.
 
     Returns:
         What ``run.json`` keeps as the result.
 
     Raises:
+        PackageNotInstalled: One that a tracker needs is not there.
         LabelsNotAvailable: The budget asks for labels that are not there; before the first step.
         FolderInUse: Another training of the run is going on.
         ProcessLost: Another process of several that train together has ended.
@@ -108,21 +117,26 @@ def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Repor
     with companions.noticing_losses():
         if (result := companions.of_first(lambda: run.result)) is not None:
             return result
-        return _train(run, data, fabric, companions, on_step)
+        return _train(run, data, fabric, companions, on_step, trackers)
 
 
 def _train(
-    run: Run, data: TrainingData, fabric: Fabric, companions: Companions, on_step: Callable[[Report], None]
+    run: Run,
+    data: TrainingData,
+    fabric: Fabric,
+    companions: Companions,
+    on_step: Callable[[Report], None],
+    trackers: Sequence[str],
 ) -> dict[str, Any]:
     with using_threads(companions.of_first(lambda: run.threads or torch.get_num_threads())):
         trainer = _Trainer(run, data, fabric, companions)  # what is missing is said here, before anything is written
         if not companions.is_first:
-            return trainer.fit(on_step)
+            return trainer.fit(on_step, ())
         run.path.mkdir(parents=True, exist_ok=True)
         with held(run.path):
             for folder in (run.path, run.path / SAMPLES):
                 remove_leftovers(folder)
-            return trainer.fit(on_step)
+            return trainer.fit(on_step, trackers)
 
 
 class _PlainLosses(nn.Module):
@@ -210,10 +224,14 @@ class _Trainer:
 
         return self.companions.of_first(settled)
 
-    def fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
+    def fit(self, on_step: Callable[[Report], None], trackers: Sequence[str]) -> dict[str, Any]:
         self.conditions = self._settle()  # here, where nobody else trains the run
         torch.set_num_threads(self.conditions.threads)
         self._resume()
+        with tracked(trackers, self.run, self.state.step) as self.trackers:
+            return self._fit(on_step)
+
+    def _fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)
         sums: dict[str, float] = defaultdict(float)
@@ -338,6 +356,7 @@ class _Trainer:
             else:
                 return
         write_sample(self.run.path, self.state.step, picture)
+        self.trackers.picture(self.state.step, picture)
 
     def _save_best(self) -> None:
         if self.companions.is_first:
@@ -377,13 +396,15 @@ class _Trainer:
         return MetricsLog.resumed(self.run.metrics, self.state.step)
 
     def _write(self, log: MetricsLog, values: Mapping[str, float]) -> None:
+        rate = self.optimizer.param_groups[0]["lr"]
         log.write(
             step=self.state.step,
             seconds=self.state.clock.before + self.state.clock.sitting,
             triplets_per_s=self._rate(),
-            learning_rate=self.optimizer.param_groups[0]["lr"],
+            learning_rate=rate,
             values=values,
         )
+        self.trackers.write(self.state.step, {"triplets_per_s": self._rate(), "learning_rate": rate, **values})
 
     def _finish(self) -> dict[str, Any]:
         return self.companions.of_first(self._finished)

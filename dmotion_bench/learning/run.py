@@ -19,7 +19,7 @@ import json
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from torch import Tensor
 
@@ -52,8 +52,12 @@ class Run:
         self.spec = from_json(RunSpec, manifest["spec"])
         self.threads = threads if self.conditions is None else self.conditions.threads
 
+    def __fspath__(self) -> str:
+        """Its folder: a run may stand wherever a path may."""
+        return str(self.path)
+
     @classmethod
-    def open(cls, path: AnyPath) -> Run:
+    def open(cls, path: AnyPath) -> Self:
         """A run that exists, finished or not.
 
         Raises:
@@ -78,7 +82,7 @@ class Run:
     @classmethod
     def create_or_open(
         cls, path: Path, spec: RunSpec, *, dataset_path: Path, versions: Mapping[str, str], threads: int | None = None
-    ) -> Run:
+    ) -> Self:
         """The run of this folder if it asks for the same, else a new one, which is on disk once training begins.
 
         Args:

@@ -312,6 +312,3 @@ def _make_room(kept: dict[Place, Any]) -> None:
     """Forget what is kept of places once there are many, as with continuous actions."""
     if len(kept) >= KEPT_PLACES:
         kept.clear()
-
-
-gymnasium.register(id="dmbench/PlanarPush-v0", entry_point="recorders.planar_push:PlanarPush")

@@ -237,6 +237,3 @@ class RobotPush(PushingEnvironment):
         tip = np.array([*self.lattice.at(place), ROD_BOTTOM])
         frames = panda.link_frames(panda.joints_for(tip))
         return ArmPose(self._arm.posed(frames), self._arm.colors, self._arm.links > 0)
-
-
-gymnasium.register(id="dmbench/RobotPush-v0", entry_point="recorders.robot_push:RobotPush")

@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PARALLEL := -n auto --dist worksteal  # a process a core; long tests come first (tests/conftest.py)
 
+unexport PYTHONDONTWRITEBYTECODE  # else each of the processes that tests start compiles every module anew
+
 .PHONY: install demo test test-fast check faults fuzz kill format bench results clean
 
 install: $(STAMP)

@@ -32,7 +32,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines import dmotion_compact, dmotion_paper
-from baselines.layers import squared_error
+from baselines.layers import check_gate_floor, squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
@@ -66,6 +66,8 @@ class DMotionConfig:
         second_frame: Whether the interaction learner sees x_{t-1}.
         warp: Whether the interaction learner can carry what moves instead of painting it anew; compact only. The
             paper's paints.
+        gate_floor: The least share of what the interaction learner paints that is let in anywhere; compact only. Above
+            0 for video of which little moves: a gate that closed everywhere would learn nothing more.
         blur: Width of the interpolation kernel at the start of the training [px of the map]; shrinks to 1 over the
             share ``anneal`` of it. 1 is the paper's. With wide kernels the gradient of the motion reaches far.
         jitter: Standard deviation of the noise on phi^0 as the interaction learner sees it, at the start of the
@@ -83,6 +85,7 @@ class DMotionConfig:
     agent_entries: Literal[1, 3] = 3
     second_frame: bool = True
     warp: bool = False
+    gate_floor: float = 0.0
     blur: float = 8.0
     jitter: float = 1.2
     jitter_end: float = 0.2
@@ -99,6 +102,9 @@ class DMotionConfig:
             raise InvalidSetting("blur must be 1 or more, jitter 0 or more, anneal above 0 and at most 1.")
         if self.warp and self.arch == "paper":
             raise InvalidSetting("warp is for arch=compact; the paper's interaction learner paints.")
+        if self.gate_floor and self.arch == "paper":
+            raise InvalidSetting("gate_floor is for arch=compact; the paper's interaction learner has no gate.")
+        check_gate_floor(self.gate_floor)
 
 
 class DMotion(ForwardModel[DMotionConfig]):
@@ -133,7 +139,7 @@ class DMotion(ForwardModel[DMotionConfig]):
             frames=2 if config.second_frame else 1,
             agent_entries=config.agent_entries,
             agents=config.agents,
-            **({} if is_paper else {"warps": config.warp}),  # the paper's paints
+            **({} if is_paper else {"warps": config.warp, "gate_floor": config.gate_floor}),  # the paper's paints
         )
         identity = self.transform.identity()
         self.table: ActionToLatent | JointActionToLatent

@@ -111,12 +111,20 @@ class InteractionLearner(UNet):
     Args:
         frames: 2 as in the paper; 1 leaves x_{t-1} out.
         agent_entries: 3, or 1 for the input alone.
-        warps: As for ``UNet``.
+        warps, gate_floor: As for ``UNet``.
         agents: Maps of agents.
     """
 
-    def __init__(self, frames: int = 2, agent_entries: int = 3, *, warps: bool = False, agents: int = 1) -> None:
-        super().__init__(frames, warps=warps)
+    def __init__(
+        self,
+        frames: int = 2,
+        agent_entries: int = 3,
+        *,
+        warps: bool = False,
+        gate_floor: float = 0.0,
+        agents: int = 1,
+    ) -> None:
+        super().__init__(frames, warps=warps, gate_floor=gate_floor)
         c, w, d = WIDTHS
         self.agent_entries = agent_entries
         self.agent_in = conv(4 * agents, c, 1)

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from baselines.layers import CodedUNet, check_size, squared_error
+from baselines.layers import CodedUNet, check_gate_floor, check_size, squared_error
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
@@ -29,10 +29,15 @@ class EncoderDecoderConfig:
     Attributes:
         second_frame: Whether the network sees x_{t-1}, as in the paper.
         warp: Whether it can carry what moves, by a flow, instead of painting it anew.
+        gate_floor: The least share of what it paints that is let in anywhere: above 0 for video of which little moves.
     """
 
     second_frame: bool = True
     warp: bool = False
+    gate_floor: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_gate_floor(self.gate_floor)
 
 
 class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
@@ -49,7 +54,12 @@ class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
         super().__init__(config, inputs)
         check_size("the E-D CNN", inputs)
         self.encoding = ActionEncoding(inputs.actions)
-        self.network = CodedUNet(self.encoding.width, frames=2 if config.second_frame else 1, warps=config.warp)
+        self.network = CodedUNet(
+            self.encoding.width,
+            frames=2 if config.second_frame else 1,
+            warps=config.warp,
+            gate_floor=config.gate_floor,
+        )
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

@@ -9,6 +9,8 @@ Frames are *packed*: ``Float[b 48 h/4 w/4]``, channels-last in memory.
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from einops import rearrange
@@ -213,10 +215,14 @@ class UNet(nn.Module):
         frames: How many frames it sees, x_t the last of them.
         warps: Whether what moves can be carried there from x_t, by a flow that a second gate lets in, instead of
             being painted anew.
+        gate_floor: The least share of the painting that the gate lets in anywhere, from 0 to below 1. Where little of
+            the video moves, a gate can close everywhere while the painting is still bad; then nothing is learned any
+            more. Above 0 it can open again.
     """
 
-    def __init__(self, frames: int = 2, *, warps: bool = False) -> None:
+    def __init__(self, frames: int = 2, *, warps: bool = False, gate_floor: float = 0.0) -> None:
         super().__init__()
+        self.gate_floor = gate_floor
         c, w, d = WIDTHS
         self.frames_in = conv(CHANNELS * frames, c, 1)
         self.level0 = block(c, c)
@@ -248,7 +254,7 @@ class UNet(nn.Module):
         current = packed[:, -CHANNELS:].contiguous(memory_format=torch.channels_last)  # strides make blending slow
         if self.warps:
             current = self._carried(current, level0)
-        return torch.lerp(current, self.painting(level0), _share(self.gate, level0, OPENNESS))
+        return torch.lerp(current, self.painting(level0), _share(self.gate, level0, OPENNESS, self.gate_floor))
 
     def _carried(
         self, current: Float[Tensor, "b p hp wp"], features: Float[Tensor, "b c hp wp"]
@@ -259,14 +265,43 @@ class UNet(nn.Module):
         return torch.lerp(current, moved, _share(self.warp_gate, features))
 
 
-def _share(gate: nn.Conv2d, features: Float[Tensor, "b c hp wp"], openness: float = 0.0) -> Float[Tensor, "b p hp wp"]:
+def check_gate_floor(floor: float) -> None:
+    """Raise an error unless the floor is a share that leaves the gate something to decide.
+
+    Raises:
+        InvalidSetting: It is not.
+    """
+    if not 0 <= floor < 1:
+        raise InvalidSetting(f"gate_floor is {floor}; it must be at least 0 and below 1.")
+
+
+class _Floor(torch.autograd.Function):
+    """What is below a bound is raised to it, and its gradient goes on as long as it asks for more."""
+
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, openings: Tensor, bound: float) -> Tensor:
+        ctx.save_for_backward(openings < bound)
+        return openings.clamp(min=bound)
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor, None]:
+        (below,) = ctx.saved_tensors  # type: ignore[attr-defined]
+        return gradients[0].masked_fill(below & (gradients[0] > 0), 0.0), None
+
+
+def _share(
+    gate: nn.Conv2d, features: Float[Tensor, "b c hp wp"], openness: float = 0.0, floor: float = 0.0
+) -> Float[Tensor, "b p hp wp"]:
     """How much of a new frame a gate lets in: one value per pixel, and the same again for each of the three colours.
 
     The gate's weights are repeated instead of its values. So all that follows is of one shape and one memory format;
     repeating the values makes the blending seven times as slow (docs/experiments/speed.md).
     """
     assert gate.bias is not None
-    return torch.sigmoid(F.conv2d(features, gate.weight.repeat(3, 1, 1, 1), (gate.bias + openness).repeat(3)))
+    opening = F.conv2d(features, gate.weight.repeat(3, 1, 1, 1), (gate.bias + openness).repeat(3))
+    if floor > 0:
+        opening = _Floor.apply(opening, math.log(floor / (1 - floor)))  # type: ignore[no-untyped-call]
+    return torch.sigmoid(opening)
 
 
 class CodedUNet(UNet):
@@ -274,11 +309,11 @@ class CodedUNet(UNet):
 
     Args:
         code: Length of the vector.
-        frames, warps: As for ``UNet``.
+        frames, warps, gate_floor: As for ``UNet``.
     """
 
-    def __init__(self, code: int, frames: int = 2, *, warps: bool = False) -> None:
-        super().__init__(frames, warps=warps)
+    def __init__(self, code: int, frames: int = 2, *, warps: bool = False, gate_floor: float = 0.0) -> None:
+        super().__init__(frames, warps=warps, gate_floor=gate_floor)
         self.code_in, self.code_1, self.code_2 = (linear(code, width) for width in WIDTHS)
 
     def forward(self, packed: Float[Tensor, "b p hp wp"], code: Float[Tensor, "b d"]) -> Float[Tensor, "b q hp wp"]:

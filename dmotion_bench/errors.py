@@ -20,7 +20,8 @@
     ├── RunError
     │   ├── RunMissing
     │   ├── RunCorrupt                a checkpoint or configuration that cannot be read
-    │   └── RunMismatch               a run that was made with other settings or data
+    │   ├── RunMismatch               a run that was made with other settings or data
+    │   └── ProcessLost               one of the processes that train together has ended, and so do the others
     ├── ModelContractBroken           a model does not do what learning/model.py asks
     ├── EntryInvalid                  an entry of the leaderboard that breaks its schema
     ├── PackageNotInstalled           an optional dependency is absent; names the command
@@ -155,6 +156,17 @@ class RunCorrupt(RunError):
 
 class RunMismatch(RunError):
     """The run was made with other settings or other data."""
+
+
+class ProcessLost(RunError):
+    """Another one of the processes that train together has ended."""
+
+    def __init__(self, rank: int) -> None:
+        self.rank = rank
+        super().__init__(
+            f"process {rank} of this training ends because another one has ended. Run the same command again: it goes "
+            "on from the last checkpoint."
+        )
 
 
 class ModelContractBroken(DmbenchError):

@@ -28,6 +28,12 @@ def received() -> int:
     return _Received.number
 
 
+def interrupted_by(number: int) -> KeyboardInterrupt:
+    """The interruption by a signal that another library has received."""
+    _Received.number = number
+    return KeyboardInterrupt()
+
+
 def exit_code() -> int:
     """The exit code of an interrupted process: 130 after Ctrl-C, 143 after ``kill``, 129 after a closed terminal."""
     return 128 + (_Received.number or signal.SIGINT)

@@ -29,6 +29,7 @@ DELAY = "delay"
 """The factor of variation that says by how many steps an episode's frames lag behind the states of its world."""
 
 MOST_THREADS = 1024  # that a training computes with
+MOST_PROCESSES = 4096  # of a machine, and machines
 
 MASK_BACKGROUND = 0
 MASK_AGENT = 1

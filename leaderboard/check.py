@@ -17,7 +17,8 @@ packages were installed. That takes training again; a run is reproducible from i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -28,6 +29,8 @@ import pyarrow.compute as pc
 from jaxtyping import Bool
 
 from dmotion_bench.errors import DatasetError, DmbenchError, RunCorrupt
+from dmotion_bench.execution.executor import Executor
+from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import not_allowed, using_threads
 from dmotion_bench.scoring.figures import figures_of
@@ -67,6 +70,8 @@ SAMPLE_ROUNDING: Final = 1e-2
 
 PICTURE_ROUNDING: Final = 3  # pixel values
 MOST_RESAMPLES: Final = 100_000
+_REFERENCES: Final = ReferenceScores()
+"""Of the present process: it computes them once for all entries of a data set that it checks."""
 _KEY: Final = ("episode", "step", "ahead")
 
 
@@ -158,6 +163,46 @@ def _score_anew(
         _same_pictures(check, take_pictures(run, dataset, scores.samples))
 
 
+@dataclass(frozen=True, kw_only=True)
+class CheckJob:
+    """An entry to be checked, as plain values, so that it can be sent anywhere.
+
+    Attributes:
+        number: Its place among the verdicts.
+        path: Of the entry's file, or of the run that it would be.
+        report: The run's report that is meant; None: that of its own data set.
+        workspace: Where runs and data sets are.
+        settings: How strictly it is checked.
+        progress: The file in which the job says how far it is; None: nowhere.
+    """
+
+    number: int
+    path: Path
+    report: Path | None
+    workspace: Path
+    settings: CheckSettings
+    progress: Path | None = None
+
+
+def check_job(job: CheckJob, on_progress: Progress = silent) -> tuple[int, Verdict]:
+    """Check one entry in the present process, and tell its number with the verdict."""
+    told = ProgressFile(job.progress)
+
+    def show(what: str, done: int, total: int) -> None:
+        told.tell(JobProgress(what=job.path.stem, done=done, total=total, status=what))
+        on_progress(what, done, total)
+
+    try:
+        entry = read_entry(job.path) if job.path.is_file() else entry_of_run(job.path, job.report)
+        how, workspace = Execution(progress=show), Workspace(job.workspace)
+        verdict = check_entry(entry, workspace, job.settings, how=how, references=_REFERENCES)
+    except DmbenchError as error:
+        verdict = Verdict(entry=job.path.name, findings=(str(error),))
+    finally:
+        told.end()
+    return job.number, verdict
+
+
 def check_paths(
     paths: Sequence[Path],
     workspace: Workspace,
@@ -165,6 +210,9 @@ def check_paths(
     quick: bool = False,
     differing: float = 0.0,
     on_progress: Progress = silent,
+    executor: Executor | None = None,
+    progress: Path | None = None,
+    on_verdict: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Verdict]:
     """Check entries' files, folders of them, and runs as the entries that they would be.
 
@@ -173,22 +221,37 @@ def check_paths(
         workspace: Where runs and data sets are.
         quick: Score nothing anew.
         differing: See ``CheckSettings``.
-        on_progress: Told how far the scoring is.
+        on_progress: Told how far the scoring is, where it is done in this process.
+        executor: Checks entries beside each other, with the same verdicts; all its machines see the same paths.
+        progress: A folder in which its jobs say how far they are (``job_progress.watching``); None: nowhere.
+        on_verdict: Told how many entries of how many are checked.
 
     Raises:
         UnknownName: A path stands for nothing.
     """
-    settings, references = CheckSettings(score=not quick, differing=differing), ReferenceScores()
-    verdicts: list[Verdict] = []
-    for path, folder in (one for given in paths for one in _meant(given, workspace)):
-        try:
-            entry = read_entry(path) if path.is_file() else entry_of_run(path, folder)
-        except DmbenchError as error:
-            verdicts.append(Verdict(entry=path.name, findings=(str(error),)))
-            continue
-        how = Execution(progress=on_progress)
-        verdicts.append(check_entry(entry, workspace, settings, how=how, references=references))
-    return verdicts
+    settings = CheckSettings(score=not quick, differing=differing)
+    meant = [one for given in paths for one in _meant(given, workspace)]
+    jobs = [
+        CheckJob(
+            number=number,
+            path=path.absolute(),
+            report=None if report is None else report.absolute(),
+            workspace=workspace.root.absolute(),
+            settings=settings,
+            progress=None if progress is None else progress / f"check-{number}.json",
+        )
+        for number, (path, report) in enumerate(meant)
+    ]
+    on_verdict(0, len(jobs))
+    results = (
+        (check_job(job, on_progress) for job in jobs) if executor is None else executor.map_unordered(check_job, jobs)
+    )
+    verdicts: dict[int, Verdict] = {}
+    with contextlib.closing(results):  # type: ignore[type-var]
+        for number, verdict in results:
+            verdicts[number] = verdict
+            on_verdict(len(verdicts), len(jobs))
+    return [verdicts[number] for number in range(len(jobs))]
 
 
 def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:

@@ -9,11 +9,17 @@ import os
 import signal
 
 import pytest
-import torch
 from jaxtyping import install_import_hook
+
+from dmotion_bench.cli import bound_waiting
+
+bound_waiting()  # before torch loads: a thread that waits leaves its core to the tests beside
+
+import torch  # noqa: E402
 
 torch.set_num_threads(1)
 os.environ["DMBENCH_QUIET"] = "1"
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the other cores have other tests
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job; children would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -32,5 +38,9 @@ _hook = install_import_hook(
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Slow tests first, so that no process is left alone with one at the end."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    """Modules with slow tests first, so that no process is left alone with one at the end.
+
+    The tests of a module stay together: they share what its fixtures make.
+    """
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)

@@ -5,13 +5,19 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
+    from dmotion_bench.execution.executor import Executor
     from dmotion_bench.recording.session import ShardJob
     from dmotion_bench.storage.shard import ShardReceipt
+
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -59,3 +65,31 @@ class LeavesTraces:
             time.sleep(self.seconds)
         (self.folder / f"ended-{number}").touch()
         return number
+
+
+@dataclass(frozen=True)
+class DiesOnce(Generic[Job, Result]):
+    """Does a job; but whoever is the first to be given the victim is killed at its end."""
+
+    function: Callable[[Job], Result]
+    mark: Path
+    victim: Job
+
+    def __call__(self, job: Job) -> Result:
+        done = self.function(job)
+        if job == self.victim and not self.mark.exists():
+            self.mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return done
+
+
+@dataclass(frozen=True)
+class Deadly:
+    """An executor in which the first worker at the second job is killed."""
+
+    executor: Executor
+    mark: Path
+
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+        listed = list(jobs)
+        yield from self.executor.map_unordered(DiesOnce(function, self.mark, listed[1]), listed)

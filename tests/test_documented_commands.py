@@ -1,6 +1,6 @@
 """Every command of the README and the docs, run from top to bottom of its page as a reader types it, only shorter.
 
-What makes it short: recordings of 14 episodes, trainings of a step or two, one row of the table of all models, a
+What makes it short: recordings of 13 short episodes, trainings of a step or two, one row of the table of all models, a
 planner of two candidates, pictures written to files where the command would open a window. Nothing else of a command
 is changed (``_shortened``).
 """
@@ -34,6 +34,7 @@ from dmotion_bench.workspace import Workspace
 
 pytestmark = pytest.mark.slow
 
+EPISODES, FRAMES = 13, 16  # the docs name episode 12
 READ = [page for page in PAGES if page.name == "README.md" or page.parent.name == "docs"]
 RECORDED = (
     ("grid_world", "small"),
@@ -106,6 +107,7 @@ def _shorten(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("dmotion_bench.planning.choices.make_solver", lambda name, settings=(): TWO)
     patch.setattr("dmotion_bench.scoring.control.make_solver", lambda name, settings=(): TWO)
     patch.setattr(score, "_control", _two_steps)
+    patch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: its layers are most of what a scoring computes
     patch.setattr(demo, "EPISODES", 12)
     patch.setattr(demo, "EPOCHS", 0.01)
     patch.delenv("DMBENCH_WORKSPACE", raising=False)
@@ -116,7 +118,7 @@ def _shortened(command: str) -> list[str]:
     words = shlex.split(f"{command} {COMPLETED.get(command, '')}")[1:]
     match words:
         case ["record", *_]:
-            words += ["--episodes", "14", "--frames", "32", "--tasks", "4"]
+            words += ["--episodes", str(EPISODES), "--frames", str(FRAMES), "--tasks", "4"]
         case ["score", *_]:
             words += ["--tasks", "1"] if "control" in words else ["--horizon", "4"]
             words += ["--workers", "1"] if "--all" in words else []  # others do not know the shortened planner
@@ -140,7 +142,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         _shorten(patch)
         patch.chdir(root)
         for environment, preset in RECORDED:
-            recipe = recipe_for(environment, Preset(preset), episodes=14, frames=32, tasks=4)
+            recipe = recipe_for(environment, Preset(preset), episodes=EPISODES, frames=FRAMES, tasks=4)
             record_dataset(workspace.data / f"{environment}-{preset}", recipe)
         for model, name in TRAINED:
             labels = "100%" if model == "ed-cnn" else "one-shot"

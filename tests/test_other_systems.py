@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 
 POSIX_ONLY = ["fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"]
@@ -54,6 +56,7 @@ print(import_all())
 """
 
 
+@pytest.mark.slow
 def test_every_module_is_imported_without_what_windows_lacks() -> None:
     ended = subprocess.run(
         [sys.executable, "-c", IMPORT_ALL, *POSIX_ONLY], cwd=ROOT, capture_output=True, text=True, check=False

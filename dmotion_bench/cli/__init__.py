@@ -24,6 +24,8 @@ def main() -> None:
     """Entry point of the ``dmbench`` script. Ctrl-C ends it with a sentence, also while it is still loading."""
     _open_streams()
     bound_waiting()
+    if "WORLD_SIZE" in os.environ:  # one of several processes: torch would advise each of them, on stderr
+        os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")
     try:
         with ended_like_ctrl_c():
             from dmotion_bench.cli.app import main as run

@@ -1,6 +1,7 @@
 """The Typer application, and the one place where errors become sentences and exit codes.
 
-Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted by Ctrl-C, 143 by SIGTERM, 129 by a closed terminal.
+Exit codes: 0 done, 1 failed, 2 wrong usage, 75 ended because another process of the same training did, 130 interrupted
+by Ctrl-C, 143 by SIGTERM, 129 by a closed terminal.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from typing import NoReturn
 import typer
 
 from dmotion_bench import __version__
-from dmotion_bench.errors import DmbenchError, Interrupted, UsageError
+from dmotion_bench.errors import DmbenchError, Interrupted, ProcessLost, UsageError
+from dmotion_bench.execution.processes import LOST, is_led
 from dmotion_bench.interrupts import INTERRUPTED, exit_code, received
 from dmotion_bench.storage.atomic import FULL
 from dmotion_bench.storage.limits import LONGEST_TEXT
@@ -87,6 +89,8 @@ def main() -> None:
             app(prog_name="dmbench", standalone_mode=True)
     except UsageError as error:
         _fail(str(error), 2)
+    except ProcessLost as error:
+        _fail("" if is_led() else str(error), LOST)
     except Interrupted as error:
         _fail(str(error), exit_code())
     except DmbenchError as error:
@@ -97,10 +101,10 @@ def main() -> None:
     except OSError as error:
         _fail(_refused(error), 1)
     except KeyboardInterrupt:
-        _fail(INTERRUPTED, exit_code())
+        _fail("" if is_led() else INTERRUPTED, exit_code())
     except SystemExit as leaving:
         if leaving.code == 130:  # what Typer makes of an interruption, without a word
-            _fail(INTERRUPTED, exit_code())
+            _fail("" if is_led() else INTERRUPTED, exit_code())
         if not leaving.code and received():  # a server or a viewer, which ends when it is told to
             _fail("ended.", exit_code())
         raise
@@ -108,7 +112,8 @@ def main() -> None:
 
 def _fail(said: str, code: int) -> NoReturn:
     with contextlib.suppress(OSError):  # who closed stderr does not want to know
-        print(f"dmbench: {sentence(said)}", file=sys.stderr, flush=True)  # noqa: T201 (the command line's own voice)
+        if said:  # else whoever started this process says it
+            print(f"dmbench: {sentence(said)}", file=sys.stderr, flush=True)  # noqa: T201 (the command's own voice)
     raise SystemExit(code)
 
 

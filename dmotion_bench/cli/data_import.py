@@ -6,11 +6,12 @@ import dataclasses
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from dmotion_bench.cli.options import AsJson
+from dmotion_bench.cli.jobs import jobs_folder
+from dmotion_bench.cli.options import EXECUTORS, AsJson, listed, require_one_of
 from dmotion_bench.errors import Interrupted, UnknownName
 from dmotion_bench.wording import command
 
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 
 
+_CLUSTER_GIGABYTES: Final = 8
+_CLUSTER_MINUTES: Final = 24 * 60
+_SHOWN: Final = 20  # recordings that are left out and named
 MODELS_TAKE = 16
 """The models of this package need frames whose side is a multiple of this."""
 
@@ -105,6 +109,30 @@ def data_import(
         int, typer.Option(min=1, help="Largest size of a decompressed chunk of an MCAP file, in MiB.")
     ] = 1024,
     max_memory: Annotated[int, typer.Option(min=64, help="Most memory to decode a video with, in MiB.")] = 1024,
+    skip_damaged: Annotated[
+        bool,
+        typer.Option(
+            "--skip-damaged",
+            help="Leave out recordings that cannot be imported, or have another picture size than most, and say why.",
+        ),
+    ] = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="How many recordings are read at a time. Default: one; with --executor, as there are processors and "
+            "memory for.",
+            show_default=False,
+        ),
+    ] = None,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            metavar=listed(EXECUTORS),
+            help="Where recordings are read: on this machine, in Ray, or as Slurm jobs.  [default: local]",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the data set. Default: data/imported-NAME.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -144,7 +172,12 @@ def data_import(
         limits=ImportLimits(chunk_bytes=max_chunk * MIB, reader_bytes=max_memory * MIB),
     )
     folder = out or Workspace.current().data / f"imported-{_plain(recordings[0])}"
-    report = _import_with_progress(recordings, folder, options)
+    if executor is not None:
+        require_one_of("executor", executor, EXECUTORS)
+    if executor is None and workers in (None, 1) and not skip_damaged:
+        report = _import_with_progress(recordings, folder, options)
+    else:
+        report = _import_fleet(recordings, folder, options, executor, workers, skip_damaged=skip_damaged)
     if as_json:
         typer.echo(json.dumps(_as_json(report)))
     else:
@@ -166,6 +199,47 @@ def _import_with_progress(recordings: list[Path], folder: Path, options: ImportO
         except KeyboardInterrupt:
             raise Interrupted(
                 "interrupted; the unfinished import was removed. Run the same command again to start over."
+            ) from None
+
+
+def _import_fleet(
+    recordings: list[Path],
+    folder: Path,
+    options: ImportOptions,
+    executor: str | None,
+    workers: int | None,
+    *,
+    skip_damaged: bool,
+) -> ImportReport:
+    """Import by an executor, and show how far all of its jobs are."""
+    from dmotion_bench.cli.progress import progress_bar
+    from dmotion_bench.execution.executor import JobSize
+    from dmotion_bench.execution.executors import make_executor
+    from dmotion_bench.execution.job_progress import watching
+    from dmotion_bench.execution.local_executor import available_workers
+    from dmotion_bench.recording.fleet import import_fleet
+    from dmotion_bench.workspace import Workspace
+
+    with jobs_folder(Workspace.current()) as jobs, progress_bar() as bar:
+        task = bar.add_task("importing", total=None, status="")
+
+        def progress(what: str, done: int, total: int) -> None:
+            bar.update(task, description=what, completed=done, total=total)
+
+        many = workers if executor or workers else 1
+        if many is None and executor == "local":
+            many = available_workers(options.limits.reader_bytes / 2**30)
+        size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
+        hands = make_executor(executor or "local", many, scratch=jobs / (executor or "local"), size=size)
+        try:
+            with watching(jobs, lambda running: bar.show_jobs(task, running)):
+                return import_fleet(
+                    recordings, folder, options, hands, skip_damaged=skip_damaged, progress=progress, jobs=jobs
+                )
+        except KeyboardInterrupt:
+            raise Interrupted(
+                "interrupted; what is finished stands beside the data set's place. Run the same command again to go "
+                "on where it stopped."
             ) from None
 
 
@@ -210,6 +284,12 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
     else:
         lines.append("  no actions: what an action leads to cannot be scored; with '--actions TOPIC' it can")
     lines += [f"  {sentence}" for sentence in report.advice]
+    if report.skipped:
+        many = "1 recording is" if len(report.skipped) == 1 else f"{len(report.skipped)} recordings are"
+        lines.append(f"  {many} left out:")
+        lines += [f"    {why}" for _, why in report.skipped[:_SHOWN]]
+        if len(report.skipped) > _SHOWN:
+            lines.append(f"    and {len(report.skipped) - _SHOWN} more; '--json' names all")
     lines.append(
         f"Look at it with {command('dmbench view', report.path)}, "
         f"train on it with {command('dmbench train dmotion --data', report.path)}."

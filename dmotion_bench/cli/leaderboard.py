@@ -9,13 +9,20 @@ from __future__ import annotations
 import json
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from dmotion_bench.cli.cache import CacheFolder, use_cache
-from dmotion_bench.cli.options import AsJson
+from dmotion_bench.cli.jobs import jobs_folder
+from dmotion_bench.cli.options import EXECUTORS, AsJson, listed, require_one_of
 
+if TYPE_CHECKING:
+    from dmotion_bench.workspace import Workspace
+
+_GIGABYTES: Final = 2.0  # that checking takes beside others
+_CLUSTER_GIGABYTES: Final = 16
+_CLUSTER_MINUTES: Final = 24 * 60
 GROUP = "dmbench.leaderboard"
 FOLDER = "leaderboard"
 
@@ -78,6 +85,23 @@ def check(
         float,
         typer.Option(min=0.0, max=1.0, help="Share of samples that may differ, because processors round differently."),
     ] = 0.0,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="How many entries are checked at a time. Default: one; with --executor, as there are processors "
+            "and memory for.",
+            show_default=False,
+        ),
+    ] = None,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            metavar=listed(EXECUTORS),
+            help="Where entries are checked: on this machine, in Ray, or as Slurm jobs.  [default: local]",
+            show_default=False,
+        ),
+    ] = None,
     cache: CacheFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -93,14 +117,21 @@ def check(
         raise UsageError(
             f"nothing to check: there is no '{built}'; build it with 'dmbench leaderboard build', or name entries."
         )
+    if executor is not None:
+        require_one_of("executor", executor, EXECUTORS)
     asked = paths or [built]
     with progress_bar() as bar:
         task = bar.add_task("checking", total=None, status="")
+        if executor is None and workers in (None, 1):
 
-        def show(what: str, done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total, status=what)
+            def show(what: str, done: int, total: int) -> None:
+                bar.update(task, completed=done, total=total, status=what)
 
-        verdicts = _part("check")(asked, workspace, quick=quick, differing=differing, on_progress=show)
+            verdicts = _part("check")(asked, workspace, quick=quick, differing=differing, on_progress=show)
+        else:
+            verdicts = _checked_side_by_side(
+                asked, workspace, executor or "local", workers, bar, task, quick=quick, differing=differing
+            )
     if as_json:
         typer.echo(json.dumps({"verdicts": [verdict.to_json() for verdict in verdicts]}))
     else:
@@ -112,6 +143,35 @@ def check(
     told += [f"{unknown} of {len(verdicts)} could not be checked here"] if unknown else []
     if told:
         raise RunError("; ".join(told) + ".")
+
+
+def _checked_side_by_side(
+    paths: list[Path], workspace: Workspace, executor: str, workers: int | None, bar: Any, task: Any, **how: Any
+) -> Any:
+    """The verdicts on entries that an executor checks; shows how far all of its jobs are."""
+    from dmotion_bench.errors import Interrupted
+    from dmotion_bench.execution.executor import JobSize
+    from dmotion_bench.execution.executors import make_executor
+    from dmotion_bench.execution.job_progress import watching
+    from dmotion_bench.execution.local_executor import available_workers
+
+    finished = [0, 0]
+
+    def count(done: int, total: int) -> None:
+        finished[:] = done, total
+        bar.update(task, completed=done, total=total)
+
+    with jobs_folder(workspace) as folder, watching(folder, lambda jobs: bar.show_jobs(task, jobs)):
+        many = workers or (available_workers(_GIGABYTES) if executor == "local" else None)
+        size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
+        hands = make_executor(executor, many, scratch=folder / executor, size=size)
+        try:
+            return _part("check")(paths, workspace, executor=hands, progress=folder, on_verdict=count, **how)
+        except KeyboardInterrupt:
+            raise Interrupted(
+                f"interrupted after {finished[0]} of {finished[1]} entries; the same command checks all of them again, "
+                "'dmbench leaderboard check PATH' some of them."
+            ) from None
 
 
 @group.command()

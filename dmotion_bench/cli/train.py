@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import sys
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -14,9 +15,10 @@ import typer
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.live import Live, LiveTo, following
-from dmotion_bench.cli.options import DEVICES, AsJson, Device, listed, require_one_of
+from dmotion_bench.cli.options import DEVICES, TRACKERS, AsJson, Device, listed, require_one_of
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
-from dmotion_bench.specs import MOST_THREADS, Preset
+from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
+from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
@@ -105,11 +107,37 @@ def train(
         ),
     ] = None,
     device: Device = "auto",
+    devices: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=MOST_PROCESSES,
+            help="Train in so many processes on this machine, one a GPU; on the CPU they share the processors. Each "
+            "computes a part of every batch.",
+        ),
+    ] = 1,
+    nodes: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=MOST_PROCESSES,
+            help="Train on so many machines that share the folders. Give the same command on each, with MASTER_ADDR "
+            "and MASTER_PORT of the first one and NODE_RANK, the machine's number from 0, in its environment.",
+        ),
+    ] = 1,
     workers: Workers = None,
     executor: ExecutorName = None,
     cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
+    log: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar=listed(TRACKERS),
+            help="Show the curves in TensorBoard (folder RUN/tensorboard) or Weights & Biases (RUN/wandb; offline "
+            "unless WANDB_MODE says otherwise), too. Can be repeated.",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Train a model, or all models. Run the same command again to continue an interrupted training."""
@@ -119,19 +147,28 @@ def train(
 
     require_one_of("split", split, ("episode", "paper"))
     require_one_of("device", device, DEVICES)
+    trackers = tuple(dict.fromkeys(log or ()))
+    for name in trackers:
+        require_one_of("log", name, TRACKERS)
+    if trackers:
+        from dmotion_bench.learning.tracking import require_trackers
+
+        require_trackers(trackers)
     use_cache(cache)
     workspace = Workspace.current()
     if everything:
         own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}
-        own |= {"--live": live, "--live-to": live_to}
+        own |= {"--live": live, "--live-to": live_to, "--devices": devices > 1, "--nodes": nodes > 1}
         if extra := [name for name, value in own.items() if value]:
             raise UsageError(f"--all chooses these for every model; leave out {' and '.join(extra)}.")
+        if place().world > 1:
+            raise UsageError("torchrun shares one training among processes; '--all --workers N' shares many trainings.")
         from dmotion_bench.learning.start import TrainingRequest
 
         asked = TrainingRequest(
             model="", preset=preset, seed=seed, protocol="paper" if split == "paper" else "episode", threads=threads
         )
-        _train_all(asked, workspace, data, workers, executor, device, as_json)
+        _train_all(asked, workspace, data, workers, executor, device, trackers, as_json)
         return
     require_all("train", workers, executor)
     if model is None:
@@ -160,8 +197,33 @@ def train(
     if not (folder / RUN_MANIFEST).exists() and folder.is_dir() and any(folder.iterdir()):
         raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
     run = open_run(request, dataset, folder, workspace)
+    together = place()
+    if together.world == 1 and devices * nodes > 1:
+        _require_share(run, devices * nodes)
+        lead(sys.argv[1:], devices, nodes)
+        return
+    if devices * nodes > 1 and (devices, nodes) != (together.local_world, together.nodes):
+        raise UsageError(
+            f"torchrun has started {together.local_world} processes on each of {together.nodes} machines, and "
+            f"--devices {devices} --nodes {nodes} says otherwise; leave these options out."
+        )
+    if together.rank > 0:
+        train_run(run, dataset, device, trackers=trackers)
+        return
     with following(lambda: _follower(run.path), live, live_to) as poll:
-        _tell(run, dataset, train_run(run, dataset, device, poll), as_json)
+        _tell(run, dataset, train_run(run, dataset, device, poll, trackers), as_json)
+
+
+def _require_share(run: Any, processes: int) -> None:
+    """Refuse what every process would refuse, before they are started."""
+    from dmotion_bench.errors import UsageError
+
+    batch = run.spec.training_config.batch_size
+    if batch < processes:
+        raise UsageError(
+            f"{processes} processes cannot share a batch of {batch}; start at most {batch}, or give a larger "
+            "'--set batch_size=N'."
+        )
 
 
 def _follower(run: Path) -> Follower:
@@ -227,6 +289,7 @@ def _train_all(
     workers: int | None,
     executor: str | None,
     device: str,
+    trackers: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Train every model with each of its budgets; raises an error at the end if one of them failed."""
@@ -240,9 +303,11 @@ def _train_all(
     wanted = list(rows_of(dataset))
     at_once = workers or _trainings_at_once(device, executor, len({row.model for row in wanted}))
     if executor in (None, "local") and at_once == 1:
-        outcomes = train_table(request, dataset, workspace, lambda run: train_run(run, dataset, device))
+        outcomes = train_table(
+            request, dataset, workspace, lambda run: train_run(run, dataset, device, trackers=trackers)
+        )
     else:
-        outcomes = _beside_each_other(request, dataset, workspace, executor or "local", at_once, device)
+        outcomes = _beside_each_other(request, dataset, workspace, executor or "local", at_once, device, trackers)
     told: dict[Row, dict[str, Any]] = {}
     for outcome in outcomes:
         row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels, "error": outcome.error}
@@ -275,13 +340,19 @@ def _trainings_at_once(device: str, executor: str | None, models: int) -> int | 
 
     if executor not in (None, "local"):
         return None
-    if device == "cuda" or (device == "auto" and torch.cuda.is_available()) or "WORLD_SIZE" in os.environ:
+    if device == "cuda" or (device == "auto" and torch.cuda.is_available()):
         return 1
     return min(available_workers(_GIGABYTES), models)
 
 
 def _beside_each_other(
-    request: TrainingRequest, dataset: Any, workspace: Workspace, executor: str, workers: int | None, device: str
+    request: TrainingRequest,
+    dataset: Any,
+    workspace: Workspace,
+    executor: str,
+    workers: int | None,
+    device: str,
+    trackers: tuple[str, ...],
 ) -> Generator[Outcome]:
     """Train the table by an executor, and show how far all of its jobs are."""
     from dmotion_bench.cli.jobs import jobs_folder
@@ -299,7 +370,7 @@ def _beside_each_other(
         task = bar.add_task(f"training {dataset.name}", total=total, status="")
         bar.update(task, completed=0)
         outcomes = train_side_by_side(
-            request, dataset, workspace, hands, threads=threads, device=device, progress=folder
+            request, dataset, workspace, hands, threads=threads, device=device, progress=folder, trackers=trackers
         )
         with watching(folder, lambda jobs: bar.show_jobs(task, jobs)), contextlib.closing(outcomes):
             for done, outcome in enumerate(outcomes, start=1):
@@ -307,21 +378,50 @@ def _beside_each_other(
                 yield outcome
 
 
-def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], None] = lambda: None) -> dict[str, Any]:
-    """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step."""
+def train_run(
+    run: Any,
+    dataset: Any,
+    device: str = "auto",
+    poll: Callable[[], None] = lambda: None,
+    trackers: tuple[str, ...] = (),
+) -> dict[str, Any]:
+    """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step.
+
+    Of several processes the first one settles what is to be done, and builds the frame cache with the first ones of
+    the other machines, before the others look at any file.
+    """
     from dmotion_bench.cli.progress import note, progress_bar
     from dmotion_bench.execution.local_executor import available_workers
     from dmotion_bench.learning.beginning import finished_result
+    from dmotion_bench.learning.companions import Companions
     from dmotion_bench.learning.devices import launch
     from dmotion_bench.learning.start import training_data
     from dmotion_bench.learning.threads import shortage
     from dmotion_bench.learning.training import Report, train
 
-    if (finished := finished_result(run, note)) is not None:
+    mine = place()
+    if is_led():
+        end_with(int(os.environ[LED]))
+    if mine.world > 1:
+        fabric = launch(device)
+        companions = Companions(fabric)
+        with companions.noticing_losses():
+            finished, run.manifest, run.threads = companions.of_first(
+                lambda: (finished_result(run, note), run.manifest, run.threads)
+            )
+            if finished is None and mine.local_rank == 0:
+                dataset.cache()
+            companions.gathered(mine.rank)
+    else:
+        finished = finished_result(run, note)
+    if finished is not None:
         return finished
-    if (told := shortage(run.threads or 1, available_workers())) is not None:
+    if mine.rank == 0 and (told := shortage(run.threads or 1, available_workers() // mine.local_world)) is not None:
         typer.echo(told, err=True)
-    fabric = launch(device)
+    if mine.world == 1:
+        fabric = launch(device)
+    if mine.rank > 0:
+        return train(run, training_data(run, dataset), fabric, lambda _: None)
     with progress_bar() as bar:
         task = bar.add_task(f"training {run.spec.model}", total=None, status="reading the data")
 
@@ -334,7 +434,7 @@ def train_run(run: Any, dataset: Any, device: str = "auto", poll: Callable[[], N
             )
             poll()
 
-        result: dict[str, Any] = train(run, training_data(run, dataset), fabric, on_step)
+        result: dict[str, Any] = train(run, training_data(run, dataset), fabric, on_step, trackers)
     return result
 
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Final
 
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result
+from dmotion_bench.execution.processes import end_with
 
 
 class SerialExecutor:
@@ -83,19 +81,10 @@ def _stop(pool: ProcessPoolExecutor) -> None:
         process.terminate()
 
 
-_LOOK_AGAIN: Final = 0.5  # [s]
-
-
 def _become_worker(parent: int) -> None:
-    """Leave Ctrl-C to the parent, and end when it is gone: a killed parent cannot say so itself."""
+    """Leave Ctrl-C to the parent, and end when it is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_LOOK_AGAIN)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    end_with(parent)
 
 
 def local_executor(workers: int) -> Executor:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import logging
-import os
 import warnings
 
 import torch
 from lightning_fabric import Fabric
+from lightning_fabric.plugins.environments.torchelastic import TorchElasticEnvironment
 
 from dmotion_bench.errors import UsageError
+from dmotion_bench.execution.processes import place
 
 M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -3, -1  # malloc.h of the GNU C library
 
@@ -28,25 +29,37 @@ def keep_freed_memory() -> None:
 
 
 def launch(device: str = "auto") -> Fabric:
-    """Fabric on the device asked for; under ``torchrun`` one process of several.
+    """Fabric on the device asked for; one process of several where ``torchrun`` or ``processes.lead`` started it.
 
     Raises:
-        UsageError: A GPU was asked for and none is there.
+        UsageError: A GPU was asked for and there is none, or there are fewer than processes.
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise UsageError("this machine has no CUDA device; leave out --device to train on the CPU.")
     keep_freed_memory()
-    processes = int(os.environ.get("WORLD_SIZE", "1"))
+    mine = place()
     accelerator = "cpu" if device == "cpu" or not torch.cuda.is_available() else "cuda"
+    if accelerator == "cuda" and mine.local_world > torch.cuda.device_count():
+        raise UsageError(
+            f"{mine.local_world} processes of this machine need as many GPUs, and it has {torch.cuda.device_count()}; "
+            "start fewer, or give '--device cpu'."
+        )
     logging.getLogger("lightning_fabric").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # advice about the number of processes
-        fabric = Fabric(
-            accelerator=accelerator,
-            devices=processes if processes > 1 else 1,
-            strategy="ddp_find_unused_parameters_true" if processes > 1 else "auto",
-        )
+        if mine.world == 1:
+            fabric = Fabric(accelerator=accelerator, devices=1)
+        else:
+            fabric = Fabric(
+                accelerator=accelerator,
+                devices=mine.local_world,
+                num_nodes=mine.nodes,
+                strategy="ddp_find_unused_parameters_true",
+                plugins=[TorchElasticEnvironment()],
+            )
         fabric.launch()
+    if mine.world > 1:  # of channels-last weights; they cost DDP a copy, and nothing else
+        warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
     if accelerator == "cuda":
         torch.set_float32_matmul_precision("high")
     return fabric

@@ -27,6 +27,7 @@ class Stepper:
         clip_norm: See ``TrainingConfig``.
         seed: The random numbers of a step depend on it and on the step's number.
         device: Where.
+        rank: Of this process among those that train together; its random numbers are its own.
     """
 
     model: ForwardModel[Any]
@@ -36,13 +37,21 @@ class Stepper:
     clip_norm: float
     seed: int
     device: torch.device
+    rank: int = 0
 
-    def __call__(self, batch: TripletBatch, number: int, precision: Precision) -> Losses:
-        """Minimise the loss of a batch by one step."""
-        with seeded(self.seed, number, self.device):
+    def __call__(self, batch: TripletBatch, number: int, precision: Precision, weight: float = 1.0) -> Losses:
+        """Minimise the loss of a batch by one step.
+
+        Args:
+            batch: Of this process.
+            number: Of the step.
+            precision: In which matrices are multiplied.
+            weight: Of this process's loss in the mean over all processes, whose parts of a batch may differ in size.
+        """
+        with seeded(self.seed, number, self.device, self.rank):
             with autocast(precision, self.device):
                 losses = self.losses(batch)
-            self.backward(losses.total)
+            self.backward(losses.total if weight == 1.0 else losses.total * weight)
         if self.clip_norm:
             torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.clip_norm)
         self.optimizer.step()

@@ -132,6 +132,7 @@ class TableJob:
         device: Where it computes.
         threads: That a run computes with for which nobody asked for another number.
         progress: The file in which it says how far it is; None: nowhere.
+        trackers: See ``train``.
     """
 
     request: TrainingRequest
@@ -141,6 +142,7 @@ class TableJob:
     device: str
     threads: int
     progress: Path | None
+    trackers: tuple[str, ...] = ()
 
 
 def train_rows(job: TableJob) -> list[tuple[Row, Path | None, str | None]]:
@@ -150,7 +152,8 @@ def train_rows(job: TableJob) -> list[tuple[Row, Path | None, str | None]]:
 
     def complete(run: Run) -> None:
         if finished_result(run) is None:
-            train(run, training_data(run, dataset), launch(job.device), lambda report: told.tell(_said(run, report)))
+            fabric, data = launch(job.device), training_data(run, dataset)
+            train(run, data, fabric, lambda report: told.tell(_said(run, report)), job.trackers)
 
     try:
         outcomes = list(train_table(job.request, dataset, Workspace(job.workspace), complete, job.rows))
@@ -168,6 +171,7 @@ def train_side_by_side(
     threads: int = 1,
     device: str = "auto",
     progress: Path | None = None,
+    trackers: tuple[str, ...] = (),
 ) -> Generator[Outcome]:
     """Train every row, several models at a time; the outcomes come as they are ready.
 
@@ -179,6 +183,7 @@ def train_side_by_side(
         threads: That each training computes with.
         device: Where.
         progress: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
+        trackers: See ``train``.
     """
     jobs = [
         TableJob(
@@ -189,6 +194,7 @@ def train_side_by_side(
             device=device,
             threads=threads,
             progress=None if progress is None else progress / f"{model}.json",
+            trackers=trackers,
         )
         for model, own in itertools.groupby(rows(dataset), key=lambda row: row.model)
     ]

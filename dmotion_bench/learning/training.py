@@ -1,17 +1,21 @@
-"""The training loop: one for every model, on the CPU, a GPU, or several under ``torchrun``.
+"""The training loop: one for every model, on the CPU, a GPU, or in several processes on one machine or more.
 
 What a run computes is a function of its spec, its data and its conditions (threads and precision), which are recorded
 before the first step. The order of the triplets and the random numbers of a step are functions of (seed, step), so a
 run that was killed and resumed ends with the same bits on the CPU as one that never stopped.
+
+Several processes compute a part of each batch each, and average their gradients (DDP of lightning-fabric). The batches
+are those of a single process, and so is the checkpoint: a run may go on with another number of processes.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,15 +24,16 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from lightning_fabric import Fabric
-from torch import Tensor
+from torch import Tensor, nn
 
-from dmotion_bench.errors import RunError
+from dmotion_bench.errors import RunError, UsageError
 from dmotion_bench.interrupts import stop_between_steps
 from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.companions import Companions
 from dmotion_bench.learning.conditions import choose_conditions
 from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
 from dmotion_bench.learning.metrics_log import MetricsLog
-from dmotion_bench.learning.model import TrainingConfig
+from dmotion_bench.learning.model import ForwardModel, Losses, TrainingConfig, TripletBatch
 from dmotion_bench.learning.optimization import (
     AveragedWeights,
     autocast,
@@ -44,6 +49,7 @@ from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sa
 from dmotion_bench.learning.samples import FOLDER as SAMPLES
 from dmotion_bench.learning.step import Stepper
 from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.learning.tracking import tracked
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.lock import held
 
@@ -81,7 +87,13 @@ class _State:
     clock: _Clock = field(default_factory=_Clock)
 
 
-def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Report], None]) -> dict[str, Any]:
+def train(
+    run: Run,
+    data: TrainingData,
+    fabric: Fabric,
+    on_step: Callable[[Report], None],
+    trackers: Sequence[str] = (),
+) -> dict[str, Any]:
     """Train a run from its last checkpoint to the end, align it, and write its result.
 
     Args:
@@ -89,47 +101,93 @@ def train(run: Run, data: TrainingData, fabric: Fabric, on_step: Callable[[Repor
         data: Training and validation triplets and the label budget.
         fabric: The device, and the other processes if there are any; launched already.
         on_step: Told after every step; may raise to stop, after which the run can be resumed.
+        trackers: Where the curves go besides ``metrics.jsonl``: ``tensorboard``, ``wandb``.
 
     Returns:
         What ``run.json`` keeps as the result.
 
     Raises:
+        PackageNotInstalled: One that a tracker needs is not there.
         LabelsNotAvailable: The budget asks for labels that are not there; before the first step.
-        FolderInUse: Another process trains the run.
+        FolderInUse: Another training of the run is going on.
+        ProcessLost: Another process of several that train together has ended.
         KeyboardInterrupt: After the checkpoint of the step that was interrupted has been written.
     """
-    if run.result is not None:
-        return run.result
-    with using_threads(fabric.broadcast(run.threads or torch.get_num_threads())):
-        trainer = _Trainer(run, data, fabric)  # what is missing is said here, before anything is written
-        if not fabric.is_global_zero:
-            return trainer.fit(on_step)
+    companions = Companions(fabric)
+    with companions.noticing_losses():
+        if (result := companions.of_first(lambda: run.result)) is not None:
+            return result
+        return _train(run, data, fabric, companions, on_step, trackers)
+
+
+def _train(
+    run: Run,
+    data: TrainingData,
+    fabric: Fabric,
+    companions: Companions,
+    on_step: Callable[[Report], None],
+    trackers: Sequence[str],
+) -> dict[str, Any]:
+    with using_threads(companions.of_first(lambda: run.threads or torch.get_num_threads())):
+        trainer = _Trainer(run, data, fabric, companions)  # what is missing is said here, before anything is written
+        if not companions.is_first:
+            return trainer.fit(on_step, ())
         run.path.mkdir(parents=True, exist_ok=True)
         with held(run.path):
             for folder in (run.path, run.path / SAMPLES):
                 remove_leftovers(folder)
-            return trainer.fit(on_step)
+            return trainer.fit(on_step, trackers)
+
+
+class _PlainLosses(nn.Module):
+    """A model whose losses are tuples: Fabric and DDP look for tensors in these, and not in frozen dataclasses."""
+
+    def __init__(self, model: ForwardModel[Any]) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, batch: TripletBatch) -> tuple[Tensor, Mapping[str, Tensor], Tensor | None]:
+        losses = self.model.losses(batch)
+        return losses.total, losses.terms, losses.per_triplet
+
+
+def _set_up(
+    fabric: Fabric, model: ForwardModel[Any], optimizer: torch.optim.Optimizer
+) -> tuple[Callable[[TripletBatch], Losses], torch.optim.Optimizer]:
+    """The losses of a model on Fabric's device, their gradients averaged over all processes, and its optimiser."""
+    if fabric.world_size == 1:
+        alone, prepared = fabric.setup(model, optimizer)
+        alone.mark_forward_method("losses")
+        return alone.losses, prepared
+    shared, prepared = fabric.setup(_PlainLosses(model), optimizer)
+
+    def losses(batch: TripletBatch) -> Losses:
+        total, terms, per_triplet = shared(batch)
+        return Losses(total=total, terms=terms, per_triplet=per_triplet)
+
+    return losses, prepared
 
 
 class _Trainer:
-    def __init__(self, run: Run, data: TrainingData, fabric: Fabric) -> None:
-        self.run, self.data, self.fabric = run, data, fabric
+    def __init__(self, run: Run, data: TrainingData, fabric: Fabric, companions: Companions) -> None:
+        self.run, self.data, self.fabric, self.companions = run, data, fabric, companions
         self.config: TrainingConfig = run.spec.training_config
         self.model = run.spec.build().laid_out()
         # asked for first: what is missing is said before the work
         self.demonstrations = demonstrations_of(data, self.model.supervision, fabric.device)
         self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device)
+        self._require_batches()
         self.steps, self.watched = self.parts[-1].stop, steps_before_labels(self.parts)
-        wrapped, self.optimizer = fabric.setup(self.model, make_optimizer(self.model, self.config))
-        wrapped.mark_forward_method("losses")
+        losses, self.optimizer = _set_up(fabric, self.model, make_optimizer(self.model, self.config))
         self.step = Stepper(
             model=self.model,
-            losses=wrapped.losses,
+            losses=losses,
             backward=fabric.backward,
             optimizer=self.optimizer,
             clip_norm=self.config.clip_norm,
             seed=run.spec.seed,
             device=fabric.device,
+            rank=companions.rank,
         )
         self.average = AveragedWeights(self.model, self.config.ema) if self.config.ema else None
         self.hardness = {part.phase.name: np.full(len(part.batches), np.nan, np.float32) for part in self.parts}
@@ -145,23 +203,35 @@ class _Trainer:
         )
         self.state = _State()
 
+    def _require_batches(self) -> None:
+        smallest = min(part.order.batch_size for part in self.parts)
+        if smallest < self.companions.world:
+            raise UsageError(
+                f"{self.companions.world} processes cannot share a batch of {smallest}; start at most {smallest}, or "
+                "give a larger '--set batch_size=N' in a new run (--out DIR)."
+            )
+
     def _settle(self) -> Conditions:
         """The run's conditions; those of a run that begins are recorded before its first step."""
-        fabric = self.fabric
-        conditions: Any = self.run.conditions
-        if conditions is None and fabric.is_global_zero:
-            conditions = choose_conditions(
-                self.run.spec, self.parts, fabric.device, fabric.world_size, self.run.threads
-            )
-        agreed: Conditions = fabric.broadcast(conditions)
-        if fabric.is_global_zero:
-            self.run.begin(agreed)
-        return agreed
 
-    def fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
+        def settled() -> Conditions:
+            run, fabric = self.run, self.fabric
+            conditions = run.conditions or choose_conditions(
+                run.spec, self.parts, fabric.device, fabric.world_size, run.threads
+            )
+            run.begin(conditions)
+            return conditions
+
+        return self.companions.of_first(settled)
+
+    def fit(self, on_step: Callable[[Report], None], trackers: Sequence[str]) -> dict[str, Any]:
         self.conditions = self._settle()  # here, where nobody else trains the run
         torch.set_num_threads(self.conditions.threads)
         self._resume()
+        with tracked(trackers, self.run, self.state.step) as self.trackers:
+            return self._fit(on_step)
+
+    def _fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)
         sums: dict[str, float] = defaultdict(float)
@@ -176,10 +246,10 @@ class _Trainer:
                 if self.state.step == part.start:
                     self.state.best = math.inf  # losses of different phases do not compare
                 for step in range(self.state.step, part.stop):
-                    terms = self._train(part, step)
+                    terms, weight = self._train(part, step)
                     self.state.step = step + 1
                     for name, value in terms.items():
-                        sums[name] += float(value)
+                        sums[name] += float(value) * weight
                     counted += 1
                     on_step(
                         Report(
@@ -191,29 +261,37 @@ class _Trainer:
                         )
                     )
                     if self.state.step % log_every == 0 or self.state.step == self.steps:
-                        self._write(log, {name: total / counted for name, total in sums.items()})
+                        everybodys = _added(self.companions.gathered(dict(sums)))
+                        counted *= self.companions.world
+                        self._write(log, {name: total / counted for name, total in everybodys.items()})
                         sums.clear()
                         counted = 0
-                    if self.state.step % validate_every == 0 or self.state.step == part.stop:
+                    validated = self.state.step % validate_every == 0 or self.state.step == part.stop
+                    if validated:
                         self._validate(part, log)
                         if self.state.step == self.watched:  # before the other: a kill in between takes this step again
                             self._write_checkpoint(self.run.watched)
                         saved = self._save()
-                    elif stopping() or time.monotonic() - saved > CHECKPOINT_SECONDS:
+                    stop = self.companions.any(stopping())  # all at the same step, though a signal comes to each alone
+                    if not validated and (stop or time.monotonic() - saved > CHECKPOINT_SECONDS):
                         saved = self._save()
-                    if stopping():
+                    if stop:
+                        self.companions.any(stop)  # nobody leaves before the checkpoint is written
                         raise KeyboardInterrupt
         return self._finish()
 
-    def _train(self, part: Part, step: int) -> dict[str, Tensor]:
+    def _train(self, part: Part, step: int) -> tuple[dict[str, Tensor], float]:
+        """Take a step; the terms of this process's part of the batch, and the weight of that part in their mean."""
         began = time.perf_counter()
         progress = (step - part.start) / (part.stop - part.start)
         set_learning_rate(self.optimizer, learning_rate(self.config, progress))
         hardness = self.hardness[part.phase.name]
         chosen = part.order.mixed_batch(step - part.start, hardness, self.config.hard_share)
-        index = chosen[self.fabric.global_rank :: self.fabric.world_size]
+        companions = self.companions
+        index = part.order.share(chosen, companions.rank, companions.world)
+        weight = len(index) * companions.world / len(chosen)
         self.model.progress(progress)
-        losses = self.step(part.batches(index), step, self.conditions.precision)
+        losses = self.step(part.batches(index), step, self.conditions.precision, weight)
         if self.average is not None:
             self.average.update(self.model, step)
         if self.config.hard_share and losses.per_triplet is not None:
@@ -221,14 +299,12 @@ class _Trainer:
         terms = {"loss": losses.total.detach(), **losses.terms}
         self.state.clock.sitting += time.perf_counter() - began
         self.state.clock.triplets += part.order.batch_size
-        return terms
+        return terms, weight
 
     def _remember(self, hardness: Float[np.ndarray, " n"], chosen: Int[np.ndarray, " b"], losses: Tensor) -> None:
         """Keep each triplet's loss; with several processes each learns the others'."""
-        gathered = self.fabric.all_gather(losses.detach().float())
-        by_rank = torch.as_tensor(gathered).reshape(self.fabric.world_size, -1).cpu().numpy()
-        for rank, values in enumerate(by_rank):
-            hardness[chosen[rank :: self.fabric.world_size]] = values
+        parts = self.companions.gathered(losses.detach().float().cpu().numpy())
+        hardness[chosen] = np.concatenate(parts)
 
     def _rate(self) -> float:
         clock = self.state.clock
@@ -237,16 +313,23 @@ class _Trainer:
     @torch.no_grad()
     def _validate(self, part: Part, log: MetricsLog) -> None:
         """Average the losses over the validation triplets; keep the weights if they are the best so far."""
+        self.companions.level(self.model.buffers())
+        if self.average is not None:
+            self.companions.level(self.average.tensors.values())
         chosen = self.average.swapped_into(self.model) if self.average else contextlib.nullcontext()
         with chosen:
             self.model.eval()
             sums: dict[str, float] = defaultdict(float)
-            for index in _chunks(len(part.validation), part.order.batch_size):
+            chunks = itertools.islice(
+                _chunks(len(part.validation), part.order.batch_size), self.companions.rank, None, self.companions.world
+            )
+            for index in chunks:
                 with autocast(self.conditions.precision, self.fabric.device), seeded(0, 0, self.fabric.device):
                     losses = self.model.losses(part.validation(index))
                 for name, value in {"loss": losses.total, **losses.terms}.items():
                     sums[name] += float(value) * len(index)
-            means = {name: total / len(part.validation) for name, total in sums.items()}
+            everybodys = _added(self.companions.gathered(dict(sums)))
+            means = {name: total / len(part.validation) for name, total in everybodys.items()}
             if not math.isfinite(means["loss"]):
                 raise RunError(
                     f"training diverged before step {self.state.step}: the loss is {means['loss']}. "
@@ -262,7 +345,7 @@ class _Trainer:
 
     def _sample(self) -> None:
         """Keep a picture of what the model predicts now."""
-        if not self.fabric.is_global_zero or not self.model.needs_pixels:
+        if not self.companions.is_first or not self.model.needs_pixels:
             return
         with autocast(self.conditions.precision, self.fabric.device), seeded(0, 0, self.fabric.device):
             if self.demonstrations is not None:
@@ -273,9 +356,10 @@ class _Trainer:
             else:
                 return
         write_sample(self.run.path, self.state.step, picture)
+        self.trackers.picture(self.state.step, picture)
 
     def _save_best(self) -> None:
-        if self.fabric.is_global_zero:
+        if self.companions.is_first:
             self.checkpoints.save_best(BestFacts(step=self.state.step, validation_loss=self.state.best))
 
     def _save(self) -> float:
@@ -284,7 +368,7 @@ class _Trainer:
         return time.monotonic()
 
     def _write_checkpoint(self, path: Path) -> None:
-        if self.fabric.is_global_zero:
+        if self.companions.is_first:
             state = self.state
             facts = LastFacts(
                 step=state.step,
@@ -297,6 +381,9 @@ class _Trainer:
 
     def _resume(self) -> None:
         facts = self.checkpoints.restore()
+        if self.companions.world > 1:  # nothing is written before everybody has answered this
+            seen = facts and (facts, checkpoint.weights_hash(self.model.state_dict()))
+            self.companions.require_same(f"checkpoint {str(self.run.last)!r}", seen)
         if facts is not None:
             self.state.step = facts.step
             self.state.best = math.inf if facts.best is None else facts.best
@@ -304,20 +391,25 @@ class _Trainer:
             self.state.clock.before = facts.seconds
 
     def _log(self) -> contextlib.AbstractContextManager[MetricsLog]:
-        if not self.fabric.is_global_zero:
+        if not self.companions.is_first:
             return contextlib.nullcontext(MetricsLog(None))
         return MetricsLog.resumed(self.run.metrics, self.state.step)
 
     def _write(self, log: MetricsLog, values: Mapping[str, float]) -> None:
+        rate = self.optimizer.param_groups[0]["lr"]
         log.write(
             step=self.state.step,
             seconds=self.state.clock.before + self.state.clock.sitting,
             triplets_per_s=self._rate(),
-            learning_rate=self.optimizer.param_groups[0]["lr"],
+            learning_rate=rate,
             values=values,
         )
+        self.trackers.write(self.state.step, {"triplets_per_s": self._rate(), "learning_rate": rate, **values})
 
     def _finish(self) -> dict[str, Any]:
+        return self.companions.of_first(self._finished)
+
+    def _finished(self) -> dict[str, Any]:
         """Align the best weights, write them, and record the result of the training."""
         facts = self.checkpoints.restore_best()
         self.model.eval()
@@ -344,11 +436,18 @@ class _Trainer:
             threads=self.conditions.threads,
             precision=self.conditions.precision,
         )
-        if self.fabric.is_global_zero:
-            self.checkpoints.save_best(facts)
-            self.run.finish(asdict(result))
-        self.fabric.barrier()
+        self.checkpoints.save_best(facts)
+        self.run.finish(asdict(result))
         return asdict(result)
+
+
+def _added(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """The sums of all processes, in their order."""
+    sums: dict[str, float] = {}
+    for part in parts:
+        for name, value in part.items():
+            sums[name] = sums[name] + value if name in sums else value
+    return sums
 
 
 def _chunks(total: int, size: int) -> Iterator[Int[np.ndarray, " b"]]:

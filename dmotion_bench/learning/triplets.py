@@ -164,6 +164,19 @@ class BatchOrder:
         drawn = np.searchsorted(bounds, generator.random(hard) * bounds[-1], side="right")
         return np.concatenate([self.batch(step)[hard:], np.minimum(drawn, self.triplets - 1)])
 
+    def share(self, batch: Int[np.ndarray, " b"], rank: int, world: int) -> Int[np.ndarray, " s"]:
+        """The part of a batch that one of several processes computes; triplets that belong together stay so.
+
+        Args:
+            batch: Of one step; at least as many triplets as processes.
+            rank: Number of the process.
+            world: How many processes there are.
+        """
+        groups = len(batch) // self._together
+        unit = self._together if groups >= world else 1
+        first, stop = (unit * (len(batch) // unit * place // world) for place in (rank, rank + 1))
+        return batch[first : stop if rank + 1 < world else len(batch)]
+
     def _epoch_order(self, epoch: int) -> Int[np.ndarray, " n"]:
         if epoch != self._epoch:
             generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(epoch,)))

@@ -23,12 +23,13 @@ _TEXT: Final = "Left behind by a dmbench that was killed. The same command delet
 
 
 @contextlib.contextmanager
-def staged(out: Path, suffix: str) -> Iterator[Path]:
+def staged(out: Path, suffix: str, *, keep: bool = False) -> Iterator[Path]:
     """A new, empty folder that gets the name ``out`` when the block ends well, and is deleted when it does not.
 
     Args:
         out: Not there yet, or an empty folder.
         suffix: Of the folder beside it.
+        keep: Leave the folder as it is when the block does not end well, and give it out again the next time.
 
     Raises:
         UsageError: Something that no killed process left is in the way.
@@ -37,24 +38,27 @@ def staged(out: Path, suffix: str) -> Iterator[Path]:
     """
     out = out.resolve()
     outer = _beside(out, suffix)
-    lock = _claim(outer)
+    lock, whole = _claim(outer, keep), False
     try:
         (outer / MARKER).write_text(_TEXT)
         content = outer / CONTENT
-        content.mkdir()
+        content.mkdir(exist_ok=keep)
         yield content
         if out.exists():
             out.rmdir()
         content.rename(out)
+        whole = True
     except (StorageFull, OSError) as error:
         if isinstance(error, OSError) and error.errno not in FULL:
             raise
         raise StorageFull(
-            f"no space left on the device for {str(out)!r}; nothing is left of it. Free some space, or name another "
+            f"no space left on the device for {str(out)!r}; "
+            f"{'what is finished stays' if keep else 'nothing is left of it'}. Free some space, or name another "
             "folder with '--out DIR', and run the command again."
         ) from None
     finally:
-        _delete(outer)
+        if whole or not keep:
+            _delete(outer)
         lock.release()
 
 
@@ -75,8 +79,8 @@ def _beside(out: Path, suffix: str) -> Path:
     return whole.with_name(f"{whole.name}{suffix}")
 
 
-def _claim(outer: Path) -> FolderLock:
-    """The lock on a folder that is there and empty."""
+def _claim(outer: Path, keep: bool = False) -> FolderLock:
+    """The lock on a folder that is there and, unless ``keep`` is set, empty."""
     while True:
         try:
             outer.mkdir(parents=True, exist_ok=True)
@@ -90,7 +94,7 @@ def _claim(outer: Path) -> FolderLock:
         lock = FolderLock(outer, ANOTHER_FOLDER)
         try:
             if outer.exists() and lock.is_on(outer):  # else its owner has just finished
-                _empty(outer)
+                _empty(outer, keep)
                 return lock
         except BaseException:
             lock.release()
@@ -98,11 +102,11 @@ def _claim(outer: Path) -> FolderLock:
         lock.release()
 
 
-def _empty(outer: Path) -> None:
+def _empty(outer: Path, keep: bool) -> None:
     inside = {path.name for path in outer.iterdir()}
     if inside - {MARKER, CONTENT} or (inside and MARKER not in inside):
         raise _in_the_way(outer)
-    if CONTENT in inside:
+    if CONTENT in inside and not keep:
         shutil.rmtree(outer / CONTENT)
 
 

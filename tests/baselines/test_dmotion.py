@@ -59,6 +59,7 @@ def test_the_papers_architecture_has_the_papers_shapes() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("side", "halvings", "features"), [(128, 5, 16), (64, 4, 16), (32, 3, 16), (96, 4, 36)])
 def test_the_papers_networks_take_frames_of_other_sizes_as_the_published_code_does(
     side: int, halvings: int, features: int
@@ -129,6 +130,7 @@ def test_without_the_second_frame_the_past_does_not_matter() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings", [{"transform": "affine"}, {"transform": "cross_convolution", "kernel": 5}, {"warp": True}]
 )
@@ -174,6 +176,8 @@ def test_sizes_that_it_cannot_take_are_said(height: int) -> None:
 def test_the_papers_interaction_learner_paints() -> None:
     with pytest.raises(InvalidSetting, match="warp is for arch=compact"):
         DMotionConfig(arch="paper", warp=True)
+    with pytest.raises(InvalidSetting, match="gate_floor is for arch=compact"):
+        DMotionConfig(arch="paper", gate_floor=0.01)
 
 
 def test_going_back_undoes_going_there() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -51,6 +52,19 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_noise(tmp_path_factory.mktemp("data") / "noise-tiny", 32).path
 
 
+@pytest.fixture(scope="module")
+def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
+    """A finished training with the usual seed, the same one whoever asks; read only."""
+    made: dict[tuple[str, str | None], Run] = {}
+
+    def run(name: str, labels: str | None = None) -> Run:
+        if (name, labels) not in made:
+            made[name, labels] = _train(name, recorded, tmp_path_factory.mktemp("trained") / "run", labels)
+        return made[name, labels]
+
+    return run
+
+
 def _train(name: str, data: Path, folder: Path, labels: str | None = None, stop_at: int | None = None) -> Run:
     if labels is None and name not in UNSUPERVISED:
         labels = "100%"
@@ -83,7 +97,7 @@ def test_the_contract_is_kept(name: str) -> None:
 def test_the_papers_networks_keep_the_contract_and_train_at_64_pixels(tmp_path: Path) -> None:
     check_model(model_class("dmotion"), arch="paper")
     dataset = write_noise(tmp_path / "noise-tiny", 64)
-    request = TrainingRequest(model="dmotion", arch="paper", settings=("batch_size=8", "epochs=0.5", "validations=1"))
+    request = TrainingRequest(model="dmotion", arch="paper", settings=("batch_size=2", "epochs=0.1", "validations=1"))
     run = open_run(request, dataset, tmp_path / "run", Workspace(tmp_path))
     train(run, training_data(run, dataset), launch("cpu"), lambda _: None)
     frames = dataset.video(0)
@@ -105,8 +119,8 @@ def test_what_draws_with_a_u_net_can_warp(name: str, build, step, video, batch) 
 
 
 @pytest.mark.parametrize("name", sorted({*NAMES} - {"dmotion", "dmotion-no-stn"}))
-def test_a_killed_run_ends_with_the_same_bits(name, recorded, tmp_path, monkeypatch) -> None:
-    whole = _train(name, recorded, tmp_path / "whole")
+def test_a_killed_run_ends_with_the_same_bits(name, recorded, trained, tmp_path, monkeypatch) -> None:
+    whole = trained(name)
     monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
     for stop_at in (2, whole.result["steps"] // 2 + 1):  # in the second phase of those that have one
         with pytest.raises(Stopped):
@@ -115,11 +129,11 @@ def test_a_killed_run_ends_with_the_same_bits(name, recorded, tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("name", sorted({*UNSUPERVISED} - {"dmotion"}))
-def test_without_the_labels_unsupervised_training_is_the_same_to_the_bit(name, recorded, tmp_path) -> None:
+def test_without_the_labels_unsupervised_training_is_the_same_to_the_bit(name, recorded, trained, tmp_path) -> None:
     bare = tmp_path / "noise-tiny"
     shutil.copytree(recorded, bare)
     shutil.rmtree(bare / "labels")
-    told = _train(name, recorded, tmp_path / "told", labels="one-shot")
+    told = trained(name, "one-shot")
     untold = _train(name, bare, tmp_path / "untold", labels="none")
     assert (told.result["labels_total"], untold.result["labels_total"]) == (2, 0)
     tables = {"table", "table.rows"}
@@ -128,14 +142,14 @@ def test_without_the_labels_unsupervised_training_is_the_same_to_the_bit(name, r
 
 
 @pytest.mark.parametrize("name", ["dmotion", "lapo"])
-def test_another_budget_takes_the_training_over_and_ends_with_the_same_bits(name, recorded, tmp_path) -> None:
+def test_another_budget_takes_the_training_over_and_ends_with_the_same_bits(name, recorded, trained, tmp_path) -> None:
     settings, runs = SETTINGS, Workspace(tmp_path)
     dataset = Dataset.open(recorded)
 
     def request(labels: str, seed: int = 0) -> TrainingRequest:
         return TrainingRequest(model=name, labels=labels, preset=Preset.TINY, settings=settings, seed=seed)
 
-    one = _train(name, recorded, tmp_path / "runs" / "one", labels="one-shot")
+    one = Run.open(shutil.copytree(trained(name, "one-shot").path, tmp_path / "runs" / "one"))
     more = open_run(request("3-shot"), dataset, None, runs)
     twin = take_over(more)
     assert twin is not None
@@ -150,9 +164,9 @@ def test_another_budget_takes_the_training_over_and_ends_with_the_same_bits(name
 
 
 @pytest.mark.parametrize("name", ["wm-ae", "wm-vae"])
-def test_another_share_of_labels_goes_on_where_the_video_was_learned(name, recorded, tmp_path) -> None:
+def test_another_share_of_labels_goes_on_where_the_video_was_learned(name, recorded, trained, tmp_path) -> None:
     dataset, runs = Dataset.open(recorded), Workspace(tmp_path)
-    _train(name, recorded, tmp_path / "runs" / "all")
+    shutil.copytree(trained(name).path, tmp_path / "runs" / "all")
     tenth = open_run(
         TrainingRequest(model=name, labels="10%", preset=Preset.TINY, settings=SETTINGS), dataset, None, runs
     )
@@ -161,7 +175,7 @@ def test_another_share_of_labels_goes_on_where_the_video_was_learned(name, recor
     assert twin.name == "all"
     steps: list[int] = []
     train(tenth, training_data(tenth, dataset), launch("cpu"), lambda report: steps.append(report.step))
-    alone = _train(name, recorded, tmp_path / "alone", labels="10%")
+    alone = trained(name, "10%")
     assert steps == list(range(tenth.result["steps"] // 2 + 1, tenth.result["steps"] + 1))
     same = ("weights", "labels", "triplets", "best_step", "validation_loss")
     assert [tenth.result[key] for key in same] == [alone.result[key] for key in same]
@@ -170,14 +184,14 @@ def test_another_share_of_labels_goes_on_where_the_video_was_learned(name, recor
 
 
 @pytest.mark.parametrize("name", ["ed-cnn", "cswm"])
-def test_what_learns_from_labels_at_once_shares_nothing(name, recorded, tmp_path) -> None:
-    _train(name, recorded, tmp_path / "runs" / "all")
+def test_what_learns_from_labels_at_once_shares_nothing(name, recorded, trained, tmp_path) -> None:
+    shutil.copytree(trained(name).path, tmp_path / "runs" / "all")
     request = TrainingRequest(model=name, labels="10%", preset=Preset.TINY, settings=SETTINGS)
     assert take_over(open_run(request, Dataset.open(recorded), None, Workspace(tmp_path))) is None
 
 
 @pytest.mark.parametrize("name", sorted({*NAMES} - {*UNSUPERVISED}))
-def test_a_tenth_of_the_labels_is_a_tenth(name, recorded, tmp_path) -> None:
-    run = _train(name, recorded, tmp_path / "run", labels="10%")
+def test_a_tenth_of_the_labels_is_a_tenth(name, trained) -> None:
+    run = trained(name, "10%")
     each = FRAMES - 2  # triplets of an episode: one of eleven, and one to validate with
     assert run.result["labels"] == {"training": each, "validation": each}

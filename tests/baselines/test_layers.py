@@ -14,11 +14,13 @@ from baselines.layers import (
     WIDTHS,
     RoundConv2d,
     UNet,
+    check_gate_floor,
     squared_error,
     up,
     warped,
 )
 from baselines.patches import CHANNELS, PATCH, from_patches, pack, patches, unpack
+from dmotion_bench.errors import InvalidSetting
 
 
 def test_a_round_convolution_is_circular_padding_in_value_and_gradient() -> None:
@@ -160,3 +162,37 @@ def test_a_gate_lets_in_one_share_per_pixel_for_all_colours() -> None:
     plain = packed + share * (network.painting(features) - packed)
     torch.testing.assert_close(blended, plain)
     torch.testing.assert_close(of_blended, torch.autograd.grad((plain * weight).sum(), parameters))
+
+
+def _closed(floor: float) -> tuple[UNet, Tensor, Tensor]:
+    """A network whose gate is closed everywhere, what it predicts of noise, and by how much its painting differs."""
+    torch.manual_seed(0)
+    network = UNet(1, gate_floor=floor)
+    assert network.gate.bias is not None
+    torch.nn.init.constant_(network.gate.bias, -300.0)
+    packed, seen = pack(torch.rand(2, 3, 32, 32) * 2 - 1), []
+    with network.painting.register_forward_hook(lambda _m, _i, output: seen.append(output.detach())):
+        predicted = network.next_frame(packed, torch.zeros(2, WIDTHS[0], 1, 1))
+    return network, predicted - packed, seen[0] - packed
+
+
+def test_a_gate_that_closed_everywhere_learns_nothing_and_with_a_floor_opens_again() -> None:
+    network, change, _ = _closed(0.0)
+    change.square().sum().backward()
+    assert not any(value.grad.any() for value in network.parameters() if value.grad is not None)
+
+    for wanted, opens in ((-1, False), (1, True)):  # the painting is to be kept out, or to be let in
+        network, change, difference = _closed(0.01)
+        torch.testing.assert_close(change, 0.01 * difference, atol=1e-6, rtol=1e-3)
+        change.backward(-wanted * difference)
+        assert network.painting.weight.grad is not None
+        assert network.painting.weight.grad.any()
+        assert network.gate.bias is not None
+        assert network.gate.bias.grad is not None
+        assert (network.gate.bias.grad < 0).all() if opens else not network.gate.bias.grad.any()
+
+
+@pytest.mark.parametrize("floor", [-0.1, 1.0, float("nan")])
+def test_a_floor_that_cannot_be_is_refused(floor: float) -> None:
+    with pytest.raises(InvalidSetting, match="gate_floor is"):
+        check_gate_floor(floor)

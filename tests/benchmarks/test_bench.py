@@ -45,6 +45,7 @@ def _load(load: Any) -> Any:
     return lambda point: Explosive if point.name == "explosive" else load(point)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_plug_ins")
 def test_a_broken_plug_in_is_told_and_the_others_are_measured(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -185,6 +186,7 @@ def test_what_only_one_run_has_is_not_compared() -> None:
     assert not list(changes(stored, [_result((1,))]))
 
 
+@pytest.mark.slow
 def test_a_stored_run_is_compared_with(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,6 +22,7 @@ def _here(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(workspace))
 
 
+@pytest.mark.slow
 def test_a_recording_a_training_and_following_them_afterwards(
     workspace: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

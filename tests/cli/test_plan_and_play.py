@@ -91,6 +91,7 @@ def test_a_plan_is_recorded_for_rerun(
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_references_are_planned_with_by_name(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

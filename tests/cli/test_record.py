@@ -135,6 +135,7 @@ def wait_for_shard(dataset: Path) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_it_resumable_and_says_how(run: Run, tmp_path: Path) -> None:
     recording = start_dmbench(
         [*MANY, str(tmp_path / "d")],
@@ -237,6 +238,7 @@ def test_a_folder_without_a_name_is_a_folder_or_a_sentence(
     assert "is not empty and holds no data set; name another folder" in run(*words).sentence()
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_deleted_meanwhile_is_not_half_made_again(tmp_path: Path) -> None:
     for workers in ("1", "2"):
         recording = start_dmbench([*MANY[:-2], workers, "--out", str(tmp_path / "d")], tmp_path)
@@ -264,6 +266,7 @@ def test_a_name_that_is_not_utf_8_is_noticed_before_the_work(run: Run, tmp_path:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_closed_streams_change_nothing(tmp_path: Path) -> None:
     """What is opened next gets the number of a closed stream, and then all that is said goes into it."""
     words = " ".join(["record grid_world --preset tiny --episodes 4 --workers 2 --out"])
@@ -276,6 +279,7 @@ def test_closed_streams_change_nothing(tmp_path: Path) -> None:
     assert subprocess.run(["sh", "-c", wrong], check=False, timeout=120).returncode == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_it_like_ctrl_c(tmp_path: Path, workers: str, sign: signal.Signals) -> None:

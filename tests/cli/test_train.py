@@ -14,12 +14,14 @@ from dmbench_command import Outcome, dmbench, finish, start_dmbench
 from storage.foreign import foxglove_file, steady, video
 from walking_square import record_walks
 
+from dmotion_bench.cli import main
 from dmotion_bench.learning.run import Run
 
 pytestmark = pytest.mark.slow
 
 Command = Callable[..., Outcome]
 QUICK = ("--set", "batch_size=4", "--set", "epochs=0.2")
+LONGER = ("--set", "batch_size=4", "--set", "epochs=2")
 
 
 @pytest.fixture
@@ -31,6 +33,37 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
     return record_walks(tmp_path / "data" / "walk-small")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A workspace with the data set and a quickly trained run; read only."""
+    root = tmp_path_factory.mktemp("trained")
+    record_walks(root / "data" / "walk-small")
+    _train(root, *QUICK, "--out", str(root / "run"))
+    return root
+
+
+@pytest.fixture(scope="module")
+def whole(trained: Path) -> Run:
+    """A longer training that nothing interrupted."""
+    _train(trained, *LONGER, "--out", str(trained / "whole"))
+    return Run.open(trained / "whole")
+
+
+def _train(workspace: Path, *words: str) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DMBENCH_WORKSPACE", str(workspace))
+        patch.setattr("sys.argv", ["dmbench", "train", "dmotion", *words])
+        with pytest.raises(SystemExit) as left:
+            main()
+    assert not left.value.code
+
+
+@pytest.fixture
+def run_folder(trained: Path, data: Path, tmp_path: Path) -> Path:
+    """A copy of the run, to spoil."""
+    return shutil.copytree(trained / "run", tmp_path / "runs" / "a")
 
 
 def test_json_has_the_names_that_scripts_rely_on(run: Command, data: Path, tmp_path: Path) -> None:
@@ -83,16 +116,15 @@ def test_a_file_in_the_way_is_said(run: Command, data: Path) -> None:
     assert "dataset.json" in outcome.sentence()
 
 
-def test_a_finished_run_whose_weights_are_damaged_is_trained_anew(run: Command, data: Path, tmp_path: Path) -> None:
-    words = ("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
-    run(*words)
-    weights = (tmp_path / "run" / "best.safetensors").read_bytes()
-    (tmp_path / "run" / "best.safetensors").write_bytes(weights[: len(weights) // 2])
+def test_a_finished_run_whose_weights_are_damaged_is_trained_anew(run: Command, run_folder: Path) -> None:
+    best = run_folder / "best.safetensors"
+    weights = best.read_bytes()
+    best.write_bytes(weights[: len(weights) // 2])
 
-    outcome = run(*words)
+    outcome = run("train", "dmotion", *QUICK, "--out", str(run_folder))
 
     assert outcome.code == 0
-    assert (tmp_path / "run" / "best.safetensors").read_bytes() == weights
+    assert best.read_bytes() == weights
 
 
 def test_without_labels_nothing_says_what_an_action_does(run: Command, data: Path, tmp_path: Path) -> None:
@@ -109,11 +141,9 @@ def test_without_labels_nothing_says_what_an_action_does(run: Command, data: Pat
     [("seed", "zero"), ("height", None), ("model", 3), ("training", []), ("config", {"blur": "wide"})],
 )
 def test_a_run_that_holds_other_types_is_said_to_be_corrupt(
-    run: Command, data: Path, tmp_path: Path, name: str, value: object
+    run: Command, run_folder: Path, name: str, value: object
 ) -> None:
-    out = tmp_path / "runs" / "a"
-    manifest = out / "run.json"
-    run("train", "dmotion", *QUICK, "--out", str(out))
+    manifest = run_folder / "run.json"
     content = json.loads(manifest.read_text())
     content["spec"][name] = value
     manifest.write_text(json.dumps(content))
@@ -127,12 +157,11 @@ def test_a_run_that_holds_other_types_is_said_to_be_corrupt(
 
 @pytest.mark.parametrize(("name", "value"), [("result", []), ("dataset_path", 3), ("spec", None), ("result", ...)])
 def test_a_run_that_lacks_something_is_said_to_be_corrupt(
-    run: Command, data: Path, tmp_path: Path, name: str, value: object
+    run: Command, run_folder: Path, name: str, value: object
 ) -> None:
-    out = tmp_path / "runs" / "a"
-    run("train", "dmotion", *QUICK, "--out", str(out))
-    content = json.loads((out / "run.json").read_text()) | {name: value}
-    (out / "run.json").write_text(json.dumps({key: one for key, one in content.items() if one is not ...}))
+    manifest = run_folder / "run.json"
+    content = json.loads(manifest.read_text()) | {name: value}
+    manifest.write_text(json.dumps({key: one for key, one in content.items() if one is not ...}))
 
     outcome = run("score", "a")
 
@@ -142,16 +171,14 @@ def test_a_run_that_lacks_something_is_said_to_be_corrupt(
 
 
 def test_weights_that_another_code_cannot_read_are_not_trained_over(
-    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Command, run_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What changed is the model's class, not the file: the training is not to be lost."""
-    words = ("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
-    run(*words)
-    weights = tmp_path / "run" / "best.safetensors"
+    weights = run_folder / "best.safetensors"
     written = weights.stat().st_mtime_ns
     monkeypatch.setattr("baselines.dmotion.DMotion.load_state_dict", lambda *_: 1 / 0)
 
-    assert run(*words).code == 0
+    assert run("train", "dmotion", *QUICK, "--out", str(run_folder)).code == 0
     assert weights.stat().st_mtime_ns == written
 
 
@@ -186,9 +213,9 @@ def test_without_labels_one_demonstration_is_too_much(run: Command, data: Path) 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_says_how_to_go_on_and_the_same_command_does(
-    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sign: signal.Signals
+    run: Command, data: Path, whole: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sign: signal.Signals
 ) -> None:
-    words = ("train", "dmotion", "--set", "batch_size=4", "--set", "epochs=2", "--out", str(tmp_path / "run"))
+    words = ("train", "dmotion", *LONGER, "--out", str(tmp_path / "run"))
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # bits depend on the number of threads; the tests have one
     process = start_dmbench(words, tmp_path)
     metrics = tmp_path / "run" / "metrics.jsonl"
@@ -203,8 +230,7 @@ def test_an_interruption_says_how_to_go_on_and_the_same_command_does(
     assert stopped.result is None
     assert stopped.last.exists()
     assert run(*words).code == 0
-    assert run("train", "dmotion", *words[2:-2], "--out", str(tmp_path / "whole")).code == 0
-    assert Run.open(tmp_path / "run").result["weights"] == Run.open(tmp_path / "whole").result["weights"]
+    assert Run.open(tmp_path / "run").result["weights"] == whole.result["weights"]
 
 
 def test_a_full_disk_costs_a_sentence_and_no_checkpoint(
@@ -223,11 +249,10 @@ def test_a_full_disk_costs_a_sentence_and_no_checkpoint(
     assert run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run")).code == 0
 
 
-def test_a_truncated_checkpoint_is_said(run: Command, data: Path, tmp_path: Path) -> None:
-    assert run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run")).code == 0
-    best = tmp_path / "run" / "best.safetensors"
+def test_a_truncated_checkpoint_is_said(run: Command, run_folder: Path) -> None:
+    best = run_folder / "best.safetensors"
     best.write_bytes(best.read_bytes()[:1000])
-    outcome = run("score", str(tmp_path / "run"))
+    outcome = run("score", str(run_folder))
     assert outcome.code == 1
     assert "cannot be read" in outcome.sentence()
 

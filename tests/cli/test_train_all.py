@@ -56,6 +56,7 @@ def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: p
     assert "4 labels" in trained
 
 
+@pytest.mark.slow
 def test_models_trained_beside_each_other_are_those_trained_in_turn(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -86,6 +86,7 @@ def test_mistakes_are_told_in_a_sentence(
     assert sentence in said.sentence()
 
 
+@pytest.mark.slow
 def test_a_file_that_cannot_grow_leaves_nothing(workspace: Path, tmp_path: Path) -> None:
     file = tmp_path / "out.rrd"
     process = start_dmbench(
@@ -99,6 +100,7 @@ def test_a_file_that_cannot_grow_leaves_nothing(workspace: Path, tmp_path: Path)
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign: signal.Signals) -> None:
     process = start_dmbench(["view", "squares-tiny", "--web"], workspace, start_new_session=True)
@@ -127,6 +129,7 @@ def assert_nobody_serves(url: str) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_killed_command_leaves_no_viewer_behind(workspace: Path) -> None:
     process = start_dmbench(["view", "squares-tiny", "--web"], workspace)
     assert process.stdout is not None

@@ -13,6 +13,7 @@ import pytest
 from dmotion_bench.cli import SPINS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "spins"), [({}, SPINS), ({"GOMP_SPINCOUNT": "77"}, "77"), ({"OMP_WAIT_POLICY": "PASSIVE"}, "0")]
 )

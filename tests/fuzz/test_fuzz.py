@@ -46,7 +46,7 @@ def take_much():
     taken.append(bytearray(b"x" * (300 << 20) if not taken else b""))
 
 taken = []
-child.CPU_S, child.MEMORY = 2, 256 << 20
+child.CPU_S, child.MEMORY = 1, 256 << 20
 spoilt("labels", forget)
 spoilt("tasks", wait)
 spoilt("video", take_much)
@@ -79,7 +79,7 @@ def test_a_minute_of_fuzzing_finds_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_faults_that_are_planted_in_dmbench_are_found(tmp_path: Path) -> None:
-    code, said = _fuzz(("-c", PLANTED), ("--cases", "80", "--only", "dataset", "--seed", "1"), tmp_path)
+    code, said = _fuzz(("-c", PLANTED), ("--cases", "40", "--only", "dataset", "--seed", "1"), tmp_path)
     assert code == 1
     found = " ".join(said["faults"])
     assert "KeyError" in found
@@ -162,6 +162,7 @@ def test_values_and_sentences_are_no_faults(tmp_path: Path) -> None:
     assert refused.formats == ["JSON"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ask", "kind"),
     [
@@ -184,12 +185,14 @@ def test_a_fault_is_told_by_its_kind(
     assert _kinds(ask, tmp_path) == [kind]
 
 
+@pytest.mark.slow
 def test_too_much_memory_is_a_fault_and_a_little_less_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(child, "MEMORY", 256 << 20)
     assert _kinds(lambda: bool(bytearray(b"x" * (400 << 20))), tmp_path) == ["memory"]
     assert _kinds(lambda: bool(bytearray(b"x" * (50 << 20))), tmp_path) == []
 
 
+@pytest.mark.slow
 def test_the_memory_of_a_process_that_is_started_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(child, "MEMORY", 1400 << 20)
     source = "import sys; b'x' * (int(sys.argv[1]) << 20)"

@@ -87,6 +87,7 @@ def _rounds(source: str, tmp_path: Path, *, until: str | None = None) -> list[Ro
     return found
 
 
+@pytest.mark.slow
 def test_a_command_that_always_comes_to_the_same_has_no_fault(tmp_path: Path) -> None:
     rounds = _rounds(WHOLE, tmp_path)
     assert [one.faults for one in rounds] == [[]] * 10

@@ -52,6 +52,7 @@ def _published(model: str = "dmotion", mse: float = 14.3) -> Entry:
     )
 
 
+@pytest.mark.slow
 def test_versions_of_an_environment_have_boards_of_their_own(result: Callable[..., Entry]) -> None:
     errors = np.linspace(1, 3, 40)
     later = result("new", errors)  # the conftest records version 2

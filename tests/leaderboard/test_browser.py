@@ -46,6 +46,7 @@ def _show(browser: Browser, page: Path, size: tuple[int, int], *, dark: bool = F
     browser.show(page, width=size[0], height=size[1], dark=dark, fragment=fragment)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [DESK, PHONE])
 def test_it_asks_for_nothing_complains_of_nothing_and_fits(
     browser: Browser, page: Path, size: tuple[int, int], tmp_path: Path
@@ -253,6 +254,7 @@ def test_the_policy_stops_a_script_that_slipped_through(browser: Browser, page: 
     assert any("Content Security Policy" in one for one in browser.complaints)
 
 
+@pytest.mark.slow
 def test_without_scripts_it_still_reads(browser: Browser, page: Path) -> None:
     browser.call("Emulation.setScriptExecutionDisabled", value=True)
     try:

@@ -49,6 +49,7 @@ def test_runs_without_a_report_are_left_out_and_it_is_said(workspace: Workspace,
     assert "of an earlier training" in built.left_out[runs[1].name]
 
 
+@pytest.mark.slow
 def test_building_again_changes_nothing_and_asks_no_model(
     workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

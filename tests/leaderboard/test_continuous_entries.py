@@ -146,6 +146,7 @@ def test_what_is_no_number_breaks_the_schema(entry: Entry) -> None:
             Entry(content)
 
 
+@pytest.mark.slow
 def test_another_player_than_the_model_is_found_by_planning_anew(workspace: Workspace, entry: Entry) -> None:
     content = _content(entry)
     for task in content["control"]["model"]:

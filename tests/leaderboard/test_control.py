@@ -63,9 +63,12 @@ def controlled(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     return workspace
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def entry(controlled: Workspace) -> Entry:
-    return entry_of_run(controlled.runs / RUN)
+    """Read only; ``_content`` is a copy."""
+    with pytest.MonkeyPatch.context() as patch:
+        _known_model(patch)
+        return entry_of_run(controlled.runs / RUN)
 
 
 def _content(entry: Entry) -> dict[str, Any]:

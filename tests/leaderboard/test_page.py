@@ -145,10 +145,12 @@ def test_text_of_an_entry_never_becomes_markup(sound: Entry) -> None:
     assert "<script>hacked" not in page
 
 
+@pytest.mark.slow
 def test_the_same_entries_make_the_same_page(entries: list[Entry]) -> None:
     assert make_page(entries) == make_page(list(entries))
 
 
+@pytest.mark.slow
 def test_pictures_give_way_before_the_page_grows_too_large(
     entries: list[Entry], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -193,6 +195,7 @@ def test_without_control_there_is_no_table_of_it(sound: Entry) -> None:
     assert page.count('<table class="standings">') == 1
 
 
+@pytest.mark.slow
 def test_several_demonstrations_are_a_point_over_labels_and_no_line_over_the_rollout(
     sound: Entry, changed: Callable[..., Entry]
 ) -> None:

@@ -37,17 +37,40 @@ ON = Path("report/on/other")
 ALPHABETICAL = ("down", "left", "right", "up")
 
 
-@pytest.fixture
-def transferred(workspace: Workspace) -> Entry:
-    """The first run, scored on a data set of another seed; a run that was trained there stands beside it."""
-    record_dataset(
-        workspace.data / "other",
-        DatasetRecipe(environment="grid_world", policy="random", seed=9, episodes=30, frames=12),
-    )
+OTHER = DatasetRecipe(environment="grid_world", policy="random", seed=9, episodes=30, frames=12)
+
+
+def _model(patch: pytest.MonkeyPatch, kind: type[Known]) -> None:
+    patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: kind)
+
+
+@pytest.fixture(scope="module")
+def elsewhere(scored_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """The first run, scored on a data set of another seed and on an import of it; read only."""
+    workspace = Workspace(tmp_path_factory.mktemp("elsewhere"))
+    shutil.copytree(scored_workspace.root, workspace.root, dirs_exist_ok=True)
+    record_dataset(workspace.data / "other", OTHER)
     dataset = Dataset.open(workspace.data / "other")
-    native = write_run(workspace.runs / "dmotion-other-s0", dataset, offset=0.3)
-    for run in (workspace.runs / RUN, native.path):
-        score_run(run, settings=SETTINGS, data=dataset.path)
+    imported = write_import(workspace.data / "recordings", dataset, actions=ALPHABETICAL)
+    with pytest.MonkeyPatch.context() as patch:
+        _model(patch, Known)
+        native = write_run(workspace.runs / "dmotion-other-s0", dataset, offset=0.3)
+        for run in (workspace.runs / RUN, native.path):
+            score_run(run, settings=SETTINGS, data=dataset.path)
+        _model(patch, ByAction)
+        score_run(workspace.runs / RUN, settings=SETTINGS, data=imported.path)
+    return workspace
+
+
+def _copy(parts: tuple[str, ...], source: Workspace, target: Workspace) -> None:
+    for part in parts:
+        shutil.copytree(source.root / part, target.root / part)
+
+
+@pytest.fixture
+def transferred(workspace: Workspace, elsewhere: Workspace) -> Entry:
+    """The first run, scored on a data set of another seed; a run that was trained there stands beside it."""
+    _copy(("data/other", "runs/dmotion-other-s0", f"runs/{RUN}/{ON}"), elsewhere, workspace)
     return entry_of_run(workspace.runs / RUN, workspace.runs / RUN / ON)
 
 
@@ -121,16 +144,12 @@ class ByAction(Known):
 
 
 @pytest.fixture
-def on_import(workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Entry:
+def on_import(workspace: Workspace, elsewhere: Workspace, monkeypatch: pytest.MonkeyPatch) -> Entry:
     """The first run, scored on an import that lists its actions by the alphabet."""
-    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: ByAction)
-    record_dataset(
-        tmp_path / "source", DatasetRecipe(environment="grid_world", policy="random", seed=9, episodes=30, frames=12)
-    )
-    source = Dataset.open(tmp_path / "source")
-    dataset = write_import(workspace.data / "recordings", source, actions=ALPHABETICAL)
-    score_run(workspace.runs / RUN, settings=SETTINGS, data=dataset.path)
-    return entry_of_run(workspace.runs / RUN, workspace.runs / RUN / "report/on/recordings")
+    _model(monkeypatch, ByAction)
+    report = "report/on/recordings"
+    _copy(("data/recordings", f"runs/{RUN}/{report}"), elsewhere, workspace)
+    return entry_of_run(workspace.runs / RUN, workspace.runs / RUN / report)
 
 
 def test_an_entry_on_an_import_is_marked_and_names_the_actions_that_were_taken(

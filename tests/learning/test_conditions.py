@@ -90,6 +90,7 @@ def test_a_busy_machine_is_said_once_and_computed_on_with_one_thread(
     assert used == used_again == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seconds", "variable", "asked", "probe"),
     [

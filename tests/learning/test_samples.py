@@ -62,6 +62,7 @@ def test_one_at_each_validation_and_the_last_is_what_the_run_predicts(recorded: 
     assert np.abs(predicted.astype(int) - expected.numpy()).max() <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "labels"), [("dmotion", "one-shot"), ("ed-cnn", "50%")])
 def test_they_change_neither_the_weights_nor_the_labels_that_are_paid(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: str, labels: str

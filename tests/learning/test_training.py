@@ -52,6 +52,7 @@ def trained(recorded, tmp_path_factory) -> Run:
     return run
 
 
+@pytest.mark.slow
 def test_a_killed_run_ends_with_the_same_bits(recorded, trained, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
     for stop_at in (2, 5, 6):
@@ -65,6 +66,7 @@ def test_a_killed_run_ends_with_the_same_bits(recorded, trained, tmp_path, monke
     assert steps == [json.loads(line)["step"] for line in trained.metrics.read_text().splitlines()]
 
 
+@pytest.mark.slow
 def test_a_kill_between_two_checkpoints_loses_neither(recorded, tmp_path, monkeypatch) -> None:
     """Where the phase that needs no labels ends there are two: one to go on from, one for other label budgets."""
     save, written = checkpoint.save, []
@@ -99,6 +101,7 @@ def test_a_kill_between_two_checkpoints_loses_neither(recorded, tmp_path, monkey
         assert checkpoint.weights_hash(tensors) == checkpoint.weights_hash(expected)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_step_and_the_run_goes_on(recorded, trained, tmp_path) -> None:
     import os
     import signal

@@ -20,6 +20,7 @@ from dmotion_bench.specs import EnvSpec, ObjectSpec, ObjectStates, Supervision
 from dmotion_bench.storage.tasks import ControlTask
 
 SIZE, STEP, TOUCH = 48, 0.1, 0.2  # [px], [m], [m]
+Y, X = np.mgrid[:SIZE, :SIZE] / (SIZE - 1)
 ACTIONS = Continuous(names=("dx", "dy"), low=(-STEP, -STEP), high=(STEP, STEP), units=("m", "m"))
 FACTS = EnvSpec(
     id="sliding",
@@ -83,10 +84,9 @@ class Sliding:
         return self._frame()
 
     def _frame(self) -> np.ndarray:
-        y, x = np.mgrid[:SIZE, :SIZE] / (SIZE - 1)
         frame = np.zeros((SIZE, SIZE, 3), np.uint8)
         for place, color in ((self.puck, FACTS.objects[0].color), (self.slider, FACTS.agent.color)):
-            frame[np.hypot(x - place[0], y - place[1]) < TOUCH / 2] = color
+            frame[np.hypot(X - place[0], Y - place[1]) < TOUCH / 2] = color
         return frame
 
 

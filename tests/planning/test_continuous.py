@@ -199,6 +199,7 @@ def problems() -> list[Any]:
     return [problem(number, Sliding()) for number in range(2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["icem", "mppi"])
 def test_the_oracle_pushes_the_puck_to_its_goal(problems: list[Any], solver: str) -> None:
     result = solve("oracle", problems, solver=solver, steps=15)
@@ -207,6 +208,7 @@ def test_the_oracle_pushes_the_puck_to_its_goal(problems: list[Any], solver: str
     assert result.distance[:, -1].mean() < 0.15
 
 
+@pytest.mark.slow
 def test_objectives_of_images_work_with_continuous_actions(problems: list[Any]) -> None:
     result = solve("oracle", problems[:1], objective=make_objective("tracked"), steps=10)
     assert result.distance[0].min() < 0.4

@@ -23,7 +23,13 @@ def test_the_golden_file_is_of_this_version() -> None:
     assert set(stored()["traces"]) == {case.name for case in CASES}
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def _is_slow(case: Case) -> bool:
+    return case.environment != "grid_world" and case.who in ("model", "oracle")
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, id=case.name, marks=[pytest.mark.slow] * _is_slow(case)) for case in CASES]
+)
 def test_actions_and_distances_are_those_of_the_version(case: Case) -> None:
     golden = stored()
     wanted, found = golden["traces"][case.name], trace(case, golden["tasks"][case.environment])
@@ -59,6 +65,7 @@ def test_the_configurations_are_those_that_earlier_reports_hold() -> None:
     assert {key: names.get(cost, cost) for key, cost in earlier["default costs"].items()} == now["default objectives"]
 
 
+@pytest.mark.slow
 def test_a_changed_setting_shows_in_the_trace() -> None:
     """The traces would notice: going to where a push can begin decides what the robot does."""
     golden, case = stored(), Case(environment="robot_push", who="model")
@@ -66,6 +73,7 @@ def test_a_changed_setting_shows_in_the_trace() -> None:
     assert changed["actions"] != golden["traces"][case.name]["actions"]
 
 
+@pytest.mark.slow
 def test_a_changed_field_of_the_solver_shows_in_the_trace() -> None:
     golden, case = stored(), Case(environment="planar_push", who="model")
     solver = small("icem")

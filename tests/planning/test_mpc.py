@@ -146,9 +146,9 @@ def test_doing_nothing_stays_at_one(problems: list[Problem]) -> None:
 
 def test_a_perfect_model_solves_what_random_actions_do_not(problems: list[Problem]) -> None:
     solver = CrossEntropy(samples=20, horizon=5, iterations=2, elites=5)
-    solved = solve(tracking(solver), problems, steps=15)
-    lucky = solve(RandomAgent(ACTIONS), problems, steps=15)
-    assert solved.distance.shape == (6, 16)
+    solved = solve(tracking(solver), problems, steps=12)
+    lucky = solve(RandomAgent(ACTIONS), problems, steps=12)
+    assert solved.distance.shape == (6, 13)
     assert solved.distance[:, -1].mean() < 0.6 < lucky.distance[:, -1].mean()
     assert solved.lost.sum() <= lucky.lost.sum()
 
@@ -162,10 +162,16 @@ def test_a_perfect_model_and_the_oracle_do_the_same(problems: list[Problem]) -> 
     assert imagined.frames == true.frames
 
 
+@pytest.fixture(scope="module")
+def together(problems: list[Problem]) -> ControlResult:
+    return solve(tracking(SMALL), problems, steps=4, group=6)
+
+
 @pytest.mark.parametrize("group", [1, 4])
-def test_tasks_side_by_side_are_the_same_as_one_by_one(problems: list[Problem], group: int) -> None:
-    together = solve(tracking(SMALL), problems, steps=6, group=6)
-    grouped = solve(tracking(SMALL), problems, steps=6, group=group)
+def test_tasks_side_by_side_are_the_same_as_one_by_one(
+    problems: list[Problem], together: ControlResult, group: int
+) -> None:
+    grouped = solve(tracking(SMALL), problems, steps=4, group=group)
     np.testing.assert_array_equal(together.actions, grouped.actions)
     np.testing.assert_array_equal(together.distance, grouped.distance)
     assert together.frames == grouped.frames
@@ -248,20 +254,26 @@ class Killed(Exception):
     """The process is gone."""
 
 
+FEW = CrossEntropy(samples=8, horizon=4, iterations=1, elites=3, kept_elites=3)
+PAIRS = ControlSettings(steps=6, group=2)
+
+
+@pytest.fixture(scope="module")
+def whole(problems: list[Problem]) -> ControlResult:
+    """What comes of four tasks in pairs that nothing interrupts."""
+    return control(tracking(FEW), problems[:4], GridWorld, PAIRS)
+
+
 @pytest.mark.parametrize("dies_at", [1, 5, 8, 11])
 def test_a_killed_run_goes_on_with_the_same_result(
-    problems: list[Problem], tmp_path: Path, dies_at: int, monkeypatch: pytest.MonkeyPatch
+    problems: list[Problem], whole: ControlResult, tmp_path: Path, dies_at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
-    solver = CrossEntropy(samples=8, horizon=4, iterations=1, elites=3, kept_elites=3)
-    settings = ControlSettings(steps=6, group=2)
 
     def run(watch: Callable[[Scene], None] = lambda _: None) -> ControlResult:
-        agent = tracking(solver)
         journal = Journal(tmp_path / "journal.json", {"who": "me"})
-        return control(agent, problems[:4], GridWorld, settings, journal=journal, watch=watch)
+        return control(tracking(FEW), problems[:4], GridWorld, PAIRS, journal=journal, watch=watch)
 
-    whole = control(tracking(solver), problems[:4], GridWorld, settings)
     steps: Iterator[int] = iter(range(100))
 
     def die(_: Scene) -> None:

@@ -42,6 +42,7 @@ def test_cem_with_enough_samples_finds_the_optimum() -> None:
     np.testing.assert_array_equal(plan.costs[:, 0], best.costs[:, 0])
 
 
+@pytest.mark.slow
 def test_cem_approaches_the_optimum_with_more_samples() -> None:
     tasks = tuple(range(20))
     best = Walks(tasks).plan(Exhaustive(), context(20)).costs[:, 0]
@@ -53,6 +54,7 @@ def test_cem_approaches_the_optimum_with_more_samples() -> None:
     assert excess[2] < 0.01
 
 
+@pytest.mark.slow
 def test_fitting_to_the_elites_beats_as_many_uniform_draws() -> None:
     tasks = tuple(range(20))
     fitted = FarWalks(tasks).plan(CrossEntropy(horizon=8), context(20)).costs[:, 0]

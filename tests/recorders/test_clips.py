@@ -56,6 +56,7 @@ def test_a_recording_shows_them_behind_agent_and_objects(folder: Path) -> None:
     assert info["factors"] == {"background": 1.0, "background/texture": "clips"}
 
 
+@pytest.mark.slow
 def test_the_recipe_holds_their_hash_and_decides_the_bytes(folder: Path, tmp_path: Path) -> None:
     def asked(clips: str) -> tuple[str, ...]:
         return (f"clips={clips}", "shake=2")

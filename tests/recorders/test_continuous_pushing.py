@@ -48,6 +48,7 @@ def test_gymnasium_finds_nothing_wrong(env: PushingEnvironment) -> None:
     np.testing.assert_allclose(env.action_space.high, env.lattice.step)
 
 
+@pytest.mark.slow
 def test_a_command_is_the_displacement_that_follows_it(env: PushingEnvironment, episodes: list[Episode]) -> None:
     assert env.facts.actions is not None
     for episode in episodes:

@@ -267,6 +267,7 @@ def test_a_blend_is_the_weighted_mean() -> None:
     assert (blend.mixed(white, blend.faded(white)) == 255).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_no_position_finder_takes_what_distracts_for_a_thing(name: str, kind: Callable[..., Any]) -> None:
     """Where the mask says background, no pixel has a thing's colour, but for the mixed ones along the things."""
@@ -378,6 +379,7 @@ def small(environment: str, *settings: str, vary: tuple[str, ...] = ()) -> Datas
     return replace(recipe, shard_episodes=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("environment", ["grid_world", "planar_push"])
 def test_any_number_of_workers_records_the_same_bytes(environment: str, tmp_path: Any) -> None:
     recipe = small(environment, "scene=unseen", vary=tuple(NAMES))

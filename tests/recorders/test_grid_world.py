@@ -172,6 +172,7 @@ def test_episodes_of_other_policies_are_stepped(policy: str) -> None:
     np.testing.assert_array_equal(generated.labels.actions, stepped.labels.actions)
 
 
+@pytest.mark.slow
 @versions
 def test_reference_predictors_have_the_papers_errors(version: Version) -> None:
     """facts.md, 1: MSE 1848 +- 438 for copying the last frame, 3666 for all black (there over 2,100 triplets)."""

@@ -257,6 +257,7 @@ def test_a_size_out_of_range_and_a_text_that_could_name_a_file_are_refused() -> 
             environment_class(SLIDER)(title=text)
 
 
+@pytest.mark.slow
 def test_the_same_bytes_for_any_number_of_workers(tmp_path: Path) -> None:
     pytest.importorskip("pygame")
     recipe = replace(recipe_for("gym:CartPole-v1", Preset.TINY, episodes=2, frames=5, size=32), shard_episodes=1)

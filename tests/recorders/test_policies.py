@@ -56,6 +56,7 @@ def test_the_earlier_name_makes_the_same_episodes() -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [GridWorld, PlanarPush])
 def test_who_acts_decides_how_much_is_pushed(kind: Callable[..., Any]) -> None:
     env = kind()

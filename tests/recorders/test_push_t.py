@@ -335,6 +335,7 @@ def test_a_tasks_goal_is_a_later_frame_or_the_zone(tmp_path: Path, goal: str) ->
         assert pose_of(problem.goal_objects).x == pytest.approx(256) or goal == "later"
 
 
+@pytest.mark.slow
 def test_the_oracle_brings_the_tee_to_where_it_was_later(tmp_path: Path) -> None:
     record_dataset(
         tmp_path / "data", DatasetRecipe(environment="push_t", policy="push", episodes=4, frames=40, tasks=1)

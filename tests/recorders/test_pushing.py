@@ -84,6 +84,7 @@ def test_seed_and_actions_give_every_frame_again(env: PushingEnvironment, episod
     np.testing.assert_array_equal(frames, episode.frames)
 
 
+@pytest.mark.slow
 def test_a_fresh_process_gives_the_same_episode(env: PushingEnvironment, episodes: list[Episode]) -> None:
     script = (
         "import sys; from tests.recorders.test_pushing import *; env = KINDS[sys.argv[1]]();"

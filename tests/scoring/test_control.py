@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -38,14 +39,21 @@ SCORING = ControlScoring(tasks=3, steps=3, group=2, planner_set=FEW)
 QUICK = ScoreSettings(horizon=3, resamples=100, control=SCORING)
 
 
-@pytest.fixture
-def tasks(tmp_path: Path) -> Dataset:
-    """A Grid World with tasks; its cache is empty."""
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Read only; ``tasks`` is a copy."""
     recipe = DatasetRecipe(
         environment="grid_world", parameters={"version": 2}, policy="random", episodes=30, frames=32, tasks=4
     )
-    record_dataset(tmp_path / "grid", recipe)
-    return Dataset.open(tmp_path / "grid")
+    path = tmp_path_factory.mktemp("data") / "grid"
+    record_dataset(path, recipe)
+    return path
+
+
+@pytest.fixture
+def tasks(recorded: Path, tmp_path: Path) -> Dataset:
+    """A Grid World with tasks; its cache is empty."""
+    return Dataset.open(shutil.copytree(recorded, tmp_path / "grid"))
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ def test_the_golden_file_is_of_this_version() -> None:
     assert stored()["scoring_version"] == SCORING_VERSION, f"golden/scoring.json is of another version. {ADVICE}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*RECIPES, WITHOUT_ACTIONS])
 def test_every_figure_is_that_of_the_version(recorded: dict[str, Dataset], name: str) -> None:
     wanted, found = stored()["figures"][name], figures(name, recorded[name])

@@ -63,6 +63,7 @@ def _score(run: Run, dataset: Dataset, **options: Any) -> Report:
     return score_run(run.path, settings=QUICK, data=dataset.path, **options)
 
 
+@pytest.mark.slow
 def test_another_order_of_the_actions_changes_no_figure(run: Run, other: Dataset, tmp_path: Path) -> None:
     """One process scores both, as ``score --all`` does: what it keeps of the references must not mix the orders."""
     expected = score_model(run.model, other, settings=QUICK)
@@ -121,6 +122,7 @@ def test_it_is_a_transfer_and_says_from_what(run: Run, grid: Dataset, other: Dat
     assert "paper" not in report.reference
 
 
+@pytest.mark.slow
 def test_an_export_comes_back_with_the_figures_of_what_was_exported(run: Run, other: Dataset, tmp_path: Path) -> None:
     export_lerobot(other, tmp_path / "export")
     options = ImportOptions(actions="action", seed=other.recipe.seed)

@@ -24,6 +24,7 @@ from dmotion_bench.workspace import Workspace
 from leaderboard.pictures import take_pictures
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels_last", [False, True])
 def test_it_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channels_last: bool) -> None:
     for module in ("start", "run_manifest"):

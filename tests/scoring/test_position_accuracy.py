@@ -37,6 +37,7 @@ def _sightings(
     return seen, found_at.astype(bool), error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("environment", "parameters", "policy", "median", "most"),
     [
@@ -60,6 +61,7 @@ def test_what_is_seen_whole_is_found_and_what_is_not_seen_never(
     assert np.percentile(error[whole], 95) <= most + 1e-5
 
 
+@pytest.mark.slow
 def test_the_less_is_seen_the_farther_off_it_is(tmp_path: Path) -> None:
     seen, found, error = _sightings(tmp_path / "data", "robot_push", "push")
     medians = [

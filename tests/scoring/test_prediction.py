@@ -110,6 +110,7 @@ def test_agent_moves_is_the_agent_drawn_in_its_next_cell(tmp_path: Path, version
                 np.testing.assert_array_equal(predicted[row], drawn)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [1, 2])
 def test_references_are_where_they_were_measured(version: Version) -> None:
     """On 2,100 triplets: copying 1848 +- 438 and 6.3 px, the agent alone 65 +- 270 and 1.6 px, all black 3666."""

@@ -134,6 +134,7 @@ def test_a_report_without_control_is_kept_where_the_environment_is_not_installed
     assert score_run(run.path, settings=QUICK) == first
 
 
+@pytest.mark.slow
 def test_what_is_up_to_date_is_kept_and_what_is_not_is_scored_again(make_run: MakeRun, tmp_path: Path) -> None:
     path = make_run(tmp_path / "run").path
 

@@ -52,6 +52,7 @@ def test_scoring_takes_the_number_of_the_training(trained: Callable[[int], Run],
     assert (report.training["threads"], report.training["precision"]) == (threads, "float32")
 
 
+@pytest.mark.slow
 def test_the_references_of_another_number_are_scored_again(
     trained: Callable[[int], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:

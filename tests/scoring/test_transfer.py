@@ -131,6 +131,7 @@ def test_without_data_a_changed_data_set_is_still_an_error(make_run: MakeRun, tm
         _score(make_run(tmp_path / "run", fingerprint="another"))
 
 
+@pytest.mark.slow
 def test_runs_are_compared_where_both_were_scored(make_run: MakeRun, other: Dataset, tmp_path: Path) -> None:
     """One was trained there, the other elsewhere; both saw the same held-out episodes."""
     elsewhere = make_run(tmp_path / "elsewhere", offset=0.2)
@@ -148,6 +149,7 @@ def test_runs_are_compared_where_both_were_scored(make_run: MakeRun, other: Data
         compare_runs(elsewhere.path, native.path)
 
 
+@pytest.mark.slow
 def test_control_is_scored_on_the_other_data_set_s_tasks(make_run: MakeRun, tmp_path: Path) -> None:
     recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=20, frames=32, seed=5, tasks=2)
     record_dataset(tmp_path / "data/tasks", recipe)

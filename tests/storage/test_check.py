@@ -66,6 +66,7 @@ def test_tables_are_made_again_byte_for_byte(tmp_path: Path) -> None:
     assert files_of(path) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["video", "labels"])
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("table", [True, False], ids=["table", "no table"])

@@ -48,6 +48,7 @@ def test_what_is_read_there_arrives_here(confinement: Confinement) -> None:
     assert [int(one[0, 0, 0]) for one in opened(confinement, "other").pictures(0, np.array([1]))] == [1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
@@ -79,6 +80,7 @@ def test_errors_keep_their_kind(confinement: Confinement) -> None:
         opened(confinement, "refused")
 
 
+@pytest.mark.slow
 def test_progress_buys_time_and_ctrl_c_is_not_for_the_reader(confinement: Confinement) -> None:
     assert len(opened(confinement, "interrupted").survey().segments) == 2
     told: list[int] = []

@@ -135,6 +135,7 @@ ANY_JSON = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=120)
 @given(data=st.data())
 def test_any_manifest_is_read_or_refused(shard: Dataset, data: st.DataObject) -> None:

@@ -69,6 +69,7 @@ def refused(path: Path, said: str) -> None:
     assert "dmbench" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_table_of_more_rows_than_episodes_is_not_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three million equal rows take 187 KB in the file and took 3.2 GB in memory."""
     table = pq.read_table(path / "episodes.parquet")
@@ -192,6 +193,7 @@ def test_a_column_that_holds_columns_is_refused(path: Path) -> None:
     refused(path, "has other columns")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["episodes.parquet", "tasks.parquet"])
 @settings(deadline=None, derandomize=True, max_examples=150)
 @given(data=st.data())

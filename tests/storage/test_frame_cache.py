@@ -99,6 +99,7 @@ def cached(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return dataset
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=60)
 @given(data=st.data())
 def test_no_flipped_bit_gives_a_wrong_frame_and_the_check_finds_it(cached: Dataset, data: st.DataObject) -> None:

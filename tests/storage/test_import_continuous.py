@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -226,11 +227,17 @@ def test_to_lerobot_and_back_again(tmp_path: Path, values: list[float], kind: st
     assert bits(back.states(0).actions) == bits(dataset.states(0).actions)
 
 
-def lerobot(tmp_path: Path, actions: Any, feature: dict[str, Any]) -> Path:
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Read only; ``lerobot`` changes a copy."""
+    root = tmp_path_factory.mktemp("exported")
+    export_lerobot(imported(twists(root / "bag", AWKWARD), root / "source"), root / "lerobot")
+    return root / "lerobot"
+
+
+def lerobot(exported: Path, tmp_path: Path, actions: Any, feature: dict[str, Any]) -> Path:
     """An export whose actions are replaced, as another program would have written them."""
-    dataset = imported(twists(tmp_path / "bag", AWKWARD), tmp_path / "source")
-    folder = tmp_path / "lerobot"
-    export_lerobot(dataset, folder)
+    folder = shutil.copytree(exported, tmp_path / "lerobot")
     file = folder / "data/chunk-000/file-000.parquet"
     table = parquet.read_table(file)
     parquet.write_table(table.set_column(table.column_names.index("action"), "action", actions), file)
@@ -254,9 +261,9 @@ ROWS = [[n / 3, n] for n in range(7)]
         (["only"], ("action.0", "action.1")),
     ],
 )
-def test_lerobot_s_own_actions(tmp_path: Path, stated: Any, names: tuple[str, ...]) -> None:
+def test_lerobot_s_own_actions(exported: Path, tmp_path: Path, stated: Any, names: tuple[str, ...]) -> None:
     column = pa.array(ROWS, pa.list_(pa.float32()))
-    folder = lerobot(tmp_path, column, {"dtype": "float32", "shape": [2], "names": stated})
+    folder = lerobot(exported, tmp_path, column, {"dtype": "float32", "shape": [2], "names": stated})
     dataset = imported(folder, tmp_path / "out", LEROBOT)
     assert dataset.spec.actions is not None
     assert dataset.spec.actions.names == names
@@ -292,14 +299,19 @@ FLOATS: dict[str, Any] = {"dtype": "float32", "shape": [2], "names": ["a", "b"]}
         ),
     ],
 )
-def test_lerobot_s_actions_that_cannot_be(tmp_path: Path, rows: Any, feature: dict[str, Any], match: str) -> None:
-    refused(lerobot(tmp_path, pa.array(rows, pa.list_(pa.float32())), feature), match, LEROBOT)
+def test_lerobot_s_actions_that_cannot_be(
+    exported: Path, tmp_path: Path, rows: Any, feature: dict[str, Any], match: str
+) -> None:
+    refused(lerobot(exported, tmp_path, pa.array(rows, pa.list_(pa.float32())), feature), match, LEROBOT)
 
 
-def test_words_are_no_numbers(tmp_path: Path) -> None:
-    refused(lerobot(tmp_path, pa.array(["x"] * 7), FLOATS), "holds string as actions, which is no number", LEROBOT)
+def test_words_are_no_numbers(exported: Path, tmp_path: Path) -> None:
+    refused(
+        lerobot(exported, tmp_path, pa.array(["x"] * 7), FLOATS), "holds string as actions, which is no number", LEROBOT
+    )
 
 
+@pytest.mark.slow
 def test_robomimic_s_actions(tmp_path: Path) -> None:
     given = {f"demo_{n}": np.random.default_rng(n).normal(size=(5, 7)) for n in range(2)}
     file = robomimic(tmp_path / "a.hdf5", {name: video(5) for name in given}, actions=given)
@@ -407,6 +419,7 @@ def test_too_many_numbers(tmp_path: Path) -> None:
     refused(file, "more than the 11 numbers", dataclasses.replace(TWIST, limits=ImportLimits(numbers=11)))
 
 
+@pytest.mark.slow
 def test_a_definition_that_takes_all_time_is_stopped(tmp_path: Path) -> None:
     """Arrays of bytes may end early in a decoder; an array of those takes no bytes at all, and no end of time."""
     writer_file = tmp_path / "a.mcap"

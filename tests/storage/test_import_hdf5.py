@@ -157,6 +157,7 @@ def test_a_file_that_leads_in_circles(tmp_path: Path) -> None:
     refused(tmp_path / "a.h5", "has no pictures")
 
 
+@pytest.mark.slow
 def test_what_a_file_declares_is_not_believed(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         shape = (10**9, 32, 32, 3)
@@ -188,6 +189,7 @@ def test_a_cut_file(tmp_path: Path) -> None:
     refused(file, "a.hdf5' (cannot be read|is damaged)")
 
 
+@pytest.mark.slow
 def test_a_changed_byte_never_surprises(tmp_path: Path) -> None:
     file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(4), "demo_1": video(4)}, compression="gzip")
     whole = file.read_bytes()

@@ -100,6 +100,7 @@ def test_the_suffix_does_not_decide(tmp_path: Path) -> None:
     np.testing.assert_array_equal(decoded(tmp_path / "recording")[1], frames)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs the program ffmpeg")
 @pytest.mark.parametrize(
     ("name", "encoder"),
@@ -232,6 +233,7 @@ def test_damage_is_named_with_its_time_and_can_be_left_out(tmp_path: Path) -> No
     assert report.unreadable == 60 - len(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("a.mp4", "h264"), ("a.mkv", "ffv1"), ("a.avi", "raw"), ("a.webm", "vp9")])
 def test_a_changed_byte_never_surprises(tmp_path: Path, name: str, kind: str) -> None:
     whole = video_file(tmp_path / name, moving(12), kind).read_bytes()
@@ -257,6 +259,7 @@ def test_a_picture_that_is_too_large_is_not_decoded(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_video_that_takes_too_much_memory(tmp_path: Path) -> None:
     black = np.zeros((4096, 4096, 3), np.uint8)
     file = video_file(tmp_path / "a.mkv", [black] * 3, encoder=("libx264", "yuv444p", {"preset": "ultrafast"}))
@@ -264,6 +267,7 @@ def test_a_video_that_takes_too_much_memory(tmp_path: Path) -> None:
     refused(file, tmp_path, "takes more than 96 MiB of memory to be decoded; .*'--max-memory 192'", tight)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
     frames = [np.zeros((512, 512, 3), np.uint8)] * 400  # 300 MiB when they are decoded
     file = video_file(tmp_path / "a.mp4", frames, encoder=("libx264", "yuv420p", {"preset": "ultrafast"}))

@@ -151,6 +151,7 @@ def test_the_cameras_of_a_data_set_with_pictures_are_listed(tmp_path: Path) -> N
     refused(folder, f"has no camera 'front'; its cameras are: '{CAMERA}'", ImportOptions(camera="front"))
 
 
+@pytest.mark.slow
 def test_damaged_pictures_and_tables_are_named(tmp_path: Path) -> None:
     frames = video(15)
     folder = v3(tmp_path / "set", frames)

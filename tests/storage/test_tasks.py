@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -92,6 +93,7 @@ def test_tasks_are_ranked_by_enough_interactions_then_held_out_then_interactions
     assert choose_tasks(found, {2}, 99) == sorted(order)
 
 
+@pytest.mark.slow
 def test_a_long_episode_takes_no_time_that_grows_with_its_square() -> None:
     """Hours, if each start were compared with all that are taken."""
     frames = 200_000

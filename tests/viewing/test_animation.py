@@ -49,6 +49,7 @@ def test_rows_are_the_recorded_frames_and_those_that_each_model_imagines(
                 np.testing.assert_array_equal(_tile(picture, column, row), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
 def test_a_file_has_all_pictures_and_begins_again(run: Run, dataset: Dataset, tmp_path: Path, suffix: str) -> None:
     pictures = animate({"dmotion": run}, dataset, [0], steps=STEPS)
@@ -82,6 +83,7 @@ def _scored(run: Run) -> Iterator[None]:
     remove(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_in_workspace", "_scored")
 def test_the_command_shows_the_worst_the_middle_and_the_best_episode(
     run: Run, dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

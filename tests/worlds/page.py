@@ -1,9 +1,10 @@
-"""The table of ``docs/worlds.md``, made of ``docs/worlds.json``: ``python -m tests.worlds.page`` writes it."""
+"""The tables of ``docs/worlds.md``, made of ``docs/worlds.json``: ``python -m tests.worlds.page`` writes them."""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,9 +13,14 @@ from recorders.gymnasium_env.worlds import WORLDS
 DOCS: Final = Path(__file__).resolve().parents[2] / "docs"
 PAGE, FIGURES = DOCS / "worlds.md", DOCS / "worlds.json"
 _TABLE: Final = re.compile(r"<!-- worlds -->\n.*?<!-- /worlds -->", re.DOTALL)
+_MODELS: Final = re.compile(r"<!-- models -->\n.*?<!-- /models -->", re.DOTALL)
 _HEAD: Final = (
     ("world", "tier", "actions", "frames per CPU second", "bytes per frame", "`tiny` [CPU s]", "repeats", "install"),
     ("---", "---", "---", "---:", "---:", "---:", "---", "---"),
+)
+_MODELS_HEAD: Final = (
+    ("world", "copy last", "DMotion", "labels", "DMotion, true motion", "E-D CNN", "labels"),
+    ("---", "---:", "---:", "---:", "---:", "---:", "---:"),
 )
 
 
@@ -23,6 +29,15 @@ def figures() -> dict[str, Any]:
     found: dict[str, Any] = json.loads(FIGURES.read_text())
     known = [f"gym:{name}" for name in WORLDS]
     return {name: found[name] for name in [*(name for name in found if name not in known), *known] if name in found}
+
+
+def _link(title: str) -> str:
+    anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+    return f"[{title}](#{anchor})"
+
+
+def _markdown(rows: Iterable[Iterable[str]]) -> str:
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def titles(page: str) -> dict[str, str]:
@@ -41,7 +56,6 @@ def table(page: str) -> str:
     headings = titles(page)
     for name, found in figures().items():
         title, extra = headings[name], WORLDS[name[4:]].extra if name.startswith("gym:") else ""
-        anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
         discrete = " to " not in found["actions"]
         count = found["actions"].count(", ") + 1
         actions = f"{count} to choose from" if discrete else "1 number" if count == 1 else f"{count} numbers"
@@ -52,7 +66,7 @@ def table(page: str) -> str:
         install = f"`{extra}`" if extra else "-"
         rows.append(
             (
-                f"[{title}](#{anchor})",
+                _link(title),
                 found["tier"],
                 actions,
                 f"{rate:,.0f}",
@@ -62,12 +76,54 @@ def table(page: str) -> str:
                 install,
             )
         )
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    return _markdown(rows)
+
+
+def models_table(page: str) -> str:
+    """What models reach where they were trained, in Markdown."""
+    rows = [*_MODELS_HEAD]
+    headings = titles(page)
+    for name, found in figures().items():
+        if "models" not in found:
+            continue
+        for setting in sorted({setting for model in found["models"].values() for setting in model}):
+            dmotion, supervised = (found["models"][model].get(setting) for model in ("dmotion", "ed-cnn"))
+            known = [one for one in (dmotion, supervised) if one is not None]
+            assert len({one["fingerprint"] for one in known}) == 1, name
+            plain = setting == "gate_floor=0"
+            rows.append(
+                (
+                    _link(headings[name]) + ("" if plain else f", `{setting}`"),
+                    _number(known[0]["copy_last"]["mse"]),
+                    _figure(dmotion, "mse"),
+                    _labels(dmotion),
+                    _figure(dmotion, "mse_true_motion"),
+                    _figure(supervised, "mse"),
+                    _labels(supervised),
+                )
+            )
+    return _markdown(rows)
+
+
+def _number(value: float) -> str:
+    return f"{value:.1f}" if value >= 10 else f"{value:.2f}"
+
+
+def _figure(run: dict[str, Any] | None, name: str) -> str:
+    if run is None:
+        return "-"
+    figure = run["figures"][name]
+    return f"{_number(figure['mean'])} ({_number(figure['low'])} to {_number(figure['high'])})"
+
+
+def _labels(run: dict[str, Any] | None) -> str:
+    return "-" if run is None else f"{run['labels']:,}"
 
 
 def with_table(page: str) -> str:
-    """The page with the table as it is to be."""
-    return _TABLE.sub(f"<!-- worlds -->\n{table(page)}\n<!-- /worlds -->", page)
+    """The page with the tables as they are to be."""
+    page = _TABLE.sub(f"<!-- worlds -->\n{table(page)}\n<!-- /worlds -->", page)
+    return _MODELS.sub(f"<!-- models -->\n{models_table(page)}\n<!-- /models -->", page)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from dmotion_bench.storage.imports.continuous_commands import (
     reduced,
 )
 from dmotion_bench.storage.imports.options import ImportOptions
-from dmotion_bench.storage.imports.recording import Recording, Survey
+from dmotion_bench.storage.imports.recording import Named, Survey
 from dmotion_bench.storage.imports.timeline import Piece, interval_ns
 
 Actions = Int64[np.ndarray, " s"] | Float[np.ndarray, "s a"]
@@ -82,7 +82,7 @@ def commanded(piece: Piece, commands: Commands) -> Piece:
     return piece.cut(before, len(piece))
 
 
-def check_pace(recording: Recording, commands: Commands, pieces: Sequence[Piece], options: ImportOptions) -> None:
+def check_pace(recording: Named, commands: Commands, pieces: Sequence[Piece], options: ImportOptions) -> None:
     """See that continuous commands are as many as steps: to hold one would be to say it again.
 
     Raises:

@@ -8,7 +8,7 @@ moved there when it is whole, so a failed import leaves nothing behind.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -32,7 +32,7 @@ from dmotion_bench.storage.imports.imported_actions import (
     step_actions,
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
-from dmotion_bench.storage.imports.recording import Recording, Survey
+from dmotion_bench.storage.imports.recording import Named, Recording, Survey
 from dmotion_bench.storage.imports.sources import open_recording, sources_in
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
@@ -47,7 +47,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Planned:
+class PlannedEpisode:
     """A planned episode."""
 
     recording: int
@@ -73,48 +73,101 @@ def import_recordings(
         UsageError: The folder holds something else.
     """
     sweep(out, UNFINISHED)
-    standing = _standing(out)
+    standing = standing_in(out)
     with Confinement(options) as confinement:
         found = sources_in(paths, options.camera)
         recordings = [open_recording(source, options, confinement) for source in found]
         surveys = [_survey(recording, number, len(found), progress) for number, recording in enumerate(recordings)]
-        _check_sizes(recordings, surveys)
-        names = discrete_names(surveys, options)
-        pieces = _pieces(surveys, options)
-        planned, left_out = _plan(recordings, surveys, pieces, names, options)
-        if not planned:
-            raise no_episode(surveys, options)
-        recipe = _recipe(recordings, surveys, planned, options)
-        spec = EnvSpec(
-            id=IMPORTED,
-            actions=action_spec(surveys, [plan.actions for plan in planned], names, options),
-            agent=UNPLACED_AGENT,
-            objects=(),
-            height=options.size,
-            width=options.size,
-            step_ns=round(1e9 / options.hz),
-        )
+        plan = plan_import(recordings, surveys, options)
         if standing is None:
-            _write(out, recipe, spec, recordings, planned, options, progress)
-        elif (standing.recipe, standing.spec) != (recipe, spec):
-            raise RecipeMismatch(
-                f"{str(out)!r} holds a data set of other recordings or options; name another folder with '--out DIR', "
-                "or delete it first."
-            )
-    return ImportReport(
-        path=out,
-        episodes=len(planned),
-        frames=sum(len(plan.piece) for plan in planned),
-        source_frames=sum(survey.pictures for survey in surveys),
-        source_height=surveys[0].height,
-        source_width=surveys[0].width,
-        source_hz=_source_hz(surveys),
-        repeated=sum(int((np.diff(plan.piece.frames) == 0).sum()) for plan in planned),
-        unreadable=sum(recording.unreadable for recording in recordings),
-        left_out=left_out,
-        actions=spec.actions,
-        advice=advice(surveys, [one for found in pieces for one in found], len(planned), options),
+            _write(out, plan, recordings, options, progress)
+        else:
+            require_same(standing, plan, out)
+    return plan.report(out, unreadable=sum(recording.unreadable for recording in recordings))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportPlan:
+    """The data set that an import is to make.
+
+    Attributes:
+        recipe, spec: Of it.
+        episodes: In their order.
+        surveys: Of the recordings.
+        left_out: Frames of episodes that are too short.
+        advice: See ``ImportReport``.
+    """
+
+    recipe: DatasetRecipe
+    spec: EnvSpec
+    episodes: Sequence[PlannedEpisode]
+    surveys: Sequence[Survey]
+    left_out: int
+    advice: tuple[str, ...]
+
+    @property
+    def keeps_times(self) -> bool:
+        """Whether the episodes can have the times of their recordings, which then ascend through the data set."""
+        return all(one.piece.t_ns[-1] < two.piece.t_ns[0] for one, two in itertools.pairwise(self.episodes))
+
+    def report(self, out: Path, *, unreadable: int, skipped: tuple[tuple[str, str], ...] = ()) -> ImportReport:
+        """What is told of the import into a folder."""
+        return ImportReport(
+            path=out,
+            episodes=len(self.episodes),
+            frames=sum(len(one.piece) for one in self.episodes),
+            source_frames=sum(survey.pictures for survey in self.surveys),
+            source_height=self.surveys[0].height,
+            source_width=self.surveys[0].width,
+            source_hz=_source_hz(self.surveys),
+            repeated=sum(int((np.diff(one.piece.frames) == 0).sum()) for one in self.episodes),
+            unreadable=unreadable,
+            left_out=self.left_out,
+            actions=self.spec.actions,
+            advice=self.advice,
+            skipped=skipped,
+        )
+
+
+def plan_import(recordings: Sequence[Named], surveys: Sequence[Survey], options: ImportOptions) -> ImportPlan:
+    """What becomes of recordings.
+
+    Raises:
+        RecordingImportError: They do not go together, or there is no episode in them.
+    """
+    _check_sizes(recordings, surveys)
+    names = discrete_names(surveys, options)
+    pieces = _pieces(surveys, options)
+    planned, left_out = _plan(recordings, surveys, pieces, names, options)
+    if not planned:
+        raise no_episode(surveys, options)
+    recipe = _recipe(recordings, surveys, planned, options)
+    spec = EnvSpec(
+        id=IMPORTED,
+        actions=action_spec(surveys, [plan.actions for plan in planned], names, options),
+        agent=UNPLACED_AGENT,
+        objects=(),
+        height=options.size,
+        width=options.size,
+        step_ns=round(1e9 / options.hz),
     )
+    told = advice(surveys, [one for found in pieces for one in found], len(planned), options)
+    return ImportPlan(
+        recipe=recipe, spec=spec, episodes=planned, surveys=surveys, left_out=left_out, advice=tuple(told)
+    )
+
+
+def require_same(standing: Manifest, plan: ImportPlan, out: Path) -> None:
+    """Check that the data set which is there is the one that is wanted.
+
+    Raises:
+        RecipeMismatch: It is another.
+    """
+    if (standing.recipe, standing.spec) != (plan.recipe, plan.spec):
+        raise RecipeMismatch(
+            f"{str(out)!r} holds a data set of other recordings or options; name another folder with '--out DIR', "
+            "or delete it first."
+        )
 
 
 def _survey(recording: Recording, number: int, count: int, progress: Progress) -> Survey:
@@ -123,7 +176,7 @@ def _survey(recording: Recording, number: int, count: int, progress: Progress) -
     return recording.survey(lambda pictures: progress(f"{looking}: {pictures:,} pictures", number, count))
 
 
-def _standing(out: Path) -> Manifest | None:
+def standing_in(out: Path) -> Manifest | None:
     """The whole data set that is there already."""
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return None
@@ -132,7 +185,7 @@ def _standing(out: Path) -> Manifest | None:
     return Dataset.open(out).manifest
 
 
-def _check_sizes(recordings: Sequence[Recording], surveys: Sequence[Survey]) -> None:
+def _check_sizes(recordings: Sequence[Named], surveys: Sequence[Survey]) -> None:
     first = surveys[0]
     for recording, survey in zip(recordings, surveys, strict=True):
         if (survey.height, survey.width) != (first.height, first.width):
@@ -154,14 +207,14 @@ def _pieces(surveys: Sequence[Survey], options: ImportOptions) -> list[list[Piec
 
 
 def _plan(
-    recordings: Sequence[Recording],
+    recordings: Sequence[Named],
     surveys: Sequence[Survey],
     found: Sequence[list[Piece]],
     names: tuple[str, ...],
     options: ImportOptions,
-) -> tuple[list[_Planned], int]:
+) -> tuple[list[PlannedEpisode], int]:
     """The episodes, and how many frames are left out of all."""
-    planned: list[_Planned] = []
+    planned: list[PlannedEpisode] = []
     waiting = iter(found)
     for number, survey in enumerate(surveys):
         for index, segment in enumerate(survey.segments):
@@ -171,12 +224,12 @@ def _plan(
                 check_pace(recordings[number], segment.commands, pieces, options)
             for piece in cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames):
                 actions = None if segment.commands is None else step_actions(piece, segment.commands, names, options)
-                planned.append(_Planned(recording=number, segment=index, piece=piece, actions=actions))
+                planned.append(PlannedEpisode(recording=number, segment=index, piece=piece, actions=actions))
     return planned, sum(len(piece) for one in found for piece in one) - sum(len(plan.piece) for plan in planned)
 
 
 def _recipe(
-    recordings: Sequence[Recording], surveys: Sequence[Survey], planned: Sequence[_Planned], options: ImportOptions
+    recordings: Sequence[Named], surveys: Sequence[Survey], planned: Sequence[PlannedEpisode], options: ImportOptions
 ) -> DatasetRecipe:
     parameters: dict[str, Scalar] = {
         "camera": surveys[0].camera,
@@ -207,17 +260,12 @@ def _recipe(
 
 
 def _write(
-    out: Path,
-    recipe: DatasetRecipe,
-    spec: EnvSpec,
-    recordings: Sequence[Recording],
-    planned: Sequence[_Planned],
-    options: ImportOptions,
-    progress: Progress,
+    out: Path, plan: ImportPlan, recordings: Sequence[Recording], options: ImportOptions, progress: Progress
 ) -> None:
     """Write beside ``out`` and move there."""
-    with staged(out, UNFINISHED) as folder, DatasetWriter.create_or_resume(folder, recipe, spec) as writer:
-        episodes = _footage(recordings, planned, spec, options)
+    recipe = plan.recipe
+    with staged(out, UNFINISHED) as folder, DatasetWriter.create_or_resume(folder, recipe, plan.spec) as writer:
+        episodes = footage(dict(enumerate(recordings)), plan.episodes, options, keep_times=plan.keeps_times)
         done = 0
         for shard in writer.missing:
             progress("importing", done, recipe.episodes)
@@ -228,18 +276,28 @@ def _write(
         writer.finish()
 
 
-def _footage(
-    recordings: Sequence[Recording], planned: Sequence[_Planned], spec: EnvSpec, options: ImportOptions
+def footage(
+    recordings: Mapping[int, Recording],
+    planned: Sequence[PlannedEpisode],
+    options: ImportOptions,
+    *,
+    keep_times: bool,
 ) -> Iterator[Footage]:
-    """The episodes in order, unpacked one at a time."""
-    keep_times = all(before.piece.t_ns[-1] < after.piece.t_ns[0] for before, after in itertools.pairwise(planned))
+    """Episodes in order, unpacked one at a time.
+
+    Args:
+        recordings: Those that they are of, surveyed already.
+        planned: The episodes.
+        options: How.
+        keep_times: See ``ImportPlan.keeps_times``.
+    """
     for (number, segment), group in itertools.groupby(planned, key=lambda plan: (plan.recording, plan.segment)):
         plans = list(group)
         wanted = np.unique(np.concatenate([plan.piece.frames for plan in plans]))
         pictures = zip(wanted.tolist(), recordings[number].pictures(segment, wanted), strict=True)
         shown, frame = -1, np.zeros(0, np.uint8)
         for plan in plans:
-            frames = np.empty((len(plan.piece), spec.height, spec.width, 3), np.uint8)
+            frames = np.empty((len(plan.piece), options.size, options.size, 3), np.uint8)
             for tick, source in enumerate(plan.piece.frames.tolist()):
                 while shown < source:
                     shown, picture = next(pictures)

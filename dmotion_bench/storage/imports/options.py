@@ -113,6 +113,7 @@ class ImportReport:
         left_out: Frames of episodes that were too short.
         actions: What they are; None without labels.
         advice: Sentences about what would make a better data set of the same recordings.
+        skipped: Recordings that were left out because they are damaged, each with the reason.
     """
 
     path: Path
@@ -127,3 +128,4 @@ class ImportReport:
     left_out: int
     actions: ActionSpec | None
     advice: tuple[str, ...]
+    skipped: tuple[tuple[str, str], ...] = ()

@@ -58,6 +58,17 @@ class Survey:
         return sum(len(segment.times_ns) for segment in self.segments)
 
 
+class Named(Protocol):
+    """A recording as far as a recipe knows it."""
+
+    @property
+    def path(self) -> Path:
+        """Of it."""
+
+    def sha256(self) -> str:
+        """Of its bytes, in hexadecimal."""
+
+
 class Recording(Protocol):
     """A file or folder of another system, opened for import.
 

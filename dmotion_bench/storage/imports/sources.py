@@ -75,9 +75,18 @@ def sources_in(paths: Sequence[Path], camera: str | None) -> list[Source]:
         if not inside:
             raise _nothing_in(path)
         found += inside
+    require_once(found)
+    return found
+
+
+def require_once(found: Sequence[Source]) -> None:
+    """Check that no recording is meant twice.
+
+    Raises:
+        UsageError: One is.
+    """
     if len({source.path.resolve() for source in found}) < len(found):
         raise UsageError("a recording is named twice.")
-    return found
 
 
 def kind_of(file: Path) -> Kind:

@@ -1,0 +1,408 @@
+"""Importing many recordings beside each other, by an executor; damaged ones may be skipped.
+
+A job looks through one recording, or makes some shards of the data set. The data set has the bytes of an import in one
+process. What is finished stays beside its place until all is there, so an import that was interrupted goes on.
+
+A damaged recording that is skipped is as good as not named: the data set is that of the others. Some damage shows only
+when pictures are unpacked; then all recordings with such damage are left out together, and the shards made anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from dmotion_bench.errors import RecipeMismatch, RecordingImportError
+from dmotion_bench.execution.executor import Executor
+from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.execution.local_executor import SerialExecutor
+from dmotion_bench.specs import DatasetRecipe, EnvSpec
+from dmotion_bench.storage.imports.confinement import Confinement
+from dmotion_bench.storage.imports.importing import (
+    UNFINISHED,
+    ImportPlan,
+    PlannedEpisode,
+    Progress,
+    footage,
+    plan_import,
+    require_same,
+    standing_in,
+)
+from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
+from dmotion_bench.storage.imports.recording import Recording, Survey
+from dmotion_bench.storage.imports.sources import Source, open_recording, require_once, sources_in
+from dmotion_bench.storage.shard import Footage, ShardReceipt, shard_range, write_shard
+from dmotion_bench.storage.staging import staged, sweep
+from dmotion_bench.storage.writer import DatasetWriter
+
+MOST_PARTS: Final = 64
+"""Jobs into which the shards are divided; each opens its recordings anew, so many small ones cost more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyJob:
+    """A recording to be looked through.
+
+    Attributes:
+        number: Its place among those that were named.
+        source: Where it is.
+        options: Of the import.
+        progress: The file in which the job says how far it is; None: nowhere.
+    """
+
+    number: int
+    source: Source
+    options: ImportOptions
+    progress: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surveyed:
+    """What was found in a recording.
+
+    Attributes:
+        number, source: As in the job.
+        digest: SHA-256 of its bytes; empty for a damaged one.
+        survey: None for a damaged one.
+        unreadable: Pictures that could not be read.
+        fault: Why it cannot be imported; None for a sound one.
+    """
+
+    number: int
+    source: Source
+    digest: str = ""
+    survey: Survey | None = None
+    unreadable: int = 0
+    fault: RecordingImportError | None = None
+
+    @property
+    def path(self) -> Path:
+        """Of the recording."""
+        return self.source.path
+
+    def sha256(self) -> str:
+        """Of its bytes, in hexadecimal."""
+        return self.digest
+
+
+def survey_job(job: SurveyJob) -> Surveyed:
+    """Look through a recording in the present process."""
+    told = ProgressFile(job.progress)
+
+    def show(pictures: int) -> None:
+        what = f"looking through {job.source.path.name}"
+        told.tell(JobProgress(what=what, done=pictures, total=None, status=f"{pictures:,} pictures"))
+
+    try:
+        with Confinement(job.options) as confinement:
+            recording = open_recording(job.source, job.options, confinement)
+            survey, digest = recording.survey(show), recording.sha256()
+            unreadable = recording.unreadable
+    except RecordingImportError as error:
+        return Surveyed(number=job.number, source=job.source, fault=error)
+    except OSError as error:
+        said = RecordingImportError(f"cannot read {str(job.source.path)!r}: {error.strerror or error}.")
+        return Surveyed(number=job.number, source=job.source, fault=said)
+    finally:
+        told.end()
+    return Surveyed(number=job.number, source=job.source, digest=digest, survey=survey, unreadable=unreadable)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShardsJob:
+    """Some shards to be made, with all that decides their bytes.
+
+    Attributes:
+        dataset: The folder.
+        recipe, spec: Of the data set.
+        shards: Numbers of shards that follow each other.
+        episodes: Those of the shards, in their order.
+        sources: The recordings that they are of, by their numbers.
+        options: Of the import.
+        keep_times: See ``ImportPlan.keeps_times``.
+        progress: The file in which the job says how far it is; None: nowhere.
+    """
+
+    dataset: Path
+    recipe: DatasetRecipe
+    spec: EnvSpec
+    shards: tuple[int, ...]
+    episodes: tuple[PlannedEpisode, ...]
+    sources: dict[int, Source]
+    options: ImportOptions
+    keep_times: bool
+    progress: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShardsMade:
+    """The shards of a job.
+
+    Attributes:
+        receipts: Of those that are made.
+        faults: Why a recording cannot be unpacked, by its number.
+    """
+
+    receipts: tuple[ShardReceipt, ...]
+    faults: dict[int, RecordingImportError]
+
+
+def shards_job(job: ShardsJob) -> ShardsMade:
+    """Make shards in the present process; those of recordings that cannot be unpacked are left out."""
+    told, receipts = ProgressFile(job.progress), list[ShardReceipt]()
+    waiting = iter(job.episodes)
+    try:
+        with Confinement(job.options) as confinement:
+            unpacking = _Unpacking(job, confinement)
+            for done, shard in enumerate(job.shards):
+                told.tell(JobProgress(what=f"importing shard {shard}", done=done, total=len(job.shards)))
+                planned = [next(waiting) for _ in shard_range(job.recipe, shard)]
+                unpacking.begin()
+                if unpacking.faults.keys().isdisjoint(one.recording for one in planned):
+                    with contextlib.suppress(RecordingImportError):
+                        episodes = unpacking.episodes(planned)
+                        receipts.append(write_shard(job.dataset, job.recipe, job.spec, shard, episodes))
+                unpacking.look_through(planned)
+    finally:
+        told.end()
+    return ShardsMade(receipts=tuple(receipts), faults=unpacking.faults)
+
+
+class _Unpacking:
+    """Unpacks the episodes of a job, and notes which recordings it cannot unpack.
+
+    Attributes:
+        faults: Why, by the number of the recording.
+    """
+
+    def __init__(self, job: ShardsJob, confinement: Confinement) -> None:
+        self._job, self._confinement = job, confinement
+        self._opened: dict[int, Recording] = {}
+        self._through: set[int] = set()
+        self.faults: dict[int, RecordingImportError] = {}
+
+    def begin(self) -> None:
+        """Another shard begins."""
+        self._through.clear()
+
+    def episodes(self, planned: Sequence[PlannedEpisode]) -> Iterator[Footage]:
+        """Some episodes in their order.
+
+        Raises:
+            RecordingImportError: One cannot be unpacked; it is noted, too.
+        """
+        for number in dict.fromkeys(one.recording for one in planned):
+            own = [one for one in planned if one.recording == number]
+            try:
+                yield from footage(
+                    {number: self._recording(number)}, own, self._job.options, keep_times=self._job.keep_times
+                )
+            except RecordingImportError as error:
+                self.faults[number] = error
+                raise
+            self._through.add(number)
+
+    def look_through(self, planned: Sequence[PlannedEpisode]) -> None:
+        """Unpack what the last shard has not come to, so that one pass finds all damage."""
+        for number in {one.recording for one in planned} - self._through - self.faults.keys():
+            with contextlib.suppress(RecordingImportError):
+                for _ in self.episodes([one for one in planned if one.recording == number]):
+                    pass
+
+    def _recording(self, number: int) -> Recording:
+        if number not in self._opened:
+            recording = open_recording(self._job.sources[number], self._job.options, self._confinement)
+            recording.survey()  # it finds where the pictures are
+            self._opened[number] = recording
+        return self._opened[number]
+
+
+def import_fleet(
+    paths: Sequence[Path],
+    out: Path,
+    options: ImportOptions,
+    executor: Executor | None = None,
+    *,
+    skip_damaged: bool = False,
+    progress: Progress = lambda what, done, total: None,
+    jobs: Path | None = None,
+) -> ImportReport:
+    """Make a data set of foreign recordings, several at a time.
+
+    Args:
+        paths, out, options: See ``import_recordings``.
+        executor: Runs the jobs; all its machines see the recordings and the folder under the same paths.
+        skip_damaged: Leave out recordings that cannot be imported, and those whose pictures have another size than
+            most have; the report says which and why.
+        progress: Is told how far all jobs together are.
+        jobs: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
+
+    Raises:
+        RecordingImportError: A recording cannot be imported; with ``skip_damaged`` only if none can.
+        RecipeMismatch: The folder holds another data set.
+        UsageError: The folder holds something else.
+    """
+    standing, executor = standing_in(out), executor or SerialExecutor()
+    skipped: dict[Path, RecordingImportError] = {}
+    found = _surveyed(_found(paths, options, skip_damaged, skipped), options, executor, progress, jobs)
+    while True:
+        sound = _sound(found, skip_damaged, skipped)
+        plan = plan_import(sound, [one.survey for one in sound if one.survey is not None], options)
+        if standing is not None:
+            require_same(standing, plan, out)
+            break
+        faults = _written(out, plan, sound, options, executor, progress, jobs)
+        if not faults:
+            break
+        if not skip_damaged:
+            sweep(out, UNFINISHED)  # the same would happen again
+            raise faults[min(faults)]
+        skipped |= {sound[number].path: error for number, error in faults.items()}
+        found = [one for number, one in enumerate(sound) if number not in faults]
+    told = tuple((str(path), str(error)) for path, error in sorted(skipped.items()))
+    return plan.report(out, unreadable=sum(one.unreadable for one in sound), skipped=told)
+
+
+def _found(
+    paths: Sequence[Path], options: ImportOptions, skip: bool, skipped: dict[Path, RecordingImportError]
+) -> list[Source]:
+    found: list[Source] = []
+    for path in paths:
+        try:
+            found += sources_in([path.absolute()], options.camera)
+        except RecordingImportError as error:
+            if not skip:
+                raise
+            skipped[path] = error
+    require_once(found)
+    return found
+
+
+def _surveyed(
+    sources: Sequence[Source], options: ImportOptions, executor: Executor, progress: Progress, jobs: Path | None
+) -> list[Surveyed]:
+    """What is in the recordings, in their order."""
+    asked = [
+        SurveyJob(
+            number=number,
+            source=source,
+            options=options,
+            progress=None if jobs is None else jobs / f"survey-{number}.json",
+        )
+        for number, source in enumerate(sources)
+    ]
+    done: dict[int, Surveyed] = {}
+    progress("looking through the recordings", 0, len(asked))
+    results = executor.map_unordered(survey_job, asked)
+    with contextlib.closing(results):  # type: ignore[type-var]
+        for found in results:
+            done[found.number] = found
+            progress("looking through the recordings", len(done), len(asked))
+    return [done[number] for number in range(len(asked))]
+
+
+def _sound(found: Sequence[Surveyed], skip: bool, skipped: dict[Path, RecordingImportError]) -> list[Surveyed]:
+    """The recordings that can be imported together; what cannot is noted, or raised."""
+    for one in found:
+        if one.fault is not None:
+            if not skip:
+                raise one.fault
+            skipped[one.path] = one.fault
+    sound = [one for one in found if one.fault is None]
+    if not sound:
+        raise RecordingImportError(
+            f"none of the {len(skipped)} recordings can be imported; the first one: {next(iter(skipped.values()))}"
+        )
+    if not skip:
+        return sound
+    sizes = Counter((one.survey.width, one.survey.height) for one in sound if one.survey is not None)
+    (width, height), most = sizes.most_common(1)[0]
+    for one in sound:
+        if one.survey is not None and (one.survey.width, one.survey.height) != (width, height):
+            skipped[one.path] = RecordingImportError(
+                f"{str(one.path)!r} has pictures of {one.survey.width}x{one.survey.height} pixels, and {most} of the "
+                f"recordings have {width}x{height}."
+            )
+    return [one for one in sound if one.path not in skipped]
+
+
+def _written(
+    out: Path,
+    plan: ImportPlan,
+    sound: Sequence[Surveyed],
+    options: ImportOptions,
+    executor: Executor,
+    progress: Progress,
+    jobs: Path | None,
+) -> dict[int, RecordingImportError]:
+    """Write what is missing beside ``out`` and move it there; else why recordings cannot be unpacked."""
+    faults: dict[int, RecordingImportError] = {}
+    with (
+        contextlib.suppress(_Faulty),
+        staged(out, UNFINISHED, keep=True) as folder,
+        _writer(folder, plan) as writer,
+    ):
+        total = plan.recipe.episodes
+        done = total - sum(len(writer.episodes_of(shard)) for shard in writer.missing)
+        progress("importing", done, total)
+        results = executor.map_unordered(shards_job, _parts(folder, plan, sound, options, writer.missing, jobs))
+        with contextlib.closing(results):  # type: ignore[type-var]
+            for made in results:
+                for receipt in made.receipts:
+                    writer.add(receipt)
+                    done += len(receipt.rows)
+                faults |= made.faults
+                progress("importing", done, total)
+        if faults:
+            raise _Faulty
+        writer.finish()
+    return faults
+
+
+class _Faulty(Exception):
+    """Leaves the folder before it gets its name."""
+
+
+def _writer(folder: Path, plan: ImportPlan) -> DatasetWriter:
+    """The writer of the data set; what an import of other recordings has left in the folder is deleted."""
+    try:
+        return DatasetWriter.create_or_resume(folder, plan.recipe, plan.spec)
+    except RecipeMismatch:
+        for inside in folder.iterdir():
+            shutil.rmtree(inside) if inside.is_dir() else inside.unlink()
+        return DatasetWriter.create_or_resume(folder, plan.recipe, plan.spec)
+
+
+def _parts(
+    folder: Path,
+    plan: ImportPlan,
+    sound: Sequence[Surveyed],
+    options: ImportOptions,
+    missing: Sequence[int],
+    jobs: Path | None,
+) -> list[ShardsJob]:
+    """The missing shards in parts; one with ``salvage``, where a damaged picture is the one before it."""
+    size = len(missing) if options.salvage else -(-len(missing) // MOST_PARTS)
+    parts = [tuple(missing[first : first + size]) for first in range(0, len(missing), size or 1)]
+    made = []
+    for number, shards in enumerate(parts):
+        episodes = tuple(plan.episodes[one] for shard in shards for one in shard_range(plan.recipe, shard))
+        made.append(
+            ShardsJob(
+                dataset=folder.absolute(),
+                recipe=plan.recipe,
+                spec=plan.spec,
+                shards=shards,
+                episodes=episodes,
+                sources={one.recording: sound[one.recording].source for one in episodes},
+                options=options,
+                keep_times=plan.keeps_times,
+                progress=None if jobs is None else jobs / f"shards-{number}.json",
+            )
+        )
+    return made

@@ -30,7 +30,12 @@ class Dataset(stored.Dataset):
     """
 
     def triplets(
-        self, split: SplitName = "train", *, labels: str | None = None, seed: int = 0, protocol: SplitProtocol = "episode"
+        self,
+        split: SplitName = "train",
+        *,
+        labels: str | None = None,
+        seed: int = 0,
+        protocol: SplitProtocol = "episode",
     ) -> TripletDataset:
         """The triplets of consecutive frames of a split, as a ``torch.utils.data.Dataset``.
 

@@ -103,9 +103,7 @@ def record_recipe(recipe: DatasetRecipe, folder: Path, executor: Executor, progr
         def say(done: Done) -> None:
             status = f"{done.frames_per_s:.0f} frames/s"
             tell(
-                JobProgress(
-                    what=f"recording {recipe.environment}", done=done.episodes, total=done.total, status=status
-                )
+                JobProgress(what=f"recording {recipe.environment}", done=done.episodes, total=done.total, status=status)
             )
 
         return record_dataset(folder, recipe, executor, say)

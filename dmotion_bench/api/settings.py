@@ -14,6 +14,7 @@ Settings = Mapping[str, object] | Sequence[str] | None
 
 DEVICES: Final = ("auto", "cpu", "cuda")
 SPLIT_PROTOCOLS: Final = ("episode", "paper")
+TRACKERS: Final = ("tensorboard", "wandb")
 
 
 def require_one_of(kind: str, given: str, allowed: Iterable[str]) -> None:

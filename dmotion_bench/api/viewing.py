@@ -17,6 +17,7 @@ from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
 from dmotion_bench.scoring.transfer import fitting, report_folder
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.viewing.animation import STEPS, animate, write_animation
 from dmotion_bench.viewing.comparison import (
     MOST,
@@ -27,11 +28,12 @@ from dmotion_bench.viewing.comparison import (
 )
 from dmotion_bench.viewing.dataset import dataset_scene
 from dmotion_bench.viewing.episodes import choose_episodes
+from dmotion_bench.viewing.follow import Follower, RecordingFollower, TrainingFollower
 from dmotion_bench.viewing.report import telling_episodes
 from dmotion_bench.viewing.run import run_scene
 from dmotion_bench.viewing.scene import Scene, write_scene
 from dmotion_bench.viewing.target import Target, find_target
-from dmotion_bench.viewing.viewer import require_display, serve_web, show_window
+from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window
 from dmotion_bench.workspace import AnyPath, Workspace
 
 ANIMATED: Final = (".gif", ".webp")
@@ -41,13 +43,22 @@ SPLITS: Final[tuple[SplitName, ...]] = ("train", "validation", "test")
 class Served:
     """A local web page that shows something; it is there until ``close``, or the end of the ``with`` block.
 
+    Args:
+        stack: Closed with the page.
+        viewer: What serves it.
+
     Attributes:
         url: To open in a browser on this machine.
         ports: Over ssh all are forwarded.
     """
 
-    def __init__(self, stack: contextlib.ExitStack, url: str, ports: tuple[int, ...]) -> None:
-        self._stack, self.url, self.ports = stack, url, ports
+    def __init__(self, stack: contextlib.ExitStack, viewer: WebViewer) -> None:
+        self._stack, self._viewer = stack, viewer
+        self.url, self.ports = viewer.url, (viewer.page_port, viewer.data_port)
+
+    def wait(self) -> None:
+        """Wait until the page is not served any more, as when its process was ended."""
+        self._viewer.process.wait()
 
     def close(self) -> None:
         """Stop serving."""
@@ -102,49 +113,55 @@ def view(
         require_one_of("split", split, SPLITS)
     file = None if save is None else Path(save)
     if file is not None and file.suffix not in (".rrd", *ANIMATED):
-        raise UsageError(f"save {str(file)!r} must end in .rrd for Rerun, or in .gif or .webp for an animation of runs.")
+        raise UsageError(
+            f"save {str(file)!r} must end in .rrd for Rerun, or in .gif or .webp for an animation of runs."
+        )
     animated = file is not None and file.suffix in ANIMATED
     if steps is not None and not animated:
         raise UsageError("steps is for an animation; name its file with save='FILE.gif' or save='FILE.webp'.")
-    if file is None and not web:
-        require_display()
     place = Workspace.current() if workspace is None else Workspace(workspace)
     asked = [what] if isinstance(what, str) or hasattr(what, "__fspath__") else list(what)
     if not asked:
         raise UsageError("nothing is named to be shown; name a data set or a run.")
     targets = find_targets([Path(one) for one in asked], place)
     other = data_of(targets, None if data is None else Path(data), place)
+    if file is None and not web:
+        require_display()  # said before the work, not after it
     if animated and file is not None:
         require_runs(targets)
         write_animation_of(targets, file, episodes, split, other, steps, place)
         return file
     if targets[0].kind == "recording":
         if file is not None:
-            raise UsageError(f"{str(targets[0].path)!r} is a Rerun file already; copy it, or leave out save to show it.")
-        return _shown(targets[0].path, web, contextlib.ExitStack())
-    scene = scene_of_targets(targets, episodes, split, other, place)
-    if file is not None:
-        write_scene(scene, file)
-        return file
-    stack = contextlib.ExitStack()
-    folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="dmbench-view-"))
-    with contextlib.ExitStack() as failed:
-        failed.enter_context(stack)
-        written = Path(folder) / "scene.rrd"
-        write_scene(scene, written)
-        served = _shown(written, web, stack)
-        if served is not None:
-            failed.pop_all()
-        return served
-    return None
+            raise UsageError(
+                f"{str(targets[0].path)!r} is a Rerun file already; copy it, or leave out save to show it."
+            )
+        return show(targets[0].path, web=web)
+    with contextlib.ExitStack() as stack:
+        written = file or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dmbench-view-"))) / "scene.rrd"
+        write_scene_of(targets, written, episodes, split, other, place)
+        served = None if file is not None else show(written, web=web, stack=stack)
+    return served if file is None else file
 
 
-def _shown(file: Path, web: bool, stack: contextlib.ExitStack) -> Served | None:
+def show(file: Path, *, web: bool, stack: contextlib.ExitStack | None = None) -> Served | None:
+    """Show a Rerun file in a window, until that is closed, or on a local web page.
+
+    Args:
+        file: Which one.
+        web: Whether it is a page.
+        stack: Closed with the page.
+
+    Raises:
+        ViewerError: There is no display, or Rerun could not be started.
+    """
     if not web:
         show_window(file)
         return None
-    viewer = stack.enter_context(serve_web(file))
-    return Served(stack, viewer.url, (viewer.page_port, viewer.data_port))
+    with stack or contextlib.ExitStack() as closing:
+        viewer = closing.enter_context(serve_web(file))
+        served = Served(closing.pop_all(), viewer)
+    return served
 
 
 def find_targets(paths: Sequence[Path], workspace: Workspace) -> list[Target]:
@@ -179,6 +196,31 @@ def require_runs(targets: Sequence[Target]) -> None:
     """
     if targets[0].kind not in ("run", "report"):
         raise UsageError("an animation shows what finished runs imagine; name runs, without --live and --web.")
+
+
+def write_scene_of(
+    targets: Sequence[Target],
+    file: Path,
+    episodes: Sequence[int],
+    split: SplitName | None,
+    data: Path | None,
+    workspace: Workspace,
+) -> None:
+    """Write what there is to see of one thing, or of several runs, for Rerun."""
+    write_scene(scene_of_targets(targets, episodes, split, data, workspace), file)
+
+
+def follower_of(target: Target) -> Follower:
+    """What shows a training or a recording while it runs.
+
+    Raises:
+        UsageError: It is neither.
+    """
+    if target.kind == "recording":
+        raise UsageError("--live follows one training or one recording; name its run or its data set.")
+    if target.kind == "data set":
+        return RecordingFollower(target.path, Manifest.read(target.path).spec)
+    return TrainingFollower(target.path)
 
 
 def scene_of_targets(

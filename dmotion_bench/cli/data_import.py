@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.jobs import jobs_folder
-from dmotion_bench.cli.options import EXECUTORS, AsJson, listed, require_one_of
+from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
 from dmotion_bench.errors import Interrupted, UnknownName
 from dmotion_bench.wording import command
 

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import jobs_folder
-from dmotion_bench.cli.options import EXECUTORS, AsJson, listed, require_one_of
+from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
 
 if TYPE_CHECKING:
     from dmotion_bench.workspace import Workspace

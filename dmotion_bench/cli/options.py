@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from dmotion_bench.api.settings import DEVICES, require_one_of
+from dmotion_bench.api.settings import DEVICES
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.score import Metric
@@ -20,7 +20,6 @@ OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
 EXECUTORS: Final = ("local", "ray", "slurm")
-TRACKERS: Final = ("tensorboard", "wandb")
 
 
 def listed(names: Iterable[str]) -> str:

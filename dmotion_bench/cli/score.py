@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from dmotion_bench.api.settings import DEVICES, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import ExecutorName, Workers, jobs_folder, require_all
 from dmotion_bench.cli.options import (
-    DEVICES,
     METRICS,
     REFERENCES,
     AsJson,
@@ -22,7 +22,6 @@ from dmotion_bench.cli.options import (
     PlannerName,
     PlannerSettings,
     listed,
-    require_one_of,
 )
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
-import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 

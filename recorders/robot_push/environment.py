@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar, Literal
 
-import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 

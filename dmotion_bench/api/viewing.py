@@ -158,10 +158,9 @@ def show(file: Path, *, web: bool, stack: contextlib.ExitStack | None = None) ->
     if not web:
         show_window(file)
         return None
-    with stack or contextlib.ExitStack() as closing:
-        viewer = closing.enter_context(serve_web(file))
-        served = Served(closing.pop_all(), viewer)
-    return served
+    closing = stack or contextlib.ExitStack()
+    viewer = closing.enter_context(serve_web(file))
+    return Served(closing.pop_all(), viewer)
 
 
 def find_targets(paths: Sequence[Path], workspace: Workspace) -> list[Target]:

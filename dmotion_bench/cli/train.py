@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from dmotion_bench.api.settings import DEVICES, require_one_of
+from dmotion_bench.api.settings import DEVICES, TRACKERS, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.live import Live, LiveTo, following
-from dmotion_bench.cli.options import TRACKERS, AsJson, Device, listed
+from dmotion_bench.cli.options import AsJson, Device, listed
 from dmotion_bench.cli.record import LARGEST_SEED, preset_named
 from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
 from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset

@@ -19,7 +19,7 @@ import json
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, TypeVar
 
 from torch import Tensor
 
@@ -35,6 +35,10 @@ from dmotion_bench.wording import shown
 from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
 
 __all__ = ["Conditions", "Run", "RunSpec"]
+
+
+AnyRun = TypeVar("AnyRun", bound="Run")
+"""Run, or what a layer above makes of it."""
 
 
 class Run:
@@ -57,7 +61,7 @@ class Run:
         return str(self.path)
 
     @classmethod
-    def open(cls, path: AnyPath) -> Self:
+    def open(cls: type[AnyRun], path: AnyPath) -> AnyRun:
         """A run that exists, finished or not.
 
         Raises:
@@ -81,8 +85,14 @@ class Run:
 
     @classmethod
     def create_or_open(
-        cls, path: Path, spec: RunSpec, *, dataset_path: Path, versions: Mapping[str, str], threads: int | None = None
-    ) -> Self:
+        cls: type[AnyRun],
+        path: Path,
+        spec: RunSpec,
+        *,
+        dataset_path: Path,
+        versions: Mapping[str, str],
+        threads: int | None = None,
+    ) -> AnyRun:
         """The run of this folder if it asks for the same, else a new one, which is on disk once training begins.
 
         Args:

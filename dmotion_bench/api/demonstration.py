@@ -62,6 +62,7 @@ def demo(
     seed: int = 0,
     workers: int | None = 1,
     say: Callable[[str], None] = lambda _: None,
+    note: Callable[[str], None] = lambda _: None,
     progress: Progress = None,
 ) -> Demonstrated:
     """Record a small data set, train a model on its video, score it, and write a Rerun file.
@@ -71,6 +72,7 @@ def demo(
         seed: Of the recording and the training.
         workers: Processes that record; None for as many as there are processors.
         say: Told in a line what happens.
+        note: Told in a sentence what is worth knowing beside.
         progress: A function that is told how far each part is, or True for a bar.
     """
     began, workspace = time.monotonic(), Workspace(out)
@@ -84,12 +86,12 @@ def demo(
     request = TrainingRequest(model=MODEL, seed=seed, settings=(f"epochs={EPOCHS}",))
     run = begin(request, dataset, workspace, workspace.runs / f"{MODEL}-demo")
     say(f"2/4 training {MODEL} on the video, without a single action label")
-    result = complete(run, dataset, progress=progress)
+    result = complete(run, dataset, progress=progress, note=note, warn=note)
     say(f"    {result['triplets']} triplets in {result['seconds']:.0f} s, {result['triplets_per_s']:.0f} triplets/s")
     say(f"    then {result['labels_total']} labels: one demonstration of each action")
 
     say("3/4 scoring it on episodes that it has not seen")
-    reports, _ = score_runs([run.path], ("prediction", "rollout"), ScoreSettings(), progress=progress)
+    reports, _ = score_runs([run.path], ("prediction", "rollout"), ScoreSettings(), progress=progress, note=note)
 
     say("4/4 writing what it imagines for Rerun")
     recording = workspace.root / "demo.rrd"

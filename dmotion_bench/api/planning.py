@@ -13,13 +13,14 @@ import torch
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.api.progress import Progress, telling
-from dmotion_bench.api.settings import Settings, as_texts
+from dmotion_bench.api.scoring import control_scoring
+from dmotion_bench.api.settings import Settings
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.driving import predicted
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.agents import REFERENCES, known_actions, was_taken
+from dmotion_bench.planning.agents import REFERENCES, Agent, known_actions, was_taken
 from dmotion_bench.planning.choices import DEFAULT_SOLVER, make_solver
 from dmotion_bench.planning.dynamics.model import in_units
 from dmotion_bench.planning.mpc import ControlProgress, ControlResult, ControlSettings, Scene, control
@@ -108,14 +109,8 @@ def plan(
         (1.0, 2)
     """
     require_rrd("save", save)
-    chosen = ControlScoring(
-        steps=steps,
-        planner=planner,
-        planner_set=as_texts(planner_settings),
-        objective=objective,
-        objective_set=as_texts(objective_settings),
-        seed=seed,
-        group=1,
+    chosen = control_scoring(
+        None, planner, planner_settings, objective, objective_settings, steps=steps, seed=seed, group=1
     )
     place = Workspace.current() if workspace is None else Workspace(workspace)
     trial = open_trial(run, task, chosen, place, data)
@@ -144,6 +139,7 @@ class Trial:
         model: None for a reference.
         dataset, problem: The task.
         chosen: How it is planned.
+        agent: Who acts.
     """
 
     who: str
@@ -151,6 +147,7 @@ class Trial:
     dataset: Dataset
     problem: Problem
     chosen: ControlScoring
+    agent: Agent
 
     @property
     def title(self) -> str:
@@ -188,7 +185,7 @@ class Trial:
                 tell(JobProgress(what=self.title, done=told.steps, total=self.chosen.steps, status=said[0]))
 
             result = control(
-                agent_of(self.model or self.who, self.dataset, self.chosen),
+                self.agent,
                 [self.problem],
                 lambda: task_environment(self.dataset.recipe),
                 ControlSettings(steps=self.chosen.steps, seed=self.chosen.seed, group=1),
@@ -252,4 +249,6 @@ def open_trial(
         model = opened.model
     if dataset.recipe.environment == IMPORTED:
         raise UsageError(f"{dataset.name!r} was imported, so there is no environment to plan and act in.")
-    return Trial(who=who, model=model, dataset=dataset, problem=load_problems(dataset, [task])[0], chosen=chosen)
+    (problem,) = load_problems(dataset, [task])
+    agent = agent_of(model or who, dataset, chosen)
+    return Trial(who=who, model=model, dataset=dataset, problem=problem, chosen=chosen, agent=agent)

@@ -98,13 +98,13 @@ def record(
 
 def record_recipe(recipe: DatasetRecipe, folder: Path, executor: Executor, progress: Progress = None) -> Recorded:
     """Record a recipe into a folder; ``progress`` is told after each shard."""
+    what = f"recording {recipe.environment}"
     with telling(progress) as tell:
+        tell(JobProgress(what=what, done=0, total=None))
 
         def say(done: Done) -> None:
             status = f"{done.frames_per_s:.0f} frames/s"
-            tell(
-                JobProgress(what=f"recording {recipe.environment}", done=done.episodes, total=done.total, status=status)
-            )
+            tell(JobProgress(what=what, done=done.episodes, total=done.total, status=status))
 
         return record_dataset(folder, recipe, executor, say)
 

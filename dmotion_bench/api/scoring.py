@@ -16,16 +16,27 @@ from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import scoring_shortage
 from dmotion_bench.planning.choices import DEFAULT_SOLVER
-from dmotion_bench.planning.mpc import ControlProgress
+from dmotion_bench.planning.mpc import GROUP, STEPS, ControlProgress
 from dmotion_bench.scoring.control import ControlScoring, control_samples
 from dmotion_bench.scoring.control import score_reference as control_of_reference
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import Execution, Precision
-from dmotion_bench.scoring.report import Report
+from dmotion_bench.scoring.report import Report, read_report_samples
 from dmotion_bench.scoring.score import METRICS, Metric, ReferenceScores, ScoreSettings, score_run
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import AnyPath, Workspace
+
+__all__ = [
+    "ScoreSettings",
+    "as_metrics",
+    "compute_device",
+    "control_scoring",
+    "read_report_samples",
+    "score",
+    "score_references",
+    "score_runs",
+]
 
 _LOG = logging.getLogger(__name__)
 
@@ -90,13 +101,7 @@ def score(
         split=split,
         horizon=horizon,
         precision=precision,
-        control=ControlScoring(
-            tasks=tasks,
-            planner=planner,
-            planner_set=as_texts(planner_settings),
-            objective=objective,
-            objective_set=as_texts(objective_settings),
-        ),
+        control=control_scoring(tasks, planner, planner_settings, objective, objective_settings),
     )
     path = place.run(run)
     reports, _ = score_runs(
@@ -200,6 +205,34 @@ def score_references(
             result = control_of_reference(name, dataset, scoring, progress=show)
             found[name] = figures_of(control_samples(name, result), name)
     return found
+
+
+def control_scoring(
+    tasks: int | None = None,
+    planner: str | None = None,
+    planner_settings: Settings = None,
+    objective: str | None = None,
+    objective_settings: Settings = None,
+    *,
+    steps: int = STEPS,
+    seed: int = 0,
+    group: int = GROUP,
+) -> ControlScoring:
+    """What decides the figures of control, as ``score`` and ``plan`` are asked for it.
+
+    Raises:
+        UnknownName, InvalidSetting: A name or a value that is not allowed.
+    """
+    return ControlScoring(
+        tasks=tasks,
+        steps=steps,
+        planner=planner or DEFAULT_SOLVER,
+        planner_set=as_texts(planner_settings),
+        objective=objective,
+        objective_set=as_texts(objective_settings),
+        seed=seed,
+        group=group,
+    )
 
 
 def as_metrics(asked: Iterable[str], option: str = "metrics") -> tuple[Metric, ...]:

@@ -6,13 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from dmotion_bench.errors import InvalidSetting, UnknownName
-from dmotion_bench.specs import Preset
+from dmotion_bench.specs import Preset, SplitName
 from dmotion_bench.wording import shown
 
 Settings = Mapping[str, object] | Sequence[str] | None
 """Settings by name, or ``KEY=VALUE`` texts."""
 
 DEVICES: Final = ("auto", "cpu", "cuda")
+SPLITS: Final[tuple[SplitName, ...]] = ("train", "validation", "test")
 SPLIT_PROTOCOLS: Final = ("episode", "paper")
 TRACKERS: Final = ("tensorboard", "wandb")
 

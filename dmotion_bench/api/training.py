@@ -20,6 +20,7 @@ from dmotion_bench.learning import run as runs
 from dmotion_bench.learning.beginning import finished_result
 from dmotion_bench.learning.companions import Companions
 from dmotion_bench.learning.devices import launch
+from dmotion_bench.learning.labels import first_budget
 from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve, training_data
 from dmotion_bench.learning.threads import shortage
 from dmotion_bench.learning.tracking import require_trackers
@@ -30,6 +31,16 @@ from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace
+
+__all__ = [
+    "TrainingRequest",
+    "begin",
+    "complete",
+    "first_labels",
+    "known_trackers",
+    "require_sharing",
+    "train",
+]
 
 _LOG = logging.getLogger(__name__)
 
@@ -205,6 +216,11 @@ def require_sharing(run: runs.Run, processes: int) -> None:
             f"{processes} processes cannot share a batch of {batch}; start at most {batch}, or give a larger "
             "'--set batch_size=N'."
         )
+
+
+def first_labels(dataset: Dataset) -> str:
+    """The label budget that a model of video has by default, as it is written."""
+    return first_budget(dataset.spec.actions)
 
 
 def known_trackers(names: Sequence[str]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from dmotion_bench.api.settings import require_one_of
+from dmotion_bench.api.settings import SPLITS, require_one_of
 from dmotion_bench.errors import DmbenchError, UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
@@ -36,8 +36,25 @@ from dmotion_bench.viewing.target import Target, find_target
 from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window
 from dmotion_bench.workspace import AnyPath, Workspace
 
+__all__ = [
+    "ANIMATED",
+    "Served",
+    "beside",
+    "data_of",
+    "find_targets",
+    "follower_of",
+    "require_display",
+    "require_runs",
+    "scene_of",
+    "scene_of_several",
+    "scene_of_targets",
+    "show",
+    "view",
+    "write_animation_of",
+    "write_scene_of",
+]
+
 ANIMATED: Final = (".gif", ".webp")
-SPLITS: Final[tuple[SplitName, ...]] = ("train", "validation", "test")
 
 
 class Served:
@@ -187,13 +204,17 @@ def data_of(targets: Sequence[Target], data: Path | None, workspace: Workspace, 
     return None if data is None else workspace.dataset(data)
 
 
-def require_runs(targets: Sequence[Target]) -> None:
+def require_runs(targets: Sequence[Target], *, alone: bool = True) -> None:
     """Refuse an animation of anything but runs.
+
+    Args:
+        targets: What is to be shown.
+        alone: Whether it is only to be animated, not shown in another way, too.
 
     Raises:
         UsageError: It is something else.
     """
-    if targets[0].kind not in ("run", "report"):
+    if not alone or targets[0].kind not in ("run", "report"):
         raise UsageError("an animation shows what finished runs imagine; name runs, without --live and --web.")
 
 
@@ -209,13 +230,14 @@ def write_scene_of(
     write_scene(scene_of_targets(targets, episodes, split, data, workspace), file)
 
 
-def follower_of(target: Target) -> Follower:
+def follower_of(targets: Sequence[Target]) -> Follower:
     """What shows a training or a recording while it runs.
 
     Raises:
-        UsageError: It is neither.
+        UsageError: It is neither, or they are several.
     """
-    if target.kind == "recording":
+    target = targets[0]
+    if len(targets) > 1 or target.kind == "recording":
         raise UsageError("--live follows one training or one recording; name its run or its data set.")
     if target.kind == "data set":
         return RecordingFollower(target.path, Manifest.read(target.path).spec)

@@ -39,7 +39,7 @@ def model_facts(name: str) -> ModelFacts:
 
     Raises:
         UnknownName: There is none of this name.
-        PluginBroken: It cannot be loaded.
+        DmbenchError: It cannot be loaded.
     """
     kind = model_class(name)
     inputs = ModelInputs(height=_SIDE, width=_SIDE, actions=Discrete.numbered(_ACTIONS))

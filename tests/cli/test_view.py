@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import select
 import signal
 import subprocess
@@ -92,7 +91,7 @@ def test_a_file_that_cannot_grow_leaves_nothing(workspace: Path, tmp_path: Path)
     process = start_dmbench(
         ["view", "squares-tiny", "--save", str(file)],
         workspace,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+        file_bytes=4096,
     )
     said = finish(process)
     assert said.code == 1

@@ -10,7 +10,7 @@ import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Int, UInt8
@@ -55,7 +55,7 @@ class Dataset:
         return self.__dict__ | {"_cache": None}
 
     @classmethod
-    def open(cls, path: AnyPath) -> Dataset:
+    def open(cls, path: AnyPath) -> Self:
         """The data set in a folder.
 
         Raises:
@@ -81,6 +81,10 @@ class Dataset:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __fspath__(self) -> str:
+        """Its folder: a data set may stand wherever a path may."""
+        return str(self.path)
 
     def numbered(self, names: Sequence[str]) -> Dataset:
         """The same data set with its discrete actions numbered in another order; ``manifest`` keeps the stored one.

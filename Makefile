@@ -7,7 +7,7 @@ PARALLEL := -n auto --dist worksteal  # a process a core; long tests come first 
 
 unexport PYTHONDONTWRITEBYTECODE  # else each of the processes that tests start compiles every module anew
 
-.PHONY: install demo test test-fast check faults fuzz kill format bench results clean
+.PHONY: install demo test test-fast smoke check faults fuzz kill format bench results clean
 
 install: $(STAMP)
 
@@ -27,6 +27,9 @@ test: check
 
 test-fast: install
 	$(BIN)/python -m pytest $(PARALLEL) -m 'not slow'
+
+smoke: install
+	$(BIN)/python -m tests.installed $(if $(SMOKE),--python $(SMOKE))
 
 fuzz: install
 	$(BIN)/python -m tests.fuzz --seconds 3600 --jobs 2

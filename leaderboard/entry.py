@@ -43,7 +43,7 @@ def schema() -> dict[str, Any]:
 
 def schema_text() -> str:
     """The published schema as it stands in its file."""
-    return resources.files("leaderboard").joinpath("schema.json").read_text()
+    return resources.files(__package__).joinpath("schema.json").read_text()
 
 
 @dataclass(frozen=True)

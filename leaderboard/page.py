@@ -61,7 +61,7 @@ def _page(entries: Sequence[Entry], boards: Sequence[Board], steps: int) -> str:
 
 
 def _asset(name: str) -> str:
-    return resources.files("leaderboard").joinpath(name).read_text()
+    return resources.files(__package__).joinpath(name).read_text()
 
 
 def _hash(text: str) -> str:

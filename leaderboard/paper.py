@@ -20,7 +20,7 @@ FINAL_STEP = 100
 
 
 def _stored() -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(resources.files("leaderboard").joinpath("paper.json").read_text())
+    content: dict[str, Any] = json.loads(resources.files(__package__).joinpath("paper.json").read_text())
     return content
 
 

@@ -16,7 +16,7 @@ from importlib import resources
 @functools.cache
 def _tuned_tasks() -> Mapping[str, Mapping[str, int]]:
     """The number of tasks that a planner was tuned on, by its version and the data set's fingerprint."""
-    stored = json.loads(resources.files("leaderboard").joinpath("planners.json").read_text())
+    stored = json.loads(resources.files(__package__).joinpath("planners.json").read_text())
     return {
         version: {data["fingerprint"]: data["tasks"] for data in planner["tuned_on"]}
         for planner in stored["planners"]

@@ -21,9 +21,19 @@ def build(folder: Path) -> tuple[Path, Path]:
     with tarfile.open(sdist) as archive:
         archive.extractall(folder / "unpacked", filter="data")
     (source,) = (folder / "unpacked").iterdir()
+    return sdist, build_wheel(source, folder)
+
+
+def build_wheel(source: Path, folder: Path) -> Path:
+    """The wheel of a source tree.
+
+    Args:
+        source: The tree.
+        folder: Where the wheel is put; it holds no other.
+    """
     _hatchling("wheel", source, folder)
     (wheel,) = folder.glob("*.whl")
-    return sdist, wheel
+    return wheel
 
 
 def _hatchling(target: str, source: Path, folder: Path) -> None:

@@ -16,7 +16,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from hatch_build import MOVED, moved
-from tests.installed.building import ROOT, build
+from tests.installed.building import ROOT, build, build_wheel
 from tests.installed.environment import from_here
 from tests.installed.road import IMPORT_EVERYTHING, RUN, dmbench, follow, run
 
@@ -79,6 +79,15 @@ def test_the_wheel_is_one_package_with_every_file_of_the_four_folders(built: tup
     tracked = subprocess.run(listing, cwd=ROOT, check=True, capture_output=True, text=True).stdout
     expected = {path if path.startswith(core) else f"{core}/{path}" for path in tracked.split()}
     assert set(names) == expected
+
+
+def test_the_image_is_given_all_that_the_wheel_is_made_of(built: tuple[Path, Path], tmp_path: Path) -> None:
+    source, folder = tmp_path / "source", tmp_path / "built"
+    source.mkdir()
+    for name in re.findall(r"^!(.+)$", (ROOT / ".dockerignore").read_text(), re.MULTILINE):
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copyfile
+        copy(ROOT / name, source / name)
+    assert build_wheel(source, folder).read_bytes() == built[1].read_bytes()
 
 
 def test_the_road_leads_from_an_empty_folder_to_a_leaderboard(python: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable, UnknownName
 from dmotion_bench.specs import Episode, EpisodeLabels, SplitName
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
 from dmotion_bench.storage.manifest import Manifest
-from dmotion_bench.storage.mcap_reader import DamagedFile, read_messages
+from dmotion_bench.storage.mcap_reader import DamagedFile, Room, read_messages
 from dmotion_bench.storage.messages import StateLabels, chunk_limit, decode_masks
 from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, read_states, read_video, shard_path
 from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
@@ -107,12 +107,17 @@ class Dataset:
             raise UsageError(f"{shown(self.name)} has no episode {shown(episode)}; it has 0 to {len(self) - 1}.")
         return self.rows[episode]
 
-    def video(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]:
-        """An episode's frames, RGB 0-255: one seek in one file of ``video/``."""
+    def video(self, episode: int, room: Room | None = None) -> UInt8[np.ndarray, "t h w 3"]:
+        """An episode's frames, RGB 0-255: one seek in one file of ``video/``.
+
+        Args:
+            episode: Its number.
+            room: Where the file's chunks are unpacked; whoever reads many episodes in turn takes the same for all.
+        """
         row = self._row(episode)
         file = shard_path(self.path, VIDEO, row.shard)
         try:
-            return read_video(file, row.video, self.spec, row.frames)
+            return read_video(file, row.video, self.spec, row.frames, room)
         except (DamagedFile, FileNotFoundError, MemoryError) as damage:
             raise corrupt(self.path, file, damage) from None
 
@@ -210,8 +215,9 @@ class Dataset:
             file.remove_others()
 
     def _videos(self) -> Iterator[UInt8[np.ndarray, "t h w 3"]]:
+        room = Room()
         for episode in range(len(self)):
-            yield self.video(episode)
+            yield self.video(episode, room)
 
 
 def corrupt(dataset: Path, file: Path, damage: object) -> DatasetCorrupt:

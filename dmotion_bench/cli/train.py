@@ -127,6 +127,24 @@ def train(
     ] = 1,
     workers: Workers = None,
     executor: ExecutorName = None,
+    stream: Annotated[
+        bool | None,
+        typer.Option(
+            "--stream/--no-stream",
+            help="Read the compressed files while training instead of a cache of all decoded frames, and shuffle "
+            "8,192 triplets at a time ('--set window=N': N). Default: where the cache does not fit on the disk.",
+            show_default=False,
+        ),
+    ] = None,
+    loaders: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=MOST_THREADS,
+            help="Threads that read the compressed files. The order is the same for any number.  [default: 1]",
+            show_default=False,
+        ),
+    ] = None,
     cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
@@ -166,7 +184,12 @@ def train(
         from dmotion_bench.learning.start import TrainingRequest
 
         asked = TrainingRequest(
-            model="", preset=preset, seed=seed, protocol="paper" if split == "paper" else "episode", threads=threads
+            model="",
+            preset=preset,
+            seed=seed,
+            protocol="paper" if split == "paper" else "episode",
+            threads=threads,
+            stream=stream,
         )
         _train_all(asked, workspace, data, workers, executor, device, trackers, as_json)
         return
@@ -189,6 +212,7 @@ def train(
         settings=tuple(settings or ()),
         protocol="paper" if split == "paper" else "episode",
         threads=threads,
+        stream=stream,
     )
     dataset = Dataset.open(workspace.dataset(data))
     folder = out or default_path(request, resolve(request, dataset), workspace)
@@ -208,10 +232,10 @@ def train(
             f"--devices {devices} --nodes {nodes} says otherwise; leave these options out."
         )
     if together.rank > 0:
-        train_run(run, dataset, device, trackers=trackers)
+        train_run(run, dataset, device, trackers=trackers, loaders=loaders)
         return
     with following(lambda: _follower(run.path), live, live_to) as poll:
-        _tell(run, dataset, train_run(run, dataset, device, poll, trackers), as_json)
+        _tell(run, dataset, train_run(run, dataset, device, poll, trackers, loaders), as_json)
 
 
 def _require_share(run: Any, processes: int) -> None:
@@ -362,7 +386,8 @@ def _beside_each_other(
     from dmotion_bench.execution.job_progress import watching
     from dmotion_bench.learning.table import rows, train_side_by_side
 
-    dataset.cache()  # once, and not by every job
+    if not request.stream and not dataset.cache_file.lacking():
+        dataset.cache()  # once, and not by every job
     threads, total = request.threads or 1, len(list(rows(dataset)))
     size = JobSize(processors=threads, gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
     with jobs_folder(workspace) as folder, progress_bar() as bar:
@@ -384,6 +409,7 @@ def train_run(
     device: str = "auto",
     poll: Callable[[], None] = lambda: None,
     trackers: tuple[str, ...] = (),
+    loaders: int | None = None,
 ) -> dict[str, Any]:
     """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step.
 
@@ -395,7 +421,7 @@ def train_run(
     from dmotion_bench.learning.beginning import finished_result
     from dmotion_bench.learning.companions import Companions
     from dmotion_bench.learning.devices import launch
-    from dmotion_bench.learning.start import training_data
+    from dmotion_bench.learning.start import prepare_frames, training_data
     from dmotion_bench.learning.threads import shortage
     from dmotion_bench.learning.training import Report, train
 
@@ -410,7 +436,7 @@ def train_run(
                 lambda: (finished_result(run, note), run.manifest, run.threads)
             )
             if finished is None and mine.local_rank == 0:
-                dataset.cache()
+                prepare_frames(run, dataset)
             companions.gathered(mine.rank)
     else:
         finished = finished_result(run, note)
@@ -421,7 +447,7 @@ def train_run(
     if mine.world == 1:
         fabric = launch(device)
     if mine.rank > 0:
-        return train(run, training_data(run, dataset), fabric, lambda _: None)
+        return train(run, training_data(run, dataset, loaders), fabric, lambda _: None)
     with progress_bar() as bar:
         task = bar.add_task(f"training {run.spec.model}", total=None, status="reading the data")
 
@@ -434,7 +460,7 @@ def train_run(
             )
             poll()
 
-        result: dict[str, Any] = train(run, training_data(run, dataset), fabric, on_step, trackers)
+        result: dict[str, Any] = train(run, training_data(run, dataset, loaders), fabric, on_step, trackers)
     return result
 
 

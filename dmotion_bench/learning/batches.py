@@ -6,7 +6,7 @@ once, and a batch is one indexed read: nothing waits for data.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from dmotion_bench.learning.triplets import TripletSet
 RESIDENT_SHARE = 0.6  # of the free device memory may be frames
 
 
+@runtime_checkable
 class Batches(Protocol):
     """Turns the numbers of triplets into batches on the device."""
 

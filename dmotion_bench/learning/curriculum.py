@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -20,6 +19,8 @@ from dmotion_bench.learning.triplets import BatchOrder, TripletSet, steps_of
 from dmotion_bench.specs import Supervision
 
 VALIDATION_TRIPLETS = 1024
+Source = Callable[[int, int, int], tuple[Batches, BatchOrder | StreamedOrder]]
+"""The batches of a phase and their order, by batch size, seed and triplets of an episode side by side."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,18 +75,18 @@ def parts_of(
     Raises:
         LabelsNotAvailable: A phase needs actions that are not there.
     """
-    sources = _streams_of(data, device) if isinstance(data.train, StreamedTriplets) else _sets_of(data, device)
+    source_of = _of_streams if isinstance(data.train, StreamedTriplets) else _of_sets
     held = held_for_validation(data)
     watched = labelled_watched = TripletBatches(held, None, device)
-    source = {False: sources(needs_actions=False)}
+    sources = {False: source_of(data, device, False)}
     if any(phase.needs_actions for phase in phases):
-        source[True] = sources(needs_actions=True)
+        sources[True] = source_of(data, device, True)
         paid = data.budget.actions(held, "validation")
         labelled_watched = TripletBatches(paid.triplets, paid.actions, device)
     parts: list[Part] = []
     for number, phase in enumerate(phases):
         size = phase.batch_size or config.batch_size
-        batches, order = source[phase.needs_actions](size, seed + number, phase.together)
+        batches, order = sources[phase.needs_actions](size, seed + number, phase.together)
         total = steps_of(config.epochs, len(data.train), size)
         start = parts[-1].stop if parts else 0
         parts.append(
@@ -101,47 +102,33 @@ def parts_of(
     return tuple(parts)
 
 
-class _Source(Protocol):
-    """The batches of a phase and their order, by batch size, seed and triplets of an episode side by side."""
-
-    def __call__(self, size: int, seed: int, together: int) -> tuple[Batches, BatchOrder | StreamedOrder]: ...
-
-
-def _sets_of(data: TrainingData, device: torch.device) -> Callable[..., _Source]:
+def _of_sets(data: TrainingData, device: torch.device, needs_actions: bool) -> Source:
     """The triplets of a phase out of the frame cache."""
+    triplets, actions = data.train, None
+    assert isinstance(triplets, TripletSet), "streamed triplets are not in the cache"
+    if needs_actions:
+        paid = data.budget.actions(triplets, "training")
+        triplets, actions = paid.triplets, paid.actions
+    batches, episode = TripletBatches(triplets, actions, device), triplets.episode
 
-    def sources(*, needs_actions: bool) -> _Source:
-        triplets, actions = data.train, None
-        assert isinstance(triplets, TripletSet), "streamed triplets are not in the cache"
-        if needs_actions:
-            paid = data.budget.actions(triplets, "training")
-            triplets, actions = paid.triplets, paid.actions
-        batches, episode = TripletBatches(triplets, actions, device), triplets.episode
+    def source(size: int, seed: int, together: int) -> tuple[Batches, BatchOrder]:
+        return batches, BatchOrder(len(batches), size, seed, episode=episode, together=together)
 
-        def source(size: int, seed: int, together: int) -> tuple[Batches, BatchOrder]:
-            return batches, BatchOrder(len(batches), size, seed, episode=episode, together=together)
-
-        return source
-
-    return sources
+    return source
 
 
-def _streams_of(data: TrainingData, device: torch.device) -> Callable[..., _Source]:
+def _of_streams(data: TrainingData, device: torch.device, needs_actions: bool) -> Source:
     """The triplets of a phase out of the compressed files."""
+    triplets, actions = data.train, None
+    assert isinstance(triplets, StreamedTriplets), "triplets of the cache are not streamed"
+    if needs_actions:
+        triplets, actions = data.budget.streamed_actions(triplets)
 
-    def sources(*, needs_actions: bool) -> _Source:
-        triplets, actions = data.train, None
-        assert isinstance(triplets, StreamedTriplets), "triplets of the cache are not streamed"
-        if needs_actions:
-            triplets, actions = data.budget.streamed_actions(triplets)
+    def source(size: int, seed: int, together: int) -> tuple[Batches, StreamedOrder]:
+        order = triplets.order(size, seed, together)
+        return StreamedBatches(triplets, order, actions, device), order
 
-        def source(size: int, seed: int, together: int) -> tuple[Batches, StreamedOrder]:
-            order = triplets.order(size, seed, together)
-            return StreamedBatches(triplets, order, actions, device), order
-
-        return source
-
-    return sources
+    return source
 
 
 def steps_before_labels(parts: Sequence[Part]) -> int | None:

@@ -8,7 +8,7 @@ copies: no worker processes, nothing is decoded (decision 008).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -20,6 +20,7 @@ SplitProtocol = Literal["episode", "paper"]
 """``episode`` keeps whole episodes apart; ``paper`` shuffles triplets, as the paper does, and leaks."""
 
 
+@runtime_checkable
 class Triplets(Protocol):
     """Some triplets of a data set, wherever their frames are."""
 

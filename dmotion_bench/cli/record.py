@@ -108,7 +108,8 @@ def record(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with the scene and the policy at the end "
+            help="Folder of the data set, or an address on object storage: s3://bucket/path, gs://, hf://. "
+            "Default: data/ENVIRONMENT-PRESET, with the scene and the policy at the end "
             "if they are not the usual ones, and with -varied or -shifted if factors vary."
         ),
     ] = None,
@@ -132,6 +133,7 @@ def record(
     from dmotion_bench.execution.executors import make_executor
     from dmotion_bench.execution.local_executor import available_workers
     from dmotion_bench.recording.preset import recipe_for
+    from dmotion_bench.recording.session import recording_folder
     from dmotion_bench.storage.shard import shard_count
     from dmotion_bench.workspace import Workspace
 
@@ -151,14 +153,15 @@ def record(
     )
     name = re.sub(r"[^\w.-]+", "-", environment)
     folder = out or Workspace.current().data / f"{name}-{preset.value}{_suffix(recipe)}"
+    here = recording_folder(folder)
     if workers is None and executor == "local":
         workers = available_workers()
     hands = make_executor(
         executor,
         min(workers, shard_count(recipe)) if workers else None,
-        scratch=folder.absolute().parent / f".{folder.absolute().name}-jobs",
+        scratch=here.absolute().parent / f".{here.absolute().name}-jobs",
     )
-    with following(lambda: _follower(folder, recipe), live, live_to) as poll:
+    with following(lambda: _follower(here, recipe), live, live_to) as poll:
         _tell(record_with_progress(folder, recipe, hands, poll), recipe.tasks, as_json)
 
 

@@ -47,7 +47,10 @@ def train(
         bool, typer.Option("--all", help="Train every model with each of its label budgets.")
     ] = False,
     data: Annotated[
-        Path | None, typer.Option(help="The data set, by path or name. Default: the only one of the workspace.")
+        Path | None,
+        typer.Option(
+            help="The data set, by path, name or address (s3://bucket/path). Default: the only one of the workspace."
+        ),
     ] = None,
     labels: Annotated[
         str | None,

@@ -8,7 +8,8 @@ training validates with are few and always the same: they have a small cache of 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,6 +24,7 @@ from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.learning.streamed_order import StreamedOrder, Window
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
 from dmotion_bench.storage.mcap_reader import Room
 from dmotion_bench.storage.read_ahead import ReadAhead
@@ -164,6 +166,9 @@ class StreamedBatches:
         self._order, self._actions = order, actions
         self._open: tuple[Window, ...] = ()
         self._ahead = ReadAhead(self._read, triplets.loaders)
+        dataset = triplets.dataset
+        self._fetch = dataset.fetch if isinstance(dataset, Dataset) and dataset.remote is not None else None
+        self._fetcher = ThreadPoolExecutor(1, thread_name_prefix="dmbench-fetcher")
 
     def __len__(self) -> int:
         return len(self.triplets)
@@ -173,8 +178,10 @@ class StreamedBatches:
         windows = self._order.open_windows(step, self._order.lanes_of(rank, world))
         if windows != self._open:
             self._open = windows
-            places = [place for window in windows for place in self._order.episodes(window)]
-            self._ahead.keep(self.triplets.episodes[places].tolist())
+            self._ahead.keep(self._episodes(windows))
+            if self._fetch is not None:
+                soon = tuple(self._order.next(window) for window in windows)
+                self._fetcher.submit(self._fetch, self._episodes(soon))  # what fails here fails again where it is read
 
     def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
         """The triplets of ``index``, images in [-1, 1], channels-last in memory."""
@@ -201,6 +208,12 @@ class StreamedBatches:
     def close(self) -> None:
         """Stop reading."""
         self._ahead.close()
+        self._fetcher.shutdown(wait=False, cancel_futures=True)
+
+    def _episodes(self, windows: Iterable[Window]) -> list[int]:
+        places = [place for window in windows for place in self._order.episodes(window)]
+        episodes: list[int] = self.triplets.episodes[places].tolist()
+        return episodes
 
     def _read(self, episode: int, room: Room) -> _Episode:
         actions = None if self._actions is None else self._actions(episode)

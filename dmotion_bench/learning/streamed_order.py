@@ -163,7 +163,7 @@ class StreamedOrder:
             spans = self._spans(lane, step)
             found |= dict.fromkeys(spans)
             if self._is_late(step, spans[-1]):
-                found |= dict.fromkeys([self._next(spans[-1])])
+                found |= dict.fromkeys([self.next(spans[-1])])
         return tuple(found)
 
     def episodes(self, window: Window) -> list[int]:
@@ -173,9 +173,11 @@ class StreamedOrder:
         places: list[int] = line.episodes[slots[0] : slots[1] + 1].tolist()
         return places
 
-    def coming(self, window: Window) -> list[int]:
-        """The episodes of the window after this one."""
-        return self.episodes(self._next(window))
+    def next(self, window: Window) -> Window:
+        """The window that follows in the lane: in the next epoch after the last one."""
+        if self._limits(window)[1] - int(self._begins[window.lane]) < self._lengths[window.lane]:
+            return window._replace(number=window.number + 1)
+        return Window(window.lane, window.epoch + 1, 0)
 
     def _taken(self, lane: int, step: int) -> Int[np.ndarray, " m"]:
         """The triplets that a step takes from a lane."""
@@ -196,7 +198,7 @@ class StreamedOrder:
         first, last = (self._at(lane, *divmod(place, length)) for place in (step * share, (step + 1) * share - 1))
         found = [first]
         while found[-1] != last:
-            found.append(self._next(found[-1]))
+            found.append(self.next(found[-1]))
         return found
 
     def _is_late(self, step: int, window: Window) -> bool:
@@ -204,11 +206,6 @@ class StreamedOrder:
         first, stop = (limit - int(self._begins[window.lane]) for limit in self._limits(window))
         epoch, offset = divmod((step + 1) * share, length)
         return epoch > window.epoch or offset - first >= _LATE * (stop - first)
-
-    def _next(self, window: Window) -> Window:
-        if self._limits(window)[1] - int(self._begins[window.lane]) < self._lengths[window.lane]:
-            return window._replace(number=window.number + 1)
-        return Window(window.lane, window.epoch + 1, 0)
 
     def _first(self, lane: int) -> int:
         """Items of a lane's first window: other ones in each lane, so that they are not all read at once."""

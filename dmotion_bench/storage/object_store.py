@@ -222,7 +222,7 @@ def _file_system(address: str) -> Any:
         import fsspec
 
         options: Mapping[str, Any] = _OPTIONS.get(protocol, dict)()
-        system = fsspec.filesystem(protocol, use_listings_cache=False, skip_instance_cache=True, **options)
+        system = fsspec.filesystem(protocol, use_listings_cache=False, **options)
     except ImportError:
         raise PackageNotInstalled(package, f"reading {shown(address)}", install) from None
     if protocol == "s3":

@@ -97,6 +97,11 @@ class _Handler(BaseHTTPRequestHandler):
         """Say nothing."""
 
 
+class _Proxy(ThreadingHTTPServer):
+    def handle_error(self, *given: object) -> None:
+        """A client that was killed has left; nobody need be told."""
+
+
 @contextmanager
 def object_storage() -> Iterator[Storage]:
     """A server with an empty bucket, reached through the proxy."""
@@ -110,7 +115,7 @@ def object_storage() -> Iterator[Storage]:
     bucket.request("PUT", f"/{BUCKET}")
     bucket.getresponse().read()
     bucket.close()
-    proxy = ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
+    proxy = _Proxy(("127.0.0.1", 0), _Handler)
     proxy.daemon_threads = True
     proxy.behind, proxy.storage = behind, Storage(proxy.server_address[1])  # type: ignore[attr-defined]
     thread = threading.Thread(target=proxy.serve_forever, daemon=True)

@@ -33,7 +33,7 @@ from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import CACHE, AnyPath, cache_folder
 
-_FETCHED_AGAIN: Final = 3
+_FETCHED_AGAIN: Final = 10  # a copy that made room for others before it was opened
 Read = TypeVar("Read")
 
 
@@ -195,13 +195,14 @@ class Dataset:
     def _require_labels(self, row: EpisodeRow) -> None:
         if row.states.size == 0:
             raise LabelsNotAvailable(f"{str(self.where)!r} was imported without labels; only its video can be used.")
-        try:
-            file = self._file(LABELS, row.shard)
-        except FileNotFoundError:
-            raise LabelsNotAvailable(
-                f"the labels of {str(self.where)!r} are not there; put the folder {LABELS}/ there, too."
-            ) from None
-        if not file.is_file():
+        if self.remote is not None:
+            try:
+                self._file(LABELS, row.shard)
+            except FileNotFoundError:
+                raise LabelsNotAvailable(
+                    f"the labels of {self.remote.address!r} are not there; put the folder {LABELS}/ there, too."
+                ) from None
+        elif not (file := shard_path(self.path, LABELS, row.shard)).is_file():
             raise LabelsNotAvailable(
                 f"the labels of {str(self.path)!r} are not there: no {str(file)!r}; restore the folder "
                 f"{LABELS}/ or make it again with {command('dmbench data repair', self.path)}."
@@ -213,7 +214,7 @@ class Dataset:
         return self.remote.shard(kind, shard, self.manifest)
 
     def _read(self, kind: str, row: EpisodeRow, read: Callable[[Path], Read]) -> Read:
-        """What ``read`` finds in a shard's file; a copy that made room for another one meanwhile is fetched again."""
+        """What ``read`` finds in a shard's file."""
         for again in range(_FETCHED_AGAIN, -1, -1):
             file = shard_path(self.path, kind, row.shard)
             try:

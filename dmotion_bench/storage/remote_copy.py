@@ -31,6 +31,7 @@ from dmotion_bench.workspace import CACHE_VARIABLE, DATASET_MANIFEST, Workspace
 ROOM_VARIABLE: Final = "DMBENCH_REMOTE_GIB"
 _GIB: Final = 2**30
 _LOCKS: Final = "locks"
+_ARRIVING: Final = "arriving"
 
 
 def copies_folder() -> Path:
@@ -63,6 +64,7 @@ class RemoteCopy:
 
         Raises:
             DatasetMissing: There is no data set.
+            DatasetCorrupt: It is not what is written; the copies stay.
             PlaceUnreachable: The storage does not answer.
         """
         try:
@@ -75,11 +77,16 @@ class RemoteCopy:
             ) from None
         with self._lock(DATASET_MANIFEST):
             there = self.folder / DATASET_MANIFEST
+            write_atomically(self.folder / _ARRIVING / DATASET_MANIFEST, content)
+            try:
+                manifest = Manifest.read(self.folder / _ARRIVING)
+            except DatasetCorrupt as damage:
+                raise self.damaged(DATASET_MANIFEST, f"is none: {damage}") from None
             if not there.is_file() or there.read_bytes() != content:
                 for folder in (VIDEO, LABELS):
                     shutil.rmtree(self.folder / folder, ignore_errors=True)
                 write_atomically(there, content)
-        return Manifest.read(self.folder)
+        return manifest
 
     def fetch_tables(self, manifest: Manifest) -> None:
         """Have the tables here.

@@ -183,20 +183,25 @@ class StreamedBatches:
                 soon = tuple(self._order.next(window) for window in windows)
                 self._fetcher.submit(self._fetch, self._episodes(soon))  # what fails here fails again where it is read
 
-    def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
-        """The triplets of ``index``, images in [-1, 1], channels-last in memory."""
+    def gather(self, index: Int[np.ndarray, " b"]) -> UInt8[np.ndarray, "b 3 h w 3"]:
+        """The frames of ``index`` as they are stored: axis 1 is previous, current, next."""
         episodes, steps = self.triplets.places(index)
-        there = {episode: self._ahead[episode] for episode in dict.fromkeys(episodes.tolist())}
         spec = self.triplets.dataset.spec
         gathered = np.empty((len(index), 3, spec.height, spec.width, 3), np.uint8)
         for row, episode, step in zip(gathered, episodes.tolist(), steps.tolist(), strict=True):
-            row[...] = there[episode].frames[step - 1 : step + 2]
-        stored = torch.from_numpy(gathered).to(self.device, non_blocking=True)
+            row[...] = self._ahead[episode].frames[step - 1 : step + 2]
+        return gathered
+
+    def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
+        """The triplets of ``index``, images in [-1, 1], channels-last in memory."""
+        episodes, steps = self.triplets.places(index)
+        stored = torch.from_numpy(self.gather(index)).to(self.device, non_blocking=True)
         previous, current, following = (to_model(frames) for frames in rearrange(stored, "b s h w c -> s b h w c"))
         action = None
         if self._actions is not None:
             pairs = zip(episodes.tolist(), steps.tolist(), strict=True)
-            action = as_tensor(np.stack([_actions_of(there[episode])[step] for episode, step in pairs]), self.device)
+            taken = [_actions_of(self._ahead[episode])[step] for episode, step in pairs]
+            action = as_tensor(np.stack(taken), self.device)
         return TripletBatch(
             previous=previous,
             current=current,

@@ -1,14 +1,112 @@
-"""The core of dmbench: storage, learning, planning, scoring and viewing; no environment and no model by name.
+"""dmbench from Python: record, train, score, plan and look, by the functions that the command line calls.
 
-Environments and models reach the core through entry points (``dmbench.environments``,
+::
+
+    import dmotion_bench as dm
+
+    recorded = dm.record("grid_world", "tiny")
+    run = dm.train("dmotion", recorded)
+    report = dm.score(run)
+
+Importing this loads no torch, no simulator and no model: each name loads what it needs when it is first used. It does
+make the installed environments known to Gymnasium, ``gymnasium.make("dmbench/GridWorld-v0")``.
+
+The core knows no environment and no model by name. They reach it through entry points (``dmbench.environments``,
 ``dmbench.models``), the same door that a third party's package uses.
 """
 
+from __future__ import annotations
+
+import importlib
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any, Final
+
+from dmotion_bench.gymnasium_ids import register_ids
+
+if TYPE_CHECKING:
+    from dmotion_bench.api.datasets import Dataset, TripletDataset, open_dataset
+    from dmotion_bench.api.demonstration import demo
+    from dmotion_bench.api.planning import Planned, plan
+    from dmotion_bench.api.recording import record
+    from dmotion_bench.api.runs import Run, load_run
+    from dmotion_bench.api.scoring import score
+    from dmotion_bench.api.training import train
+    from dmotion_bench.api.viewing import Served, view
+    from dmotion_bench.errors import DmbenchError
+    from dmotion_bench.execution.job_progress import JobProgress
+    from dmotion_bench.recording.session import Recorded
+    from dmotion_bench.registry import environment_names, model_names, register_environment, register_model
+    from dmotion_bench.scoring.report import Report
+    from dmotion_bench.workspace import Workspace
 
 try:
     __version__ = version("dmbench")
 except PackageNotFoundError:  # the source tree on a path, never installed
     __version__ = "0.0.0"
 
-__all__ = ["__version__"]
+__all__ = [
+    "Dataset",
+    "DmbenchError",
+    "JobProgress",
+    "Planned",
+    "Recorded",
+    "Report",
+    "Run",
+    "Served",
+    "TripletDataset",
+    "Workspace",
+    "__version__",
+    "demo",
+    "environment_names",
+    "load_run",
+    "model_names",
+    "open_dataset",
+    "plan",
+    "record",
+    "register_environment",
+    "register_model",
+    "score",
+    "train",
+    "view",
+]
+
+_HOMES: Final = {
+    "Dataset": "api.datasets",
+    "DmbenchError": "errors",
+    "JobProgress": "execution.job_progress",
+    "Planned": "api.planning",
+    "Recorded": "recording.session",
+    "Report": "scoring.report",
+    "Run": "api.runs",
+    "Served": "api.viewing",
+    "TripletDataset": "api.datasets",
+    "Workspace": "workspace",
+    "demo": "api.demonstration",
+    "environment_names": "registry",
+    "load_run": "api.runs",
+    "model_names": "registry",
+    "open_dataset": "api.datasets",
+    "plan": "api.planning",
+    "record": "api.recording",
+    "register_environment": "registry",
+    "register_model": "registry",
+    "score": "api.scoring",
+    "train": "api.training",
+    "view": "api.viewing",
+}
+"""The module of each name; loaded when the name is first used."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'dmotion_bench' has no attribute {name!r}")
+    found = getattr(importlib.import_module(f"dmotion_bench.{_HOMES[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+register_ids()

@@ -10,9 +10,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from dmotion_bench.errors import DmbenchError, UnknownName
+from dmotion_bench.errors import DmbenchError, UnknownName, UsageError
+from dmotion_bench.wording import shown
 
 if TYPE_CHECKING:
     from dmotion_bench.benchmarks.result import Result
@@ -38,12 +39,77 @@ LISTED = {
 """The commands that list the names of each group."""
 
 
+_ADDED: Final[dict[tuple[str, str], object]] = {}
+"""What this process has added to the groups by ``add``, by group and name."""
+
+
+def add(group: str, name: str, what: object) -> None:
+    """Register something for the rest of this process, as a notebook does; other processes do not know it.
+
+    Args:
+        group: Such as ``MODELS``.
+        name: A name that no package has registered in it; one that was added before stands for something else now.
+        what: The class.
+
+    Raises:
+        UsageError: A package has registered this name.
+    """
+    if any(point.name == name for point in entry_points(group=group)):
+        raise UsageError(f"{shown(name)} is registered by a package already ({group}); choose another name.")
+    _ADDED[group, name] = what
+
+
+def register_model(name: str, kind: type[ForwardModel[Any]]) -> None:
+    """Make a class of models known in this process, as a notebook does; a package of its own is known in every one.
+
+    Args:
+        name: By which it is trained and scored. Registering it again replaces it.
+        kind: The class, a subclass of ``ForwardModel``.
+
+    Raises:
+        UsageError: The name is a package's, or this is no such class.
+
+    Example:
+        >>> from dmotion_bench.registry import model_class
+        >>> dm.register_model("my-dmotion", model_class("dmotion"))
+        >>> "my-dmotion" in dm.model_names()
+        True
+    """
+    if not (isinstance(kind, type) and hasattr(kind, "training_defaults")):
+        raise UsageError(f"{shown(kind)} is no class of models; give a subclass of ForwardModel.")
+    add(MODELS, name, kind)
+
+
+def register_environment(name: str, kind: type[Environment]) -> None:
+    """Make a class of environments known in this process.
+
+    Args:
+        name: By which it is recorded. Registering it again replaces it.
+        kind: The class; ``dmotion_bench.environment`` says what it has to do.
+
+    Raises:
+        UsageError: The name is a package's, or this is no such class.
+
+    Example:
+        >>> from dmotion_bench.registry import environment_class
+        >>> dm.register_environment("my-world", environment_class("grid_world"))
+        >>> "my-world" in dm.environment_names()
+        True
+    """
+    if not (isinstance(kind, type) and hasattr(kind, "default_policy") and hasattr(kind, "step")):
+        raise UsageError(f"{shown(kind)} is no class of environments; see dmotion_bench.environment.Environment.")
+    add(ENVIRONMENTS, name, kind)
+
+
 def names(group: str) -> list[str]:
     """Every name registered in a group, sorted."""
-    return sorted({point.name for point in entry_points(group=group)})
+    added = {name for owner, name in _ADDED if owner == group}
+    return sorted({point.name for point in entry_points(group=group)} | added)
 
 
 def _load(group: str, kind: str, name: str) -> Any:
+    if (group, name) in _ADDED:
+        return _ADDED[group, name]
     found: list[EntryPoint] = [point for point in entry_points(group=group) if point.name == name]
     if not found:
         raise UnknownName(kind, name, names(group), LISTED.get(group, ""))
@@ -62,12 +128,22 @@ def _load(group: str, kind: str, name: str) -> Any:
 
 
 def environment_names() -> list[str]:
-    """The names of all installed environments."""
+    """The names of all installed environments.
+
+    Example:
+        >>> "grid_world" in dm.environment_names()
+        True
+    """
     return names(ENVIRONMENTS)
 
 
 def model_names() -> list[str]:
-    """The names of all installed models."""
+    """The names of all installed models.
+
+    Example:
+        >>> "dmotion" in dm.model_names()
+        True
+    """
     return names(MODELS)
 
 

@@ -462,7 +462,3 @@ def _episode(
         seed=seed,
         ended="truncated",
     )
-
-
-gymnasium.register(id="dmbench/GridWorld-v0", entry_point="recorders.grid_world:GridWorld")
-gymnasium.register(id="dmbench/GridWorld-v2", entry_point="recorders.grid_world:GridWorld", kwargs={"version": 2})

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+from collections.abc import Iterator
+from unittest import mock
 
 import pytest
 from jaxtyping import install_import_hook
@@ -44,3 +47,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.fixture(autouse=True)
+def _as_it_was() -> Iterator[None]:
+    """What a test changes in its process is undone: Ray, wandb and simulators set variables, Ray adds folders."""
+    with mock.patch.dict(os.environ), mock.patch.object(sys, "path", [*sys.path]):
+        yield

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -41,14 +43,24 @@ def dmbench(words: Sequence[str], capsys: pytest.CaptureFixture[str], monkeypatc
     return Outcome(int(left.value.code or 0), captured.out, captured.err)
 
 
-def start_dmbench(words: Sequence[str], workspace: Path, **options: object) -> subprocess.Popen[str]:
-    """In a process of its own, which can be interrupted, killed and limited."""
+def start_dmbench(
+    words: Sequence[str], workspace: Path, *, file_bytes: int | None = None, **options: object
+) -> subprocess.Popen[str]:
+    """In a process of its own, which can be interrupted, killed and limited.
+
+    With ``file_bytes`` no file can grow beyond, as on a full disk. It then writes no bytecode either: Python would
+    leave half a ``.pyc`` behind (github.com/python/cpython/issues/126606), with which every later import of it fails.
+    """
+    environment = os.environ | {"DMBENCH_WORKSPACE": str(workspace)}
+    if file_bytes is not None:
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"
+        options["preexec_fn"] = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
     return subprocess.Popen(  # type: ignore[call-overload, no-any-return]
         [sys.executable, "-c", _MAIN, *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"DMBENCH_WORKSPACE": str(workspace)},
+        env=environment,
         **options,
     )
 

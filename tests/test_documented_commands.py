@@ -20,7 +20,8 @@ from known_model import result_of
 from storage.foreign import foxglove_file, steady, video
 from test_documentation import PAGES, ROOT, _commands, _is_example
 
-from dmotion_bench.cli import demo, score
+from dmotion_bench.api import demonstration
+from dmotion_bench.api import scoring as api_scoring
 from dmotion_bench.learning import checkpoint, start, table
 from dmotion_bench.learning.start import TrainingRequest, open_run
 from dmotion_bench.planning.solvers.cem import CrossEntropy
@@ -93,11 +94,11 @@ _with_settings = start.with_settings
 
 
 TWO = CrossEntropy(samples=2, horizon=1, iterations=1, elites=1)
-_control = score._control
+_control_scoring = api_scoring.control_scoring
 
 
-def _two_steps(*asked: Any) -> ControlScoring:
-    return replace(_control(*asked), steps=2)
+def _two_steps(*asked: Any, **more: Any) -> ControlScoring:
+    return replace(_control_scoring(*asked, **more), steps=2)
 
 
 def _shorten(patch: pytest.MonkeyPatch) -> None:
@@ -106,10 +107,10 @@ def _shorten(patch: pytest.MonkeyPatch) -> None:
     patch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
     patch.setattr("dmotion_bench.planning.choices.make_solver", lambda name, settings=(): TWO)
     patch.setattr("dmotion_bench.scoring.control.make_solver", lambda name, settings=(): TWO)
-    patch.setattr(score, "_control", _two_steps)
+    patch.setattr(api_scoring, "control_scoring", _two_steps)
     patch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: its layers are most of what a scoring computes
-    patch.setattr(demo, "EPISODES", 12)
-    patch.setattr(demo, "EPOCHS", 0.01)
+    patch.setattr(demonstration, "EPISODES", 12)
+    patch.setattr(demonstration, "EPOCHS", 0.01)
     patch.delenv("DMBENCH_WORKSPACE", raising=False)
 
 

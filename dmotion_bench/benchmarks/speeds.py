@@ -136,9 +136,7 @@ def streaming(seconds: float) -> Result:
 
         try:
             yardstick = machine.memory_copy(3 * _FRAME_BYTES)
-            return measure_in_rounds(
-                "stream_triplets", "triplets/s", work, seconds, yardstick, clock=time.process_time
-            )
+            return measure_in_rounds("stream_triplets", "triplets/s", work, seconds, yardstick, clock=time.process_time)
         finally:
             batches.close()
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from dmotion_bench.cli.jobs import jobs_folder
-from dmotion_bench.cli.options import EXECUTORS, AsJson, listed, require_one_of
+from dmotion_bench.api.settings import require_one_of
+from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
 from dmotion_bench.errors import Interrupted, UnknownName
 from dmotion_bench.wording import command
 
@@ -215,7 +215,7 @@ def _import_fleet(
     from dmotion_bench.cli.progress import progress_bar
     from dmotion_bench.execution.executor import JobSize
     from dmotion_bench.execution.executors import make_executor
-    from dmotion_bench.execution.job_progress import watching
+    from dmotion_bench.execution.job_progress import jobs_folder, watching
     from dmotion_bench.execution.local_executor import available_workers
     from dmotion_bench.recording.fleet import import_fleet
     from dmotion_bench.workspace import Workspace

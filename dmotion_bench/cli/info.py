@@ -21,7 +21,7 @@ def info(as_json: AsJson = False) -> None:
     """Show versions, hardware and workspace, for bug reports."""
     import torch
 
-    from dmotion_bench.learning.optimization import has_bf16
+    from dmotion_bench.api.installed import bf16_on_cpu
     from dmotion_bench.registry import environment_names, model_names
     from dmotion_bench.versions import versions
     from dmotion_bench.workspace import Workspace
@@ -34,7 +34,7 @@ def info(as_json: AsJson = False) -> None:
         "cpu": {
             "cores": os.cpu_count(),
             "instructions": torch.backends.cpu.get_cpu_capability(),
-            "bf16": has_bf16(torch.device("cpu")),
+            "bf16": bf16_on_cpu(),
         },
         "gpus": gpus,
         "workspace": str(workspace.root.resolve()),

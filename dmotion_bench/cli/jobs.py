@@ -1,11 +1,9 @@
-"""The options that share a command's work among processes and machines, and the folder where its jobs meet."""
+"""The options that share a command's work among processes and machines, and a bar for all of it."""
 
 from __future__ import annotations
 
 import contextlib
-import tempfile
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,7 +11,9 @@ import typer
 from dmotion_bench.cli.options import EXECUTORS, listed
 
 if TYPE_CHECKING:
-    from dmotion_bench.workspace import Workspace
+    from rich.progress import TaskID
+
+    from dmotion_bench.execution.job_progress import JobProgress
 
 Workers = Annotated[
     int | None,
@@ -46,15 +46,27 @@ def require_all(name: str, workers: int | None, executor: str | None) -> None:
 
 
 @contextlib.contextmanager
-def jobs_folder(workspace: Workspace) -> Iterator[Path]:
-    """A folder of the workspace in which jobs meet; what is left in it at the end is deleted, logs of failures stay."""
-    workspace.root.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=".jobs-", dir=workspace.root)).absolute()
-    try:
-        yield folder
-    finally:
-        for left in folder.glob("*"):
-            if left.is_file():
-                left.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
-            folder.rmdir()  # not while it holds the logs of jobs that failed
+def jobs_bar(what: str) -> Iterator[tuple[Callable[[int, int], None], Callable[[Mapping[str, JobProgress]], None]]]:
+    """Two functions that show how many jobs are done and how far the running ones are; a bar is there once it is told.
+
+    Args:
+        what: All of them together.
+    """
+    from dmotion_bench.cli.progress import ProgressDisplay, progress_bar
+
+    with contextlib.ExitStack() as stack:
+        shown: list[tuple[ProgressDisplay, TaskID]] = []
+
+        def count(done: int, total: int) -> None:
+            if not shown:
+                bar = stack.enter_context(progress_bar())
+                shown.append((bar, bar.add_task(what, total=total)))
+            bar, task = shown[0]
+            bar.update(task, completed=done, total=total)
+
+        def watch(jobs: Mapping[str, JobProgress]) -> None:
+            if shown:
+                bar, task = shown[0]
+                bar.show_jobs(task, jobs)
+
+        yield count, watch

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
-from dmotion_bench.cli.jobs import jobs_folder
-from dmotion_bench.cli.options import EXECUTORS, AsJson, listed, require_one_of
+from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
 
 if TYPE_CHECKING:
     from dmotion_bench.workspace import Workspace
@@ -152,7 +152,7 @@ def _checked_side_by_side(
     from dmotion_bench.errors import Interrupted
     from dmotion_bench.execution.executor import JobSize
     from dmotion_bench.execution.executors import make_executor
-    from dmotion_bench.execution.job_progress import watching
+    from dmotion_bench.execution.job_progress import jobs_folder, watching
     from dmotion_bench.execution.local_executor import available_workers
 
     finished = [0, 0]

@@ -96,16 +96,10 @@ def models(as_json: AsJson = False) -> None:
 
 
 def _model(name: str) -> tuple[str, ...]:
-    from dmotion_bench.actions import Discrete
-    from dmotion_bench.learning.model import ModelInputs
-    from dmotion_bench.registry import model_class
+    from dmotion_bench.api.installed import model_facts
 
-    kind = model_class(name)
-    inputs = ModelInputs(height=128, width=128, actions=Discrete.numbered(4))
-    built = kind(kind.configure(kind.architectures[0]), inputs)
-    learns_from = "video" if kind.supervision.value == "none" else "video and actions"
-    millions = sum(parameter.numel() for parameter in built.parameters()) / 1e6
-    return learns_from, f"{millions:.2f} M", ", ".join(kind.architectures), kind.paper
+    facts = model_facts(name)
+    return facts.learns_from, f"{facts.parameters / 1e6:.2f} M", ", ".join(facts.architectures), facts.paper
 
 
 @listing.command()
@@ -136,7 +130,7 @@ def runs(as_json: AsJson = False) -> None:
     workspace = Workspace.current()
     rows: list[dict[str, object]] = []
     for path in workspace.all_runs():
-        from dmotion_bench.learning.run import Run
+        from dmotion_bench.api.runs import Run
 
         try:
             run = Run.open(path)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from dmotion_bench.errors import UnknownName
+from dmotion_bench.api.settings import DEVICES
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.score import Metric
@@ -20,24 +20,11 @@ OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
 EXECUTORS: Final = ("local", "ray", "slurm")
-TRACKERS: Final = ("tensorboard", "wandb")
-DEVICES: Final = ("auto", "cpu", "cuda")
 
 
 def listed(names: Iterable[str]) -> str:
     """The names of a choice as ``--help`` shows them, ``[a|b|c]``."""
     return f"[{'|'.join(names)}]"
-
-
-def require_one_of(kind: str, given: str, allowed: Iterable[str]) -> None:
-    """Check a name.
-
-    Raises:
-        UnknownName: It is not allowed; the error lists the names that are.
-    """
-    known = tuple(allowed)
-    if given not in known:
-        raise UnknownName(kind, given, known)
 
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]

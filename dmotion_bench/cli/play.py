@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,10 +13,7 @@ from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.cli.arrows import Arrows, arrows_of, by_number
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from dmotion_bench.actions import ActionSpec, ActionTaken
-    from dmotion_bench.storage.dataset import Dataset
 
 ARROWS = ("up", "down", "left", "right")
 
@@ -55,57 +52,36 @@ def play(
 ) -> None:
     """Choose actions with the arrow keys and see what a model predicts, beside what truly happens."""
     from dmotion_bench.cli.keys import read_keys, require_terminal, single_keys
-    from dmotion_bench.errors import LabelsNotAvailable, UsageError
+    from dmotion_bench.errors import UsageError
+    from dmotion_bench.viewing.viewer import require_display
     from dmotion_bench.workspace import Workspace
 
     if save is not None and save.suffix != ".rrd":
         raise UsageError(f"--save {str(save)!r} must end in .rrd, as Rerun knows its files by it.")
     terminal = require_terminal("dmbench play")
-    path = Workspace.current().run(run)
-
-    from dmotion_bench.viewing.viewer import require_display
-
+    workspace = Workspace.current()
+    path = workspace.run(run)
     if not web and save is None:
         require_display()
 
-    from dmotion_bench.learning.run import Run
-    from dmotion_bench.storage.dataset import Dataset
-
-    opened = Run.open(path)
-    opened.require_aligned()
-    dataset = Dataset.open(opened.dataset_path)
-    if dataset.spec.actions is None:
-        raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
-    actions = dataset.spec.actions
-    known = moves(actions, arrows_of(dataset, actions) if isinstance(actions, Continuous) else None)
-    chosen = int(dataset.split("test")[0]) if episode is None and len(dataset.split("test")) else episode or 0
-
-    import torch
-
+    from dmotion_bench.api.driving import open_driven
     from dmotion_bench.cli.live import live_recording
-    from dmotion_bench.learning.driving import Drive
-    from dmotion_bench.viewing.drive import drive_blueprint, log_drive
 
-    start = dataset.video(chosen)[0]
-    drive = Drive(opened.model, torch.from_numpy(start))
-    truth = _simulator(dataset, chosen)
-    blueprint = drive_blueprint(dataset.spec, truth is not None)
-    title = f"{opened.name}, from episode {chosen}"
-    with live_recording(title, blueprint, window=not web and save is None, web=web, save=save, linger=False) as log:
-        moment, taken = 0, list[str]()
-        log_drive(log, moment, start, None if truth is None else truth(None))
+    driven = open_driven(path, episode, workspace)
+    actions = driven.actions
+    known = moves(actions, arrows_of(driven.dataset, actions) if isinstance(actions, Continuous) else None)
+    window = not web and save is None
+    with live_recording(driven.title, driven.blueprint, window=window, web=web, save=save, linger=False) as log:
+        taken = list[str]()
+        driven.begin(log)
         typer.echo(_legend(known), err=True)
         with single_keys(terminal):
             for move in commands(read_keys(terminal), known):
-                moment += 1
+                driven.move(log, None if move is None else move.action)
                 if move is None:
-                    drive.restart()
                     taken.clear()
                 else:
-                    drive.step(move.action)
                     taken.append(move.name)
-                seen = None if truth is None else truth(None if move is None else move.action)
-                log_drive(log, moment, drive.frame.numpy(), seen)
                 _tell(taken)
     typer.echo("", err=True)
 
@@ -162,25 +138,3 @@ def _legend(known: Sequence[Move]) -> str:
 def _tell(taken: Sequence[str]) -> None:
     last = " ".join(taken[-8:]) or "at the start"
     typer.echo(f"\r\x1b[K{len(taken)}: {last}", nl=False, err=True)
-
-
-def _simulator(dataset: Dataset, episode: int) -> Callable[[ActionTaken | None], np.ndarray[Any, Any]] | None:
-    """A function that takes an action in the simulator (None: start again); None without that environment."""
-    from dmotion_bench.errors import DmbenchError
-    from dmotion_bench.planning.tasks import take, task_environment
-    from dmotion_bench.specs import IMPORTED
-
-    if dataset.recipe.environment == IMPORTED:
-        return None
-    try:
-        env = task_environment(dataset.recipe)
-    except DmbenchError:
-        return None
-
-    def follow(action: ActionTaken | None) -> np.ndarray[Any, Any]:
-        if action is None:
-            vary = list(dataset.recipe.vary)
-            return env.reset(seed=dataset.rows[episode].seed, options={"vary": vary} if vary else None)[0]
-        return take(env, action)
-
-    return follow

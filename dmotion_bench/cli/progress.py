@@ -58,6 +58,7 @@ class ProgressDisplay:
         self._clock, self._lines = clock, not (terminal or os.environ.get(QUIET))
         self._began: dict[TaskID, tuple[float, float]] = {}  # when, and how much was done already
         self._jobs: dict[str, TaskID] = {}
+        self._told: tuple[TaskID, str] | None = None
         self._due = clock() + FIRST_SECONDS
 
     def show_jobs(self, task: TaskID, jobs: Mapping[str, JobProgress]) -> None:
@@ -76,6 +77,15 @@ class ProgressDisplay:
                 self._jobs[name], description=job.what, completed=job.done, total=job.total, status=job.status
             )
         self.update(task, status="; ".join(f"{job.what} {_share(job)}" for job in jobs.values()))
+
+    def tell(self, told: JobProgress) -> None:
+        """Say how far something is; it takes the place of what was told of something else before."""
+        if self._told is None or self._told[1] != told.what:
+            if self._told is not None:
+                self._bar.remove_task(self._told[0])
+            self._told = (self.add_task(told.what, total=told.total, status=told.status), told.what)
+        done = None if told.total is None else told.done  # before the end is known, nothing has begun
+        self.update(self._told[0], completed=done, total=told.total, status=told.status)
 
     def add_task(self, description: str, *, total: float | None = None, status: str = "") -> TaskID:
         """A piece of work.
@@ -136,6 +146,39 @@ def _share(job: JobProgress) -> str:
 def progress_bar() -> ProgressDisplay:
     """A display with a description, how much is done of how much, free text (``status``), and the remaining time."""
     return ProgressDisplay()
+
+
+class BarOnDemand:
+    """Shows what it is told; the display is there from then until ``end``, or the end of the ``with`` block.
+
+    Args:
+        poll: Called each time, too.
+    """
+
+    def __init__(self, poll: Callable[[], None] = lambda: None) -> None:
+        self._poll = poll
+        self._display: ProgressDisplay | None = None
+
+    def __call__(self, told: JobProgress) -> None:
+        if self._display is None:
+            self._display = progress_bar()
+            self._display.__enter__()
+        self._display.tell(told)
+        self._poll()
+
+    def end(self) -> None:
+        """Take the display away; what is told next has a new one."""
+        if self._display is not None:
+            self._display.__exit__(None, None, None)
+            self._display = None
+
+    def __enter__(self) -> BarOnDemand:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.end()
 
 
 def note(text: str) -> None:

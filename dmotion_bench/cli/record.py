@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dmotion_bench.api.settings import as_preset
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
-from dmotion_bench.errors import UnknownName
 from dmotion_bench.specs import Preset
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
-    from dmotion_bench.execution.executor import Executor
     from dmotion_bench.recording.session import Recorded
     from dmotion_bench.specs import DatasetRecipe
     from dmotion_bench.viewing.follow import Follower
@@ -25,13 +22,6 @@ if TYPE_CHECKING:
 
 LARGEST_SEED = 2**53 - 1
 """The largest whole number that every reader of JSON reads exactly."""
-
-
-def preset_named(name: str) -> Preset:
-    """The preset with this name; an unknown name is an error that suggests the closest one."""
-    if name not in set(Preset):
-        raise UnknownName("preset", name, [preset.value for preset in Preset])
-    return Preset(name)
 
 
 def register(app: typer.Typer) -> None:
@@ -50,7 +40,7 @@ def record(
     preset: Annotated[
         Preset,
         typer.Option(
-            parser=preset_named, metavar="[tiny|small|paper]", help="Size of the recording: episodes, frames and tasks."
+            parser=as_preset, metavar="[tiny|small|paper]", help="Size of the recording: episodes, frames and tasks."
         ),
     ] = Preset.SMALL,
     episodes: Annotated[
@@ -130,11 +120,10 @@ def record(
     as_json: AsJson = False,
 ) -> None:
     """Record a data set. Run the same command again to continue an interrupted recording."""
-    from dmotion_bench.execution.executors import make_executor
-    from dmotion_bench.execution.local_executor import available_workers
+    from dmotion_bench.api.recording import default_folder, executor_for, record_recipe
+    from dmotion_bench.cli.progress import BarOnDemand
     from dmotion_bench.recording.preset import recipe_for
     from dmotion_bench.recording.session import recording_folder
-    from dmotion_bench.storage.shard import shard_count
     from dmotion_bench.workspace import Workspace
 
     recipe = recipe_for(
@@ -151,18 +140,12 @@ def record(
         size=size,
         frame_skip=frame_skip,
     )
-    name = re.sub(r"[^\w.-]+", "-", environment)
-    folder = out or Workspace.current().data / f"{name}-{preset.value}{_suffix(recipe)}"
-    here = recording_folder(folder)
-    if workers is None and executor == "local":
-        workers = available_workers()
-    hands = make_executor(
-        executor,
-        min(workers, shard_count(recipe)) if workers else None,
-        scratch=here.absolute().parent / f".{here.absolute().name}-jobs",
-    )
-    with following(lambda: _follower(here, recipe), live, live_to) as poll:
-        _tell(record_with_progress(folder, recipe, hands, poll), recipe.tasks, as_json)
+    folder = out or default_folder(recipe, preset, Workspace.current())
+    hands = executor_for(recipe, folder, executor, workers)
+    with following(lambda: _follower(recording_folder(folder), recipe), live, live_to) as poll:
+        with BarOnDemand(poll) as tell:
+            recorded = record_recipe(recipe, folder, hands, tell)
+        _tell(recorded, recipe.tasks, as_json)
 
 
 def _follower(folder: Path, recipe: DatasetRecipe) -> Follower:
@@ -215,31 +198,3 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
         f"Look at it with {command('dmbench view', recorded.dataset)}, "
         f"train on it with {command('dmbench train dmotion --data', recorded.dataset)}."
     )
-
-
-def _suffix(recipe: DatasetRecipe) -> str:
-    """The ending of a folder's default name that keeps recordings under other conditions apart from others."""
-    from dmotion_bench.registry import environment_class
-
-    scene, policy = recipe.parameters.get("scene", ""), environment_class(recipe.environment).default_policy
-    parts = [str(scene), recipe.policy if recipe.policy != policy else ""]
-    if recipe.vary:
-        parts.append(str(recipe.parameters.get("ranges", "varied")))
-    return "".join(f"-{part}" for part in parts if part)
-
-
-def record_with_progress(
-    folder: Path, recipe: DatasetRecipe, executor: Executor, poll: Callable[[], None] = lambda: None
-) -> Recorded:
-    """Record with a progress bar on stderr; ``poll`` is called after each shard."""
-    from dmotion_bench.cli.progress import progress_bar
-    from dmotion_bench.recording.session import Progress, record_dataset
-
-    with progress_bar() as bar:
-        task = bar.add_task(f"recording {recipe.environment}", total=recipe.episodes, status="")
-
-        def show(progress: Progress) -> None:
-            bar.update(task, completed=progress.episodes, status=f"{progress.frames_per_s:.0f} frames/s")
-            poll()
-
-        return record_dataset(folder, recipe, executor, show)

@@ -124,8 +124,8 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
 
 def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
     """How much higher each run's MSE is than the first run's on the same triplets; empty if a run has no samples."""
+    from dmotion_bench.api.scoring import read_report_samples
     from dmotion_bench.pairing import behind, standing_words
-    from dmotion_bench.scoring.report import read_report_samples
 
     samples = {
         path: found

@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dmotion_bench.api.settings import DEVICES, TRACKERS, as_preset, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.live import Live, LiveTo, following
-from dmotion_bench.cli.options import DEVICES, TRACKERS, AsJson, Device, listed, require_one_of
-from dmotion_bench.cli.record import LARGEST_SEED, preset_named
+from dmotion_bench.cli.options import AsJson, Device, listed
+from dmotion_bench.cli.record import LARGEST_SEED
 from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
 from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
-    from dmotion_bench.learning.run import Conditions
+    from dmotion_bench.learning.run import Conditions, Run
     from dmotion_bench.learning.start import TrainingRequest
-    from dmotion_bench.learning.table import Outcome, Row
+    from dmotion_bench.learning.table import Outcome
+    from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.viewing.follow import Follower
     from dmotion_bench.workspace import Workspace
-
-
-_GIGABYTES: Final = 2.0  # that a training takes beside others
-_CLUSTER_GIGABYTES: Final = 16
-_CLUSTER_MINUTES: Final = 24 * 60
 
 
 def register(app: typer.Typer) -> None:
@@ -66,7 +62,7 @@ def train(
     preset: Annotated[
         Preset | None,
         typer.Option(
-            parser=preset_named,
+            parser=as_preset,
             metavar="[tiny|small|paper]",
             help="Length of the training. Default: the data set's preset.",
         ),
@@ -162,19 +158,17 @@ def train(
     as_json: AsJson = False,
 ) -> None:
     """Train a model, or all models. Run the same command again to continue an interrupted training."""
-    from dmotion_bench.errors import RunMissing, UsageError
+    from dmotion_bench.errors import UsageError
     from dmotion_bench.registry import model_class
-    from dmotion_bench.workspace import RUN_MANIFEST, Workspace
+    from dmotion_bench.workspace import Workspace
 
     require_one_of("split", split, ("episode", "paper"))
     require_one_of("device", device, DEVICES)
-    trackers = tuple(dict.fromkeys(log or ()))
-    for name in trackers:
-        require_one_of("log", name, TRACKERS)
-    if trackers:
-        from dmotion_bench.learning.tracking import require_trackers
+    trackers: tuple[str, ...] = ()
+    if log:
+        from dmotion_bench.api.training import known_trackers
 
-        require_trackers(trackers)
+        trackers = known_trackers(log)
     use_cache(cache)
     workspace = Workspace.current()
     if everything:
@@ -184,7 +178,7 @@ def train(
             raise UsageError(f"--all chooses these for every model; leave out {' and '.join(extra)}.")
         if place().world > 1:
             raise UsageError("torchrun shares one training among processes; '--all --workers N' shares many trainings.")
-        from dmotion_bench.learning.start import TrainingRequest
+        from dmotion_bench.api.training import TrainingRequest
 
         asked = TrainingRequest(
             model="",
@@ -203,7 +197,7 @@ def train(
         )
     model_class(model)  # a misspelt name is said before anything is loaded
 
-    from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve
+    from dmotion_bench.api.training import TrainingRequest, begin, require_sharing
     from dmotion_bench.storage.dataset import Dataset
 
     request = TrainingRequest(
@@ -218,15 +212,10 @@ def train(
         stream=stream,
     )
     dataset = Dataset.open(workspace.dataset(data))
-    folder = out or default_path(request, resolve(request, dataset), workspace)
-    if resume and not (folder / RUN_MANIFEST).exists():
-        raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave out --resume to start one.")
-    if not (folder / RUN_MANIFEST).exists() and folder.is_dir() and any(folder.iterdir()):
-        raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
-    run = open_run(request, dataset, folder, workspace)
+    run = begin(request, dataset, workspace, out, resume=resume)
     together = place()
     if together.world == 1 and devices * nodes > 1:
-        _require_share(run, devices * nodes)
+        require_sharing(run, devices * nodes)
         lead(sys.argv[1:], devices, nodes)
         return
     if devices * nodes > 1 and (devices, nodes) != (together.local_world, together.nodes):
@@ -234,23 +223,13 @@ def train(
             f"torchrun has started {together.local_world} processes on each of {together.nodes} machines, and "
             f"--devices {devices} --nodes {nodes} says otherwise; leave these options out."
         )
+    if is_led():
+        end_with(int(os.environ[LED]))
     if together.rank > 0:
         train_run(run, dataset, device, trackers=trackers, loaders=loaders)
         return
     with following(lambda: _follower(run.path), live, live_to) as poll:
         _tell(run, dataset, train_run(run, dataset, device, poll, trackers, loaders), as_json)
-
-
-def _require_share(run: Any, processes: int) -> None:
-    """Refuse what every process would refuse, before they are started."""
-    from dmotion_bench.errors import UsageError
-
-    batch = run.spec.training_config.batch_size
-    if batch < processes:
-        raise UsageError(
-            f"{processes} processes cannot share a batch of {batch}; start at most {batch}, or give a larger "
-            "'--set batch_size=N'."
-        )
 
 
 def _follower(run: Path) -> Follower:
@@ -259,7 +238,7 @@ def _follower(run: Path) -> Follower:
     return TrainingFollower(run)
 
 
-def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None:
+def _tell(run: Run, dataset: Dataset, result: dict[str, Any], as_json: bool) -> None:
     """Print the result of a training."""
     from dmotion_bench.cli.progress import duration
 
@@ -291,11 +270,11 @@ def _tell(run: Any, dataset: Any, result: dict[str, Any], as_json: bool) -> None
     if run.conditions is not None:
         typer.echo(f"  computed in {_conditions(run.conditions)}")
     if run.spec.labels == "none" and dataset.spec.actions is not None:
-        from dmotion_bench.learning.labels import first_budget
+        from dmotion_bench.api.training import first_labels
 
         typer.echo(
             "The model does not know yet which action is which. "
-            f"The same command with '--labels {first_budget(dataset.spec.actions)}' tells it, without training again."
+            f"The same command with '--labels {first_labels(dataset)}' tells it, without training again."
         )
     else:
         typer.echo(f"Score it with {command('dmbench score', run.path)}.")
@@ -320,33 +299,24 @@ def _train_all(
     as_json: bool,
 ) -> None:
     """Train every model with each of its budgets; raises an error at the end if one of them failed."""
-    from dmotion_bench.cli.progress import duration
+    from dmotion_bench.api.side_by_side import Hands, table_rows, train_every
+    from dmotion_bench.cli.jobs import jobs_bar
     from dmotion_bench.errors import RunError
-    from dmotion_bench.learning.table import rows as rows_of
-    from dmotion_bench.learning.table import train_table
     from dmotion_bench.storage.dataset import Dataset
 
     dataset = Dataset.open(workspace.dataset(data))
-    wanted = list(rows_of(dataset))
-    at_once = workers or _trainings_at_once(device, executor, len({row.model for row in wanted}))
-    if executor in (None, "local") and at_once == 1:
-        outcomes = train_table(
-            request, dataset, workspace, lambda run: train_run(run, dataset, device, trackers=trackers)
+    wanted = table_rows(dataset)
+    with jobs_bar(f"training {dataset.name}") as (count, watch):
+        hands = Hands(executor=executor, workers=workers, device=device, count=count, watch=watch)
+        outcomes = train_every(
+            request,
+            dataset,
+            workspace,
+            hands,
+            lambda run: train_run(run, dataset, device, trackers=trackers),
+            trackers,
         )
-    else:
-        outcomes = _beside_each_other(request, dataset, workspace, executor or "local", at_once, device, trackers)
-    told: dict[Row, dict[str, Any]] = {}
-    for outcome in outcomes:
-        row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels, "error": outcome.error}
-        if outcome.run is not None:
-            row["run"] = str(outcome.run.path)
-            result = outcome.run.result or {}
-            row |= {name: result[name] for name in ("steps", "triplets_per_s", "seconds") if name in result}
-            row["labels"] = result.get("labels_total")
-        told[outcome.row] = row
-        if not as_json:
-            done = outcome.error or f"{duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
-            typer.echo(f"{row['model']:16s} {row['budget']:9s} {done}")
+        told = {outcome.row: _told(outcome, as_json) for outcome in outcomes}
     rows = [told[row] for row in wanted]
     if as_json:
         typer.echo(json.dumps({"rows": rows}))
@@ -359,113 +329,46 @@ def _train_all(
         typer.echo("Score them with 'dmbench score --all'.")
 
 
-def _trainings_at_once(device: str, executor: str | None, models: int) -> int | None:
-    """How many trainings beside each other pay: of one thread each, as many as there are processors and memory for."""
-    import torch
+def _told(outcome: Outcome, as_json: bool) -> dict[str, Any]:
+    """What became of a row of the table; it is printed, unless all are at the end."""
+    from dmotion_bench.cli.progress import duration
 
-    from dmotion_bench.execution.local_executor import available_workers
-
-    if executor not in (None, "local"):
-        return None
-    if device == "cuda" or (device == "auto" and torch.cuda.is_available()):
-        return 1
-    return min(available_workers(_GIGABYTES), models)
-
-
-def _beside_each_other(
-    request: TrainingRequest,
-    dataset: Any,
-    workspace: Workspace,
-    executor: str,
-    workers: int | None,
-    device: str,
-    trackers: tuple[str, ...],
-) -> Generator[Outcome]:
-    """Train the table by an executor, and show how far all of its jobs are."""
-    from dmotion_bench.cli.jobs import jobs_folder
-    from dmotion_bench.cli.progress import progress_bar
-    from dmotion_bench.execution.executor import JobSize
-    from dmotion_bench.execution.executors import make_executor
-    from dmotion_bench.execution.job_progress import watching
-    from dmotion_bench.learning.table import rows, train_side_by_side
-
-    if not request.stream and not dataset.cache_file.lacking():
-        dataset.cache()  # once, and not by every job
-    threads, total = request.threads or 1, len(list(rows(dataset)))
-    size = JobSize(processors=threads, gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
-    with jobs_folder(workspace) as folder, progress_bar() as bar:
-        hands = make_executor(executor, workers, scratch=folder / executor, size=size)
-        task = bar.add_task(f"training {dataset.name}", total=total, status="")
-        bar.update(task, completed=0)
-        outcomes = train_side_by_side(
-            request, dataset, workspace, hands, threads=threads, device=device, progress=folder, trackers=trackers
-        )
-        with watching(folder, lambda jobs: bar.show_jobs(task, jobs)), contextlib.closing(outcomes):
-            for done, outcome in enumerate(outcomes, start=1):
-                bar.update(task, completed=done)
-                yield outcome
+    row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels, "error": outcome.error}
+    if outcome.run is not None:
+        row["run"] = str(outcome.run.path)
+        result = outcome.run.result or {}
+        row |= {name: result[name] for name in ("steps", "triplets_per_s", "seconds") if name in result}
+        row["labels"] = result.get("labels_total")
+    if not as_json:
+        done = outcome.error or f"{duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
+        typer.echo(f"{row['model']:16s} {row['budget']:9s} {done}")
+    return row
 
 
 def train_run(
-    run: Any,
-    dataset: Any,
+    run: Run,
+    dataset: Dataset,
     device: str = "auto",
     poll: Callable[[], None] = lambda: None,
     trackers: tuple[str, ...] = (),
     loaders: int | None = None,
 ) -> dict[str, Any]:
-    """Train a run to its end with a progress bar, on the device asked for; ``poll`` is called after every step.
+    """Train a run to its end with a progress bar; ``poll`` is called after every step."""
+    from dmotion_bench.api.training import complete
+    from dmotion_bench.cli.progress import BarOnDemand, note
 
-    Of several processes the first one settles what is to be done, and builds the frame cache with the first ones of
-    the other machines, before the others look at any file.
-    """
-    from dmotion_bench.cli.progress import note, progress_bar
-    from dmotion_bench.execution.local_executor import available_workers
-    from dmotion_bench.learning.beginning import finished_result
-    from dmotion_bench.learning.companions import Companions
-    from dmotion_bench.learning.devices import launch
-    from dmotion_bench.learning.start import prepare_frames, training_data
-    from dmotion_bench.learning.threads import shortage
-    from dmotion_bench.learning.training import Report, train
-
-    mine = place()
-    if is_led():
-        end_with(int(os.environ[LED]))
-    if mine.world > 1:
-        fabric = launch(device)
-        companions = Companions(fabric)
-        with companions.noticing_losses():
-            finished, run.manifest, run.threads = companions.of_first(
-                lambda: (finished_result(run, note), run.manifest, run.threads)
-            )
-            if finished is None and mine.local_rank == 0:
-                prepare_frames(run, dataset)
-            companions.gathered(mine.rank)
-    else:
-        finished = finished_result(run, note)
-    if finished is not None:
-        return finished
-    if mine.rank == 0 and (told := shortage(run.threads or 1, available_workers() // mine.local_world)) is not None:
-        typer.echo(told, err=True)
-    if mine.world == 1:
-        fabric = launch(device)
-    if mine.rank > 0:
-        return train(run, training_data(run, dataset, loaders), fabric, lambda _: None)
-    with progress_bar() as bar:
-        task = bar.add_task(f"training {run.spec.model}", total=None, status="reading the data")
-
-        def on_step(report: Report) -> None:
-            bar.update(
-                task,
-                completed=report.step,
-                total=report.steps,
-                status=f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s",
-            )
-            poll()
-
-        result: dict[str, Any] = train(run, training_data(run, dataset, loaders), fabric, on_step, trackers)
-    return result
+    with BarOnDemand(poll) as tell:
+        return complete(
+            run,
+            dataset,
+            device,
+            tell,
+            trackers,
+            loaders=loaders,
+            note=note,
+            warn=lambda told: typer.echo(told, err=True),
+        )
 
 
-def _transitions(dataset: Any) -> int:
+def _transitions(dataset: Dataset) -> int:
     return int((dataset.lengths - 1).sum())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.workspace import Workspace
 
 SECONDS: Final = 0.5
 """Between two looks at the files, and between two writes of one."""
@@ -31,6 +33,21 @@ class JobProgress:
     done: float
     total: float | None
     status: str = ""
+
+
+@contextlib.contextmanager
+def jobs_folder(workspace: Workspace) -> Iterator[Path]:
+    """A folder of the workspace in which jobs meet; what is left in it at the end is deleted, logs of failures stay."""
+    workspace.root.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix=".jobs-", dir=workspace.root)).absolute()
+    try:
+        yield folder
+    finally:
+        for left in folder.glob("*"):
+            if left.is_file():
+                left.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            folder.rmdir()  # not while it holds the logs of jobs that failed
 
 
 class ProgressFile:

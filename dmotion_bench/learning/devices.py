@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import logging
@@ -26,6 +27,13 @@ def keep_freed_memory() -> None:
         library = ctypes.CDLL(None)
         library.mallopt(M_MMAP_THRESHOLD, 1 << 30)
         library.mallopt(M_TRIM_THRESHOLD, (1 << 31) - 1)
+
+
+def _part() -> None:
+    """Leave the other processes while Python still runs: threads of gloo that outlive it abort the process."""
+    with contextlib.suppress(RuntimeError):
+        if torch.distributed.is_initialized():
+            torch.distributed.destroy_process_group()
 
 
 def launch(device: str = "auto") -> Fabric:
@@ -60,6 +68,7 @@ def launch(device: str = "auto") -> Fabric:
         fabric.launch()
     if mine.world > 1:  # of channels-last weights; they cost DDP a copy, and nothing else
         warnings.filterwarnings("ignore", message="Grad strides do not match bucket view strides")
+        atexit.register(_part)
     if accelerator == "cuda":
         torch.set_float32_matmul_precision("high")
     return fabric

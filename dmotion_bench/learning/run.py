@@ -19,7 +19,7 @@ import json
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from torch import Tensor
 
@@ -39,6 +39,10 @@ from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
 __all__ = ["Conditions", "Run", "RunSpec"]
 
 
+AnyRun = TypeVar("AnyRun", bound="Run")
+"""Run, or what a layer above makes of it."""
+
+
 class Run:
     """One run's folder.
 
@@ -54,8 +58,12 @@ class Run:
         self.spec = from_json(RunSpec, manifest["spec"])
         self.threads = threads if self.conditions is None else self.conditions.threads
 
+    def __fspath__(self) -> str:
+        """Its folder: a run may stand wherever a path may."""
+        return str(self.path)
+
     @classmethod
-    def open(cls, path: AnyPath) -> Run:
+    def open(cls: type[AnyRun], path: AnyPath) -> AnyRun:
         """A run that exists, finished or not.
 
         Raises:
@@ -79,14 +87,14 @@ class Run:
 
     @classmethod
     def create_or_open(
-        cls,
+        cls: type[AnyRun],
         path: Path,
         spec: RunSpec,
         *,
         dataset_path: Path | str,
         versions: Mapping[str, str],
         threads: int | None = None,
-    ) -> Run:
+    ) -> AnyRun:
         """The run of this folder if it asks for the same, else a new one, which is on disk once training begins.
 
         Args:

@@ -79,6 +79,10 @@ class Recorded:
     made: Progress
     replay: Replay | None = None
 
+    def __fspath__(self) -> str:
+        """The data set's folder: what was recorded may stand wherever a path may."""
+        return str(self.dataset)
+
     @property
     def bytes_per_frame(self) -> float:
         """Video and labels together."""

@@ -12,7 +12,7 @@ import copy
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Int, UInt8
@@ -64,7 +64,7 @@ class Dataset:
         return self.__dict__ | {"_cache": None}
 
     @classmethod
-    def open(cls, path: AnyPath) -> Dataset:
+    def open(cls, path: AnyPath) -> Self:
         """The data set in a folder, or at an address such as ``s3://bucket/path``.
 
         Raises:
@@ -92,7 +92,7 @@ class Dataset:
         return cls(path, manifest, rows)
 
     @classmethod
-    def _at(cls, remote: RemoteCopy) -> Dataset:
+    def _at(cls, remote: RemoteCopy) -> Self:
         manifest = remote.refresh()
         if not manifest.complete:
             raise DatasetIncomplete(
@@ -112,6 +112,10 @@ class Dataset:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __fspath__(self) -> str:
+        """Its folder: a data set may stand wherever a path may."""
+        return str(self.where)
 
     def numbered(self, names: Sequence[str]) -> Dataset:
         """The same data set with its discrete actions numbered in another order; ``manifest`` keeps the stored one.

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
-import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -312,6 +311,3 @@ def _make_room(kept: dict[Place, Any]) -> None:
     """Forget what is kept of places once there are many, as with continuous actions."""
     if len(kept) >= KEPT_PLACES:
         kept.clear()
-
-
-gymnasium.register(id="dmbench/PlanarPush-v0", entry_point="recorders.planar_push:PlanarPush")

@@ -258,6 +258,3 @@ def _given(state: Sequence[float]) -> tuple[Point, Pose]:
         )
     x, y, tee_x, tee_y, angle = numbers.tolist()
     return (x, y), Pose(tee_x, tee_y, angle)
-
-
-gymnasium.register(id="dmbench/PushT-v0", entry_point="recorders.push_t:PushT")

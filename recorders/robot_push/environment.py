@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar, Literal
 
-import gymnasium
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -237,6 +236,3 @@ class RobotPush(PushingEnvironment):
         tip = np.array([*self.lattice.at(place), ROD_BOTTOM])
         frames = panda.link_frames(panda.joints_for(tip))
         return ArmPose(self._arm.posed(frames), self._arm.colors, self._arm.links > 0)
-
-
-gymnasium.register(id="dmbench/RobotPush-v0", entry_point="recorders.robot_push:RobotPush")

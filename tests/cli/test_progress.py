@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dmotion_bench.cli.progress import FIRST_SECONDS, QUIET, SECONDS, ProgressDisplay, duration
+from dmotion_bench.execution.job_progress import JobProgress
 
 
 class Clock:
@@ -44,6 +45,24 @@ def test_the_rate_is_of_this_sitting(capsys: pytest.CaptureFixture[str], monkeyp
         clock.now += 10
         display.update(task, completed=910)
     assert capsys.readouterr().err == "training dmotion: 910 of 1,000, 1 min 30 s left\n"
+
+
+def test_one_bar_tells_of_one_thing_after_the_other(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(QUIET)
+    clock = Clock()
+    with ProgressDisplay(clock) as display:
+        display.tell(JobProgress(what="training a", done=0, total=None, status="reading the data"))
+        for second in range(11):
+            clock.now = 100.0 + second
+            display.tell(JobProgress(what="training a", done=900 + second, total=1000))  # resumed
+        clock.now = 130.0
+        display.tell(JobProgress(what="scoring a", done=0, total=4))
+    assert capsys.readouterr().err.splitlines() == [
+        "training a: 905 of 1,000, 1 min 35 s left",
+        "scoring a: 0 of 4",
+    ]
 
 
 def test_work_of_unknown_size_is_told_without_a_guess(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import shlex
 import signal
 import subprocess
@@ -196,7 +195,7 @@ def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path: Path) -> None:
     recording = start_dmbench(
         ["record", "grid_world", "--preset", "tiny", "--workers", "1", "--out", str(tmp_path / "d")],
         tmp_path,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
+        file_bytes=20_000,
     )
     outcome = finish(recording)
     assert outcome.code == 1

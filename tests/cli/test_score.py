@@ -72,7 +72,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result
             remarks={"paper": "Yuan et al. 2021"},
         )
 
-    monkeypatch.setattr("dmotion_bench.scoring.score.score_run", score_run)
+    monkeypatch.setattr("dmotion_bench.api.scoring.score_run", score_run)
     return lambda *words: CliRunner().invoke(app, ["score", *words])
 
 

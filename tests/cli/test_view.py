@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import resource
 import select
 import signal
 import subprocess
-import time
 import urllib.request
 from pathlib import Path
 
+import psutil
 import pytest
 from dmbench_command import dmbench, finish, start_dmbench
 from pushed_squares import write_squares
@@ -92,7 +91,7 @@ def test_a_file_that_cannot_grow_leaves_nothing(workspace: Path, tmp_path: Path)
     process = start_dmbench(
         ["view", "squares-tiny", "--save", str(file)],
         workspace,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+        file_bytes=4096,
     )
     said = finish(process)
     assert said.code == 1
@@ -100,43 +99,42 @@ def test_a_file_that_cannot_grow_leaves_nothing(workspace: Path, tmp_path: Path)
     assert list(tmp_path.iterdir()) == []
 
 
+def viewers_of(process: subprocess.Popen[str]) -> list[psutil.Process]:
+    """The processes that serve the page whose address the command prints, once it answers."""
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert select.select([process.stdout], [], [], 60)[0]
+    url = process.stdout.readline().strip()
+    assert url.startswith("http://127.0.0.1:"), process.stderr.read()
+    with urllib.request.urlopen(url, timeout=30) as answer:
+        assert answer.status == 200
+    viewers = psutil.Process(process.pid).children(recursive=True)
+    assert viewers
+    return viewers
+
+
+def assert_nobody_serves(viewers: list[psutil.Process]) -> None:
+    assert not psutil.wait_procs(viewers, timeout=20)[1]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign: signal.Signals) -> None:
     process = start_dmbench(["view", "squares-tiny", "--web"], workspace, start_new_session=True)
-    assert process.stdout is not None
     try:
-        assert select.select([process.stdout], [], [], 60)[0]
-        url = process.stdout.readline().strip()
-        assert url.startswith("http://127.0.0.1:")
-        with urllib.request.urlopen(url, timeout=30) as answer:
-            assert answer.status == 200
+        viewers = viewers_of(process)
         process.send_signal(sign)
         assert process.wait(timeout=20) == (0 if sign == signal.SIGINT else 143)
     finally:
         process.kill()
         process.communicate()
-    assert_nobody_serves(url)
-
-
-def assert_nobody_serves(url: str) -> None:
-    page = f"--web-viewer-port {url.split(':')[2].split('?')[0]}"
-    deadline = time.monotonic() + 10
-    while page in subprocess.check_output(["ps", "ax"], text=True):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    with pytest.raises(OSError, match="refused"), urllib.request.urlopen(url, timeout=5):
-        pass
+    assert_nobody_serves(viewers)
 
 
 @pytest.mark.slow
 def test_a_killed_command_leaves_no_viewer_behind(workspace: Path) -> None:
     process = start_dmbench(["view", "squares-tiny", "--web"], workspace)
-    assert process.stdout is not None
-    assert select.select([process.stdout], [], [], 60)[0]
-    url = process.stdout.readline().strip()
-    with urllib.request.urlopen(url, timeout=30) as answer:
-        assert answer.status == 200
+    viewers = viewers_of(process)
     process.kill()
     finish(process)
-    assert_nobody_serves(url)
+    assert_nobody_serves(viewers)

@@ -66,6 +66,7 @@ def _fuzz(command: tuple[str, ...], words: tuple[str, ...], folder: Path) -> tup
         timeout=900,
     )
     assert done.returncode in (0, 1), done.stderr
+    assert done.stdout, done.stderr
     return done.returncode, json.loads(done.stdout)
 
 

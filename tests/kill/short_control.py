@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from dmotion_bench.api.scoring import score_runs
 from dmotion_bench.cli.app import main
-from dmotion_bench.cli.score import score_runs
 
 STEPS, TASKS = 2, 2
 

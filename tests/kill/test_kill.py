@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,8 @@ PLANTED = {
 """What is to be said of each mistake, and the mistake: the right text and the wrong one."""
 
 
-def _rounds(source: str, tmp_path: Path, *, until: str | None = None) -> list[Round]:
-    """Ten rounds of kills of a command; fewer where what is looked for is found before."""
+def _rounds(source: str, tmp_path: Path, *, until: Callable[[Round], bool], at_most: int = 10) -> list[Round]:
+    """Rounds of kills of a command, until one has what is looked for."""
     command = Scenario(
         name="a small command",
         words=(sys.executable, "-c", source),
@@ -80,20 +81,24 @@ def _rounds(source: str, tmp_path: Path, *, until: str | None = None) -> list[Ro
     )
     truth = undisturbed(command, tmp_path, tmp_path / "undisturbed")
     found: list[Round] = []
-    for number in range(10):
+    for number in range(at_most):
         found.append(attack(command, tmp_path, tmp_path / str(number), truth, np.random.default_rng([0, number])))
-        if until is not None and any(until in fault for fault in found[-1].faults):
+        if until(found[-1]):
             break
     return found
 
 
 @pytest.mark.slow
 def test_a_command_that_always_comes_to_the_same_has_no_fault(tmp_path: Path) -> None:
-    rounds = _rounds(WHOLE, tmp_path)
-    assert [one.faults for one in rounds] == [[]] * 10
-    strikes = " ".join(strike for one in rounds for strike in one.strikes)
-    assert "SIGKILL" in strikes
-    assert "SIGTERM" in strikes
+    seen: list[str] = []
+
+    def enough(one: Round) -> bool:  # on a busy machine many a strike comes when the command has ended
+        seen.extend(strike.split()[0] for strike in one.strikes)
+        return len(seen) >= 10 and {"SIGKILL", "SIGTERM"} <= {*seen}
+
+    rounds = _rounds(WHOLE, tmp_path, until=enough, at_most=60)
+    assert [one.faults for one in rounds] == [[]] * len(rounds)
+    assert {"SIGKILL", "SIGTERM"} <= {*seen}
 
 
 @pytest.mark.parametrize("said", PLANTED)
@@ -101,5 +106,9 @@ def test_a_mistake_that_is_planted_is_found(said: str, tmp_path: Path, monkeypat
     monkeypatch.setattr("tests.kill.attack.ORPHANS", 0.5)
     right, wrong = PLANTED[said]
     assert WHOLE.count(right) == 1
-    rounds = _rounds(WHOLE.replace(right, wrong), tmp_path, until=said)
-    assert any(said in fault for fault in rounds[-1].faults), [one.faults for one in rounds]
+
+    def found(one: Round) -> bool:
+        return any(said in fault for fault in one.faults)
+
+    rounds = _rounds(WHOLE.replace(right, wrong), tmp_path, until=found, at_most=20)
+    assert found(rounds[-1]), [one.faults for one in rounds]

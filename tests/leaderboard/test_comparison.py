@@ -173,7 +173,7 @@ def test_what_was_scored_on_one_episode_alone_is_not_called_a_tie(
         assert samples is not None
         return samples.filter(pc.equal(samples["episode"], pc.min(samples["episode"])))
 
-    monkeypatch.setattr("dmotion_bench.scoring.report.read_report_samples", first_episode)
+    monkeypatch.setattr("dmotion_bench.api.scoring.read_report_samples", first_episode)
     paths = [scored_workspace.runs / name for name in (CSWM, S1)]
     show_overview({path: report for path in paths if (report := read_report(path / "report"))})
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import signal
 import subprocess
 import time
@@ -107,10 +106,7 @@ def test_a_full_disk_is_a_sentence_and_leaves_nothing(command: str, recording: P
         done = finish(start_dmbench(["data", "import", str(small), "--out", str(workspace / "source")], workspace))
         assert done.code == 0, done.err
 
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
-
-    full = finish(start_dmbench(words(command, small, workspace), workspace, preexec_fn=limit))
+    full = finish(start_dmbench(words(command, small, workspace), workspace, file_bytes=50_000))
     assert full.code == 1
     assert "no space left on the device for" in full.sentence()
     assert "nothing is left of it" in full.sentence()

@@ -10,7 +10,7 @@ import pytest
 from made_up_report import remove, write_made_up
 from rrd_contents import curve, layout_of, static, tabs_of, values
 
-from dmotion_bench.cli.view import beside
+from dmotion_bench.api.viewing import beside
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.storage.dataset import Dataset

@@ -14,7 +14,7 @@ from made_up_report import write_made_up
 from pushed_squares import SPEC, write_squares
 from rrd_contents import curve, read, static, tabs_of, values
 
-from dmotion_bench.cli.view import scene_of
+from dmotion_bench.api.viewing import scene_of
 from dmotion_bench.errors import RunMissing
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, Losses, TripletBatch

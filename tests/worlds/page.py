@@ -93,7 +93,7 @@ def models_table(page: str) -> str:
             plain = setting == "gate_floor=0"
             rows.append(
                 (
-                    _link(headings[name]) + ("" if plain else f", `{setting}`"),
+                    _link(headings[name]) if plain else f"with `{setting}`",
                     _number(known[0]["copy_last"]["mse"]),
                     _figure(dmotion, "mse"),
                     _labels(dmotion),

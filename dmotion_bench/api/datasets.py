@@ -1,0 +1,140 @@
+"""A data set whose triplets torch can load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from dmotion_bench.errors import UsageError
+from dmotion_bench.learning.action_encoding import as_tensor
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
+from dmotion_bench.specs import SplitName
+from dmotion_bench.storage import dataset as stored
+from dmotion_bench.workspace import AnyPath, Workspace
+
+Triplet = dict[str, torch.Tensor]
+"""``previous``, ``current`` and ``next``, each Float[c h w] in [-1, 1]; ``episode``; with labels also ``action``."""
+
+
+class Dataset(stored.Dataset):
+    """A data set on disk; ``open_dataset`` opens one.
+
+    It has what ``dmotion_bench.storage.dataset.Dataset`` has, such as ``video(episode)``, ``split(name)`` and
+    ``labels(episode)``, and ``triplets`` for torch.
+    """
+
+    def triplets(
+        self,
+        split: SplitName = "train",
+        *,
+        labels: str | None = None,
+        seed: int = 0,
+        protocol: SplitProtocol = "episode",
+    ) -> TripletDataset:
+        """The triplets of consecutive frames of a split, as a ``torch.utils.data.Dataset``.
+
+        Args:
+            split: ``"train"``, ``"validation"`` or ``"test"``.
+            labels: A label budget, such as ``"10%"``, ``"all"`` or ``"64"``: only the triplets whose actions it pays
+                for, and those actions. None: all triplets, without actions; ``labels/`` is not opened.
+            seed: Of the budget.
+            protocol: ``"episode"`` keeps whole episodes apart; ``"paper"`` shuffles triplets as the paper does.
+
+        Raises:
+            UnknownName: There is no such split.
+            UsageError: Labels of test episodes are asked for.
+            LabelsNotAvailable: The labels are not there, or the budget is for demonstrations.
+            InvalidSetting: That is no label budget.
+
+        Example:
+            >>> from torch.utils.data import DataLoader
+            >>> loader = DataLoader(dm.open_dataset("grid_world-tiny").triplets("train"), batch_size=8)
+            >>> next(iter(loader))["current"].shape
+            torch.Size([8, 3, 128, 128])
+        """
+        self.split(split)  # an unknown name is said here
+        chosen = TripletSet.of_split(self, split, protocol)
+        if labels is None:
+            return TripletDataset(chosen)
+        purpose: Literal["training", "validation"]
+        if split == "train":
+            purpose = "training"
+        elif split == "validation":
+            purpose = "validation"
+        else:
+            raise UsageError(
+                f"labels={labels!r} was asked for the test split, whose labels no model may learn from; "
+                "leave out labels, or take the split 'train' or 'validation'. dm.score reads them to judge a model."
+            )
+        budget = LabelBudget(self, LabelRequest.parse(labels), seed)
+        labelled = budget.actions(chosen, purpose)
+        return TripletDataset(labelled.triplets, labelled.actions)
+
+
+class TripletDataset(torch.utils.data.Dataset[Triplet]):
+    """Triplets of consecutive frames, one by one; a plain ``DataLoader`` makes batches of them.
+
+    A batch has the fields of ``TripletBatch``: ``model.losses(TripletBatch(**batch))``.
+
+    Args:
+        triplets: Which ones.
+        actions: Of each, where they were paid for.
+
+    Attributes:
+        triplets: Which ones: ``triplets.episode`` and ``triplets.step`` say where each is from.
+        actions: Of each, or None.
+    """
+
+    def __init__(
+        self, triplets: TripletSet, actions: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"] | None = None
+    ) -> None:
+        self.triplets, self.actions = triplets, actions
+
+    def __len__(self) -> int:
+        return len(self.triplets)
+
+    def __getitem__(self, index: int) -> Triplet:
+        place = int(index)
+        if not -len(self) <= place < len(self):
+            raise IndexError(f"there is no triplet {index}; there are {len(self)}.")
+        return self.__getitems__([place % len(self)])[0]
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Triplet]:
+        """Several at once, which a ``DataLoader`` asks for: one read for a batch."""
+        rows = np.asarray(indices, np.int64)
+        frames = to_model(torch.from_numpy(self.triplets.gather(rows)))
+        episodes = torch.from_numpy(self.triplets.episode[rows])
+        known: dict[str, Any] = {} if self.actions is None else {"action": as_tensor(self.actions[rows])}
+        return [
+            {"previous": frames[row, 0], "current": frames[row, 1], "next": frames[row, 2], "episode": episodes[row]}
+            | {name: value[row] for name, value in known.items()}
+            for row in range(len(rows))
+        ]
+
+
+def open_dataset(data: AnyPath | None = None, *, workspace: AnyPath | None = None) -> Dataset:
+    """Open a data set that was recorded or imported.
+
+    Args:
+        data: Its folder, its name in the workspace, or what ``record`` returned. Default: the workspace's only one.
+        workspace: The folder with ``data/`` and ``runs/``; the current one by default.
+
+    Raises:
+        DatasetMissing, UnknownName: There is none.
+        UsageError: There are several, and none was named.
+        DatasetIncomplete: Its recording was interrupted.
+        DatasetCorrupt: Its files are damaged.
+
+    Example:
+        >>> data = dm.open_dataset("grid_world-tiny")
+        >>> data.video(0).shape, data.video(0).dtype
+        ((12, 128, 128, 3), dtype('uint8'))
+    """
+    place = Workspace.current() if workspace is None else Workspace(workspace)
+    return Dataset.open(place.dataset(data))

@@ -1,0 +1,185 @@
+"""A trained model that takes stored frames and the names of actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dmotion_bench.actions import Discrete
+from dmotion_bench.api.datasets import Dataset
+from dmotion_bench.errors import RunMissing, UnknownName, UsageError
+from dmotion_bench.learning import run as runs
+from dmotion_bench.learning.images import to_pixels
+from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report
+from dmotion_bench.wording import command
+from dmotion_bench.workspace import AnyPath, Workspace
+
+Images = np.ndarray[Any, Any] | Tensor
+"""Stored frames UInt8[h w 3] or UInt8[b h w 3], or images Float[b c h w] in [-1, 1]."""
+
+
+class Run(runs.Run):
+    """A training run on disk; ``load_run`` opens one, and ``train`` returns one.
+
+    It has what ``dmotion_bench.learning.run.Run`` has, such as ``result`` and ``model``, and the methods below. They
+    take frames as they are stored (uint8, RGB, 0-255, channels last) and return such frames; or images of a
+    ``DataLoader``'s batch (Float[b c h w] in [-1, 1]) and return such images. One frame without an axis for the batch
+    is a batch of one, and so is what comes back.
+    """
+
+    @property
+    def dataset(self) -> Dataset:
+        """The data set that it was trained on.
+
+        Raises:
+            DatasetMissing: It is not there any more.
+        """
+        return Dataset.open(self.dataset_path)
+
+    @property
+    def report(self) -> Report:
+        """What ``score`` found, on the data set of the training.
+
+        Raises:
+            RunMissing: It is not scored yet.
+        """
+        found = read_report(self.path / REPORT_FOLDER)
+        if found is None:
+            score = command("dmbench score", self.path)
+            raise RunMissing(f"the run {self.name!r} has no report; score it with {score}, or dm.score.")
+        return found
+
+    def predict(self, previous: Images, current: Images, action: Any) -> Images:
+        """The frames after ``current`` if ``action`` is taken.
+
+        Args:
+            previous, current: The last two frames.
+            action: One for all, or one for each: the names or numbers of discrete actions, or Float[b a] in their
+                units.
+
+        Raises:
+            RunMissing: The training is not finished.
+            LabelsNotAvailable: It was trained without labels, so it does not know which action is which.
+            UnknownName: No action has this name.
+            UsageError: Frames or actions of another shape or kind.
+
+        Example:
+            >>> run = dm.load_run("tiny")
+            >>> frames = run.dataset.video(0)
+            >>> run.predict(frames[0], frames[1], "right").shape
+            (1, 128, 128, 3)
+        """
+        self.require_aligned()
+        before, now = _batch(previous), _batch(current)
+        with torch.inference_mode():
+            images = self.model.predict(before, now, self._actions(action))
+        return _like(current, images)
+
+    def rollout(self, previous: Images, current: Images, actions: Any) -> Images:
+        """The frames that a sequence of actions leads to, each predicted from the model's own last ones.
+
+        Args:
+            previous, current: The last two frames.
+            actions: One sequence for all, or one for each: names or numbers, or Float[b t a] in their units.
+
+        Returns:
+            UInt8[b t h w 3], or Float[b t c h w] in [-1, 1].
+
+        Raises:
+            As ``predict``.
+
+        Example:
+            >>> run = dm.load_run("tiny")
+            >>> frames = run.dataset.video(0)
+            >>> run.rollout(frames[0], frames[1], ["right", "right", "up"]).shape
+            (1, 3, 128, 128, 3)
+        """
+        self.require_aligned()
+        before, now = _batch(previous), _batch(current)
+        with torch.inference_mode():
+            images = self.model.rollout(before, now, self._actions(actions))
+        return _like(current, images)
+
+    def latent_action(self, previous: Images, current: Images, following: Images) -> Images:
+        """What the model takes to have happened between ``current`` and ``following``.
+
+        Args:
+            previous, current, following: Three consecutive frames.
+
+        Returns:
+            Float[b d]; an array for stored frames, a tensor for images.
+
+        Raises:
+            UsageError: The model has no latent actions.
+
+        Example:
+            >>> run = dm.load_run("tiny")
+            >>> frames = run.dataset.video(0)
+            >>> run.latent_action(frames[0], frames[1], frames[2]).shape
+            (1, 2)
+        """
+        model: Any = self.model
+        if not hasattr(model, "latent_action"):
+            raise UsageError(
+                f"{self.spec.model!r} has no latent actions: it is given the actions; "
+                "a model of video has them, such as dmotion."
+            )
+        with torch.inference_mode():
+            latent: Tensor = model.latent_action(_batch(previous), _batch(current), _batch(following))
+        return latent.numpy() if _is_stored(current) else latent
+
+    def _actions(self, given: Any) -> Any:
+        """Numbers in the place of names; everything else as it is."""
+        if not isinstance(given, str | Sequence):
+            return given
+        spec = self.dataset.spec.actions
+        if isinstance(given, str):
+            if not isinstance(spec, Discrete):
+                raise UsageError(f"the action is named {given!r}, and this model's actions are {spec}; give numbers.")
+            if given not in spec.names:
+                raise UnknownName("action", given, spec.names)
+            return spec.names.index(given)
+        return [self._actions(one) for one in given]
+
+
+def load_run(run: AnyPath | None = None, *, workspace: AnyPath | None = None) -> Run:
+    """Open a run, trained or not; its weights are read when they are first needed.
+
+    Args:
+        run: Its folder, or its name in the workspace. Default: the workspace's only one.
+        workspace: The folder with ``data/`` and ``runs/``; the current one by default.
+
+    Raises:
+        RunMissing, UnknownName: There is none.
+        UsageError: There are several, and none was named.
+        RunCorrupt: Its files are damaged.
+
+    Example:
+        >>> run = dm.load_run("tiny")
+        >>> run.spec.model, run.spec.labels
+        ('dmotion', 'one-shot')
+    """
+    place = Workspace.current() if workspace is None else Workspace(workspace)
+    return Run.open(place.run(run))
+
+
+def _is_stored(images: Images) -> bool:
+    return isinstance(images, np.ndarray) or images.dtype == torch.uint8
+
+
+def _batch(images: Images) -> Tensor:
+    """A batch, of frames or images; the model says what is wrong with any other."""
+    tensor = torch.tensor(images) if isinstance(images, np.ndarray) else images
+    return tensor[None] if isinstance(tensor, Tensor) and tensor.ndim == 3 else tensor
+
+
+def _like(given: Images, images: Tensor) -> Images:
+    """The images in the form of what was given: stored frames for stored frames."""
+    if not _is_stored(given):
+        return images
+    frames = to_pixels(images)
+    return frames.numpy() if isinstance(given, np.ndarray) else frames

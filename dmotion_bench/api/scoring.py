@@ -1,0 +1,267 @@
+"""Figures of trained runs on held-out episodes, and of references of control."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import torch
+
+from dmotion_bench.api.progress import Progress, telling
+from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of
+from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
+from dmotion_bench.execution.job_progress import JobProgress
+from dmotion_bench.execution.local_executor import available_workers
+from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.threads import scoring_shortage
+from dmotion_bench.planning.choices import DEFAULT_SOLVER
+from dmotion_bench.planning.mpc import GROUP, STEPS, ControlProgress
+from dmotion_bench.scoring.control import ControlScoring, control_samples
+from dmotion_bench.scoring.control import score_reference as control_of_reference
+from dmotion_bench.scoring.figures import Figures, figures_of
+from dmotion_bench.scoring.prediction import Execution, Precision
+from dmotion_bench.scoring.report import Report, read_report_samples
+from dmotion_bench.scoring.score import METRICS, Metric, ReferenceScores, ScoreSettings, score_run
+from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.workspace import AnyPath, Workspace
+
+__all__ = [
+    "ScoreSettings",
+    "as_metrics",
+    "compute_device",
+    "control_scoring",
+    "read_report_samples",
+    "score",
+    "score_references",
+    "score_runs",
+]
+
+_LOG = logging.getLogger(__name__)
+
+
+def score(
+    run: AnyPath | None = None,
+    metrics: Sequence[str] | str | None = None,
+    *,
+    split: SplitName = "test",
+    horizon: int = 15,
+    tasks: int | None = None,
+    planner: str = DEFAULT_SOLVER,
+    planner_settings: Settings = None,
+    objective: str | None = None,
+    objective_settings: Settings = None,
+    data: AnyPath | None = None,
+    batch_size: int = 64,
+    precision: Precision = "float32",
+    device: str = "auto",
+    renew: bool = True,
+    workspace: AnyPath | None = None,
+    progress: Progress = None,
+) -> Report:
+    """Score a run on held-out episodes, and write its report.
+
+    Args:
+        run: A trained run, by folder, name or as ``train`` returned it. Default: the workspace's only one.
+        metrics: Groups of figures: ``"prediction"``, ``"rollout"``, ``"gain"``, ``"control"``. Default: all but
+            control that the data set can have.
+        split: ``"test"`` or ``"validation"``.
+        horizon: Steps of a rollout.
+        tasks: For control: so many of the data set's first tasks; None for all.
+        planner, planner_settings: For control: the solver, and its fields that differ from their defaults.
+        objective, objective_settings: For control: likewise; None for the one that suits.
+        data: Another data set of the same environment, or an import. Default: the one of the training.
+        batch_size: Predictions computed at once.
+        precision: ``"float32"`` or ``"bf16"``.
+        device: ``"auto"``, ``"cpu"`` or ``"cuda"``.
+        renew: Whether to compute again what the report already holds.
+        workspace: The folder with ``data/`` and ``runs/``; the current one by default.
+        progress: A function that is told how far it is, or True for a bar.
+
+    Returns:
+        The report: ``figures`` by name, each with mean, std, the bounds ``low`` and ``high`` of its 95% interval over
+        episodes, and the number of samples ``n``; ``reference`` holds those of predictors that know nothing.
+
+    Raises:
+        RunMissing, RunCorrupt: There is no trained run.
+        RunMismatch: The data set does not belong to the run.
+        LabelsNotAvailable: Nothing says what the actions do in the model, or the data set has no labels.
+        UnknownName, UsageError, InvalidSetting: A name or a value that is not allowed.
+
+    Example:
+        >>> report = dm.score("tiny", "prediction")
+        >>> report.figures["mse"]["n"]
+        20
+    """
+    require_one_of("split", split, ("test", "validation"))
+    require_one_of("precision", precision, ("float32", "bf16"))
+    place = Workspace.current() if workspace is None else Workspace(workspace)
+    settings = ScoreSettings(
+        split=split,
+        horizon=horizon,
+        precision=precision,
+        control=control_scoring(tasks, planner, planner_settings, objective, objective_settings),
+    )
+    path = place.run(run)
+    reports, _ = score_runs(
+        [path],
+        None if metrics is None else as_metrics([metrics] if isinstance(metrics, str) else metrics),
+        settings,
+        batch_size=batch_size,
+        device=device,
+        keep=not renew,
+        data=None if data is None else place.dataset(data),
+        progress=progress,
+    )
+    return reports[path]
+
+
+def score_runs(
+    paths: Sequence[Path],
+    metrics: tuple[Metric, ...] | None,
+    settings: ScoreSettings,
+    *,
+    batch_size: int = 64,
+    device: str = "auto",
+    keep: bool = False,
+    data: Path | None = None,
+    progress: Progress = None,
+    note: Callable[[str], None] = _LOG.info,
+    left_out: Callable[[str], None] = _LOG.warning,
+) -> tuple[dict[Path, Report], dict[str, str]]:
+    """Score runs one after the other; of several, one that fails does not stop the rest.
+
+    Args:
+        paths: Their folders.
+        metrics: Which groups of figures; None for all but control that a data set can have.
+        settings: What decides the figures.
+        batch_size, device: How they are computed.
+        keep: Whether reports that are up to date are left as they are.
+        data: What to score on in place of each run's own data set; of many, runs that do not fit it are left out.
+        progress: Told how far the present run is.
+        note, left_out: Told in a sentence what is worth knowing, and why a run was left out.
+
+    Returns:
+        The report of each run, and by its name what went wrong with each that has none.
+    """
+    where, references = compute_device(device), ReferenceScores()
+    reports: dict[Path, Report] = {}
+    failures: dict[str, str] = {}
+    warned: set[str] = set()
+    with telling(progress) as tell:
+        for path in paths:
+
+            def show(what: str, done: int, total: int, name: str = path.name) -> None:
+                tell(JobProgress(what=f"scoring {name}", done=done, total=total, status=what))
+
+            try:
+                told = scoring_shortage(Run.open(path).threads or 1, available_workers())
+                if told is not None and told not in warned:
+                    warned.add(told)
+                    note(told)
+                reports[path] = score_run(
+                    path,
+                    metrics=metrics,
+                    settings=settings,
+                    how=Execution(batch_size=batch_size, device=where, progress=show),
+                    references=references,
+                    renew=not keep,
+                    data=data,
+                )
+            except Exception as error:
+                if len(paths) == 1:
+                    raise
+                if keep and data is not None and isinstance(error, RunMismatch):
+                    left_out(f"left out: {error}")
+                    continue
+                failures[path.name] = str(error) if isinstance(error, DmbenchError) else repr(error)
+                note(f"{path.name}: {failures[path.name]}")
+    return reports, failures
+
+
+def score_references(
+    names: Sequence[str], data: Path, scoring: ControlScoring, progress: Progress = None
+) -> dict[str, Figures]:
+    """Figures of control of references: ``idle``, ``random``, ``oracle``, ``scripted``.
+
+    Args:
+        names: Which ones.
+        data: The data set's folder; what they did stays in its cache.
+        scoring: Which tasks, and how.
+        progress: Told after every step.
+
+    Raises:
+        UnknownName: There is no such reference.
+        DatasetError, LabelsNotAvailable: Control cannot be scored on this data set.
+    """
+    dataset, found = Dataset.open(data), dict[str, Figures]()
+    with telling(progress) as tell:
+        for name in names:
+
+            def show(told: ControlProgress, name: str = name) -> None:
+                tell(JobProgress(what=f"control by {name}", done=told.steps, total=told.total))
+
+            result = control_of_reference(name, dataset, scoring, progress=show)
+            found[name] = figures_of(control_samples(name, result), name)
+    return found
+
+
+def control_scoring(
+    tasks: int | None = None,
+    planner: str | None = None,
+    planner_settings: Settings = None,
+    objective: str | None = None,
+    objective_settings: Settings = None,
+    *,
+    steps: int = STEPS,
+    seed: int = 0,
+    group: int = GROUP,
+) -> ControlScoring:
+    """What decides the figures of control, as ``score`` and ``plan`` are asked for it.
+
+    Raises:
+        UnknownName, InvalidSetting: A name or a value that is not allowed.
+    """
+    return ControlScoring(
+        tasks=tasks,
+        steps=steps,
+        planner=planner or DEFAULT_SOLVER,
+        planner_set=as_texts(planner_settings),
+        objective=objective,
+        objective_set=as_texts(objective_settings),
+        seed=seed,
+        group=group,
+    )
+
+
+def as_metrics(asked: Iterable[str], option: str = "metrics") -> tuple[Metric, ...]:
+    """Groups of figures by their names, in the order in which they are computed.
+
+    Args:
+        asked: Names, also several in one text, separated by commas.
+        option: What the caller knows them by.
+
+    Raises:
+        UnknownName: There is no such group.
+        UsageError: None is named.
+    """
+    wanted = [part.strip() for name in asked for part in name.split(",") if part.strip()]
+    for name in wanted:
+        require_one_of("group of figures", name, METRICS)
+    if not wanted:
+        raise UsageError(f"{option} names no group of figures; known: {', '.join(METRICS)}.")
+    return tuple(name for name in METRICS if name in wanted)
+
+
+def compute_device(device: str) -> torch.device:
+    """Where to compute.
+
+    Raises:
+        UnknownName: There is no such kind of device.
+        UsageError: It is not here.
+    """
+    require_one_of("device", device, DEVICES)
+    if device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("this machine has no CUDA device; leave out --device to score on the CPU.")
+    return torch.device("cuda" if device != "cpu" and torch.cuda.is_available() else "cpu")

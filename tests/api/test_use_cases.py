@@ -1,0 +1,341 @@
+"""What ``import dmotion_bench as dm`` offers does what the commands do, and takes texts where paths may stand."""
+
+from __future__ import annotations
+
+import json
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from dmbench_command import dmbench
+from torch.utils.data import DataLoader
+
+import dmotion_bench as dm
+from dmotion_bench.api import demonstration
+from dmotion_bench.api.settings import as_texts
+from dmotion_bench.errors import (
+    FolderInUse,
+    InvalidSetting,
+    LabelsNotAvailable,
+    RunMissing,
+    UnknownName,
+    UsageError,
+    ViewerError,
+)
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.model import TripletBatch
+from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.registry import model_class
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.storage.lock import FolderLock
+
+SHORT = {"epochs": 0.5}
+
+
+def _bytes(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.mcap")}
+
+
+def test_a_recording_has_the_bytes_of_the_command_s(
+    workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[dm.JobProgress] = []
+    recorded = dm.record(
+        "grid_world", "tiny", episodes=4, vary="background", out=str(workspace / "a"), progress=told.append
+    )
+    words = ["record", "grid_world", "--preset", "tiny", "--episodes", "4", "--vary", "background", "--out", "b"]
+    assert dmbench([*words, "--workers", "1"], capsys, monkeypatch).code == 0
+    assert recorded.episodes == 4
+    assert _bytes(workspace / "a") == _bytes(workspace / "b") != {}
+    assert (told[-1].done, told[-1].total) == (4, 4)
+
+
+def test_a_training_has_the_weights_of_the_command_s(
+    workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[dm.JobProgress] = []
+    run = dm.train("lapo", out="runs/a", settings=SHORT, threads=1, progress=told.append)
+    words = ["train", "lapo", "--out", "runs/b", "--set", "epochs=0.5", "--threads", "1"]
+    assert dmbench(words, capsys, monkeypatch).code == 0
+    own, other = run.weights(), dm.load_run("runs/b").weights()
+    assert own.keys() == other.keys()
+    for name, value in own.items():
+        assert torch.equal(value, other[name]), name
+    assert told[-1].done == told[-1].total == run.result["steps"]
+
+
+def test_the_same_call_returns_a_finished_training_and_mends_a_damaged_one(workspace: Path) -> None:
+    before = dm.load_run("tiny").weights()
+    again = dm.train("dmotion", out="runs/tiny", settings=SHORT, threads=1)
+    assert again.result == dm.load_run("tiny").result
+    file = next((workspace / "runs" / "tiny").rglob("*.safetensors"))
+    file.write_bytes(file.read_bytes()[:100])
+    mended = dm.train("dmotion", out="runs/tiny", settings=SHORT, threads=1)
+    for name, value in mended.weights().items():
+        assert torch.equal(value, before[name]), name
+
+
+def test_another_label_budget_takes_over_the_training_on_video(
+    workspace: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level("INFO", logger="dmotion_bench"):
+        run = dm.train("dmotion", labels="2-shot", settings=SHORT, threads=1)
+    assert "using the training of runs/tiny, which differs only in its labels" in caplog.text
+    assert run.result["labels_total"] == 8
+
+
+def test_what_progress_raises_stops_a_training_that_the_same_call_ends(workspace: Path) -> None:
+    class Enough(Exception):
+        """The caller's own."""
+
+    def stop(told: dm.JobProgress) -> None:
+        if told.done:
+            raise Enough
+
+    with pytest.raises(Enough):
+        dm.train("lapo", settings=SHORT, out="runs/stopped", threads=1, progress=stop)
+    ended = dm.train("lapo", settings=SHORT, out="runs/stopped", threads=1)
+    whole = dm.train("lapo", settings=SHORT, out="runs/whole", threads=1)
+    for name, value in ended.weights().items():
+        assert torch.equal(value, whole.weights()[name]), name
+
+
+def test_triplets_are_three_consecutive_frames_of_the_split(workspace: Path) -> None:
+    dataset = dm.open_dataset(str(workspace / "data" / "grid_world-tiny"))
+    for split in ("train", "validation", "test"):
+        triplets = dataset.triplets(split)
+        assert len(triplets) == 10 * len(dataset.split(split))
+        place = len(triplets) // 2
+        sample = triplets[place]
+        episode, step = int(triplets.triplets.episode[place]), int(triplets.triplets.step[place])
+        assert episode in dataset.split(split).tolist()
+        frames = to_model(torch.from_numpy(dataset.video(episode)[step - 1 : step + 2]))
+        shown = torch.stack([sample["previous"], sample["current"], sample["next"]])
+        assert torch.equal(shown, frames)
+        assert sample.keys() == {"previous", "current", "next", "episode"}
+        assert torch.equal(triplets[place - len(triplets)]["next"], sample["next"])
+        with pytest.raises(IndexError):
+            triplets[len(triplets)]
+
+
+def test_a_plain_data_loader_makes_batches_that_a_model_learns_from(workspace: Path) -> None:
+    triplets = dm.open_dataset().triplets("train", labels="all")
+    batch = next(iter(DataLoader(triplets, batch_size=4, shuffle=False)))
+    kind = model_class("ed-cnn")
+    run = dm.train("ed-cnn", labels="all", settings={"epochs": 0.1})
+    losses = run.model.losses(TripletBatch(**batch))
+    assert torch.isfinite(losses.total)
+    assert isinstance(run.model, kind)
+    assert batch["action"].tolist() == triplets.actions[:4].tolist()  # type: ignore[index]
+
+
+def test_labels_of_triplets_are_those_that_the_budget_pays_for(workspace: Path) -> None:
+    dataset = dm.open_dataset()
+    triplets = dataset.triplets("train", labels="16", seed=3)
+    paid = LabelBudget(dataset, LabelRequest.parse("16"), 3).actions(TripletSet.of_split(dataset, "train"), "training")
+    assert triplets.actions is not None
+    assert np.array_equal(triplets.actions, paid.actions)
+    for place in range(len(triplets)):
+        episode, step = int(triplets.triplets.episode[place]), int(triplets.triplets.step[place])
+        assert triplets[place]["action"] == dataset.labels(episode).actions[step]
+    with pytest.raises(UsageError, match="labels no model may learn from"):
+        dataset.triplets("test", labels="all")
+    with pytest.raises(UnknownName, match="no split named 'tset'"):
+        dataset.triplets("tset")  # type: ignore[arg-type]
+
+
+def test_video_alone_is_read_where_there_are_no_labels(workspace: Path) -> None:
+    for file in (workspace / "data" / "grid_world-tiny" / "labels").glob("*"):
+        file.unlink()
+    assert len(dm.open_dataset().triplets("train")) > 0
+    with pytest.raises(LabelsNotAvailable):
+        dm.open_dataset().triplets("train", labels="all")
+
+
+def test_a_run_predicts_stored_frames_as_its_model_predicts_images(workspace: Path) -> None:
+    run = dm.load_run("tiny")
+    frames = run.dataset.video(0)
+    names = run.dataset.spec.actions.names  # type: ignore[union-attr]
+    before, now = (to_model(torch.from_numpy(frames[step][None])) for step in (0, 1))
+    with torch.inference_mode():
+        expected = run.model.predict(before, now, torch.tensor([2]))
+    assert torch.equal(run.predict(before, now, names[2]), expected)
+    shown = run.predict(frames[0], frames[1], names[2])
+    assert isinstance(shown, np.ndarray)
+    assert shown.dtype == np.uint8
+    assert (to_model(torch.from_numpy(shown)) - expected.clamp(-1, 1)).abs().max() <= 1 / 127.5
+    assert np.array_equal(shown, run.predict(frames[0], frames[1], 2))
+
+
+def test_a_rollout_begins_with_the_prediction_and_takes_a_sequence_for_each(workspace: Path) -> None:
+    run = dm.load_run("tiny")
+    frames = run.dataset.video(0)
+    together = run.rollout(frames[:2], frames[1:3], [["up", "left"], ["down", "left"]])
+    assert together.shape == (2, 2, 128, 128, 3)
+    for row, name in enumerate(("up", "down")):
+        alone = run.rollout(frames[row], frames[row + 1], [name, "left"])
+        assert np.abs(alone.astype(int) - together[row].astype(int)).max() <= 1  # sums of another order
+        first = run.predict(frames[row], frames[row + 1], name)
+        assert np.abs(first[0].astype(int) - together[row, 0].astype(int)).max() <= 1
+    with pytest.raises(UnknownName, match="did you mean 'up'"):
+        run.predict(frames[0], frames[1], "upp")
+
+
+def test_latent_actions_are_the_model_s_and_not_every_model_has_them(workspace: Path) -> None:
+    run = dm.load_run("tiny")
+    frames = run.dataset.video(0)
+    images = [to_model(torch.from_numpy(frames[step : step + 1])) for step in range(3)]
+    model: Any = run.model
+    with torch.inference_mode():
+        expected = model.latent_action(*images)
+    assert np.array_equal(run.latent_action(*frames[:3]), expected.numpy())
+    other = dm.train("ed-cnn", labels="all", settings={"epochs": 0.1})
+    with pytest.raises(UsageError, match="'ed-cnn' has no latent actions"):
+        other.latent_action(*frames[:3])
+
+
+def test_a_run_without_labels_says_how_to_tell_it_the_actions(workspace: Path) -> None:
+    run = dm.train("dmotion", labels="none", settings=SHORT, threads=1)
+    frames = run.dataset.video(0)
+    with pytest.raises(LabelsNotAvailable, match="--labels"):
+        run.predict(frames[0], frames[1], "up")
+    assert run.latent_action(*frames[:3]).shape == (1, 2)
+
+
+def test_a_report_is_that_of_the_command(
+    workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(RunMissing, match=r"dm\.score"):
+        dm.load_run("tiny").report  # noqa: B018
+    told: list[dm.JobProgress] = []
+    report = dm.score("tiny", ["prediction", "rollout"], horizon=4, progress=told.append)
+    outcome = dmbench(
+        ["score", "tiny", "--metrics", "prediction,rollout", "--horizon", "4", "--json"], capsys, monkeypatch
+    )
+    (said,) = json.loads(outcome.out)["reports"]
+    assert report.summary() | {"run": "runs/tiny"} == said
+    assert dm.load_run("tiny").report.figures == report.figures
+    assert told
+    with pytest.raises(UnknownName, match="predicton"):
+        dm.score("tiny", "predicton")
+
+
+def test_a_task_is_planned_as_the_command_plans_it(
+    workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen = {"samples": 4, "horizon": 2, "elites": 2, "iterations": 1}
+    planned = dm.plan("tiny", 1, steps=3, planner_settings=chosen, save="planned.rrd")
+    words = [word for name, value in chosen.items() for word in ("--planner-set", f"{name}={value}")]
+    outcome = dmbench(["plan", "tiny", "--task", "1", "--steps", "3", *words, "--json"], capsys, monkeypatch)
+    assert json.loads(outcome.out) | {"planning_seconds": 0} == planned.to_json() | {"planning_seconds": 0}
+    assert (workspace / "planned.rrd").stat().st_size > 10_000
+    with pytest.raises(UsageError, match=r"must end in \.rrd"):
+        dm.plan("tiny", save="planned.gif")
+
+
+def test_views_are_written_to_files(workspace: Path) -> None:
+    assert dm.view(dm.load_run("tiny"), save="run.rrd", episodes=[0]) == Path("run.rrd")
+    assert dm.view("tiny", save="run.gif", steps=2, episodes=[0]) == Path("run.gif")
+    assert dm.view([str(workspace / "runs" / "tiny")], save=workspace / "again.rrd", episodes=[0])
+    for name in ("run.rrd", "run.gif", "again.rrd"):
+        assert (workspace / name).stat().st_size > 1000
+
+
+def test_a_page_is_served_until_it_is_closed(workspace: Path) -> None:
+    page = dm.view("grid_world-tiny", web=True, episodes=[0])
+    assert isinstance(page, dm.Served)
+    with page, urllib.request.urlopen(page.url, timeout=30) as answer:
+        assert answer.status == 200
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(page.url, timeout=5)
+
+
+@pytest.mark.parametrize(
+    ("asked", "kind", "said"),
+    [
+        ({"what": "tiny", "save": "x.png"}, UsageError, "must end in .rrd"),
+        ({"what": "tiny", "steps": 3}, UsageError, "steps is for an animation"),
+        ({"what": "tinny", "save": "x.rrd"}, UnknownName, "did you mean 'tiny'"),
+        ({"what": [], "save": "x.rrd"}, UsageError, "nothing is named"),
+        ({"what": "grid_world-tiny", "save": "x.gif"}, UsageError, "name runs"),
+        ({"what": ["tiny", "grid_world-tiny"], "save": "x.rrd"}, UsageError, "only runs can be shown side by side"),
+        ({"what": "tiny"}, ViewerError, "no display"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(
+    workspace: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, Any], kind: type[Exception], said: str
+) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(kind, match=said.replace(".", r"\.")):
+        dm.view(**asked)
+    assert not list(workspace.glob("x.*"))
+
+
+def test_the_demo_is_done_once_and_leaves_a_workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demonstration, "EPISODES", 12)
+    monkeypatch.setattr(demonstration, "EPOCHS", 0.01)
+    lines: list[str] = []
+    done = dm.demo(str(tmp_path / "demo"), say=lines.append)
+    assert [line[:3] for line in lines if not line.startswith(" ")] == ["1/4", "2/4", "3/4", "4/4"]
+    assert dm.open_dataset(workspace=tmp_path / "demo").path == done.dataset
+    assert dm.load_run(workspace=str(tmp_path / "demo")).report.figures == done.report.figures
+    assert done.recording.stat().st_size > 10_000
+
+
+def test_a_model_of_a_notebook_is_trained_and_scored_by_its_name(workspace: Path) -> None:
+    kind = model_class("ed-cnn")
+    dm.register_model("mine", type("Mine", (kind,), {"__doc__": "E-D CNN under another name."}))
+    run = dm.train("mine", labels="all", settings={"epochs": 0.1}, threads=1)
+    same = dm.train("ed-cnn", labels="all", settings={"epochs": 0.1}, threads=1)
+    assert "mine" in dm.model_names()
+    figures = [dm.score(one, "prediction").figures["mse"] for one in (run, same)]
+    assert figures[0] == figures[1]
+    with pytest.raises(UsageError, match="registered by a package already"):
+        dm.register_model("dmotion", kind)
+    with pytest.raises(UsageError, match="no class of models"):
+        dm.register_model("other", object)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="no class of environments"):
+        dm.register_environment("other", kind)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("settings", "texts"),
+    [
+        (None, ()),
+        ({"epochs": 0.5, "n": 3}, ("epochs=0.5", "n=3")),
+        ({"on": True, "off": False, "none": None}, ("on=true", "off=false", "none=none")),
+        ({"sizes": [1, 2], "name": "x"}, ("sizes=1,2", "name=x")),
+        ({"numpy": np.float32(0.5), "torch": torch.tensor(2)}, ("numpy=0.5", "torch=2")),
+        (["a=1"], ("a=1",)),
+    ],
+)
+def test_settings_are_written_as_the_command_takes_them(settings: Any, texts: tuple[str, ...]) -> None:
+    assert as_texts(settings) == texts
+
+
+@pytest.mark.parametrize("settings", ["epochs=5", {"x": object()}, {"x": {"y": 1}}, {"x": torch.zeros(2)}])
+def test_settings_that_are_none_are_refused(settings: Any) -> None:
+    with pytest.raises(InvalidSetting):
+        as_texts(settings)
+
+
+def test_a_report_computed_by_the_library_is_the_same(workspace: Path) -> None:
+    assert (
+        score_run(workspace / "runs" / "tiny", metrics=("prediction",)).figures
+        == dm.score("tiny", "prediction").figures
+    )
+
+
+def test_a_run_in_use_is_refused(workspace: Path) -> None:
+    (workspace / "runs" / "busy").mkdir()
+    lock = FolderLock(workspace / "runs" / "busy")
+    with pytest.raises(FolderInUse):
+        dm.train("lapo", settings=SHORT, out="runs/busy", threads=1)
+    lock.release()
+    assert dm.train("lapo", settings=SHORT, out="runs/busy", threads=1).result

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -233,7 +234,8 @@ def _file_system(address: str) -> Any:
 def _s3_options() -> dict[str, Any]:
     attempts = {"total_max_attempts": 1, "mode": "standard"}
     timeouts = {"connect_timeout": PATIENCE_S, "read_timeout": PATIENCE_S}
-    return {"config_kwargs": {"retries": attempts, **timeouts}}
+    endpoint = os.environ.get("AWS_ENDPOINT_URL")  # s3fs keeps its clients by what it is given, not by the environment
+    return {"config_kwargs": {"retries": attempts, **timeouts}, "endpoint_url": endpoint}
 
 
 _OPTIONS: Final = {"s3": _s3_options}

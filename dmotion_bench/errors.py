@@ -12,7 +12,8 @@
     │   ├── DatasetCorrupt            bytes that are not what was written
     │   ├── DatasetVersionUnknown     written by another version of the format
     │   ├── CacheNotWritable          what is derived from a data set can be kept nowhere; another folder helps
-    │   └── RecipeMismatch            the folder holds a data set made by another recipe
+    │   ├── RecipeMismatch            the folder holds a data set made by another recipe
+    │   └── PlaceUnreachable          object storage that does not answer, however often it is asked
     ├── RecordingFailed               an environment or a policy failed in the middle of an episode
     ├── RecordingImportError          a foreign recording that cannot be read
     │   └── RecordingTruncated        it ends in the middle
@@ -124,6 +125,10 @@ class CacheNotWritable(DatasetError):
 
 class RecipeMismatch(DatasetError):
     """The folder holds a data set that another recipe made."""
+
+
+class PlaceUnreachable(DatasetError):
+    """Object storage that does not answer, or refuses."""
 
 
 class RecordingFailed(DmbenchError):

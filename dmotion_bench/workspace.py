@@ -11,6 +11,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
+from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
 from dmotion_bench.wording import command
 
@@ -76,12 +77,14 @@ class Workspace:
         return sorted(path.parent for path in self.runs.glob(f"*/{RUN_MANIFEST}"))
 
     def dataset(self, given: AnyPath | None) -> Path:
-        """The data set asked for by path or name, or the only one there is.
+        """The data set asked for by path, name or address, or the only one there is.
 
         Raises:
             DatasetMissing: There is none.
             UsageError: There are several and none was named.
         """
+        if remote_address(given) is not None:
+            return Path(str(given))  # whoever opens it looks whether there is one
         if given is not None:
             return self._named(Path(given), self.data, DATASET_MANIFEST, "data set", self.datasets())
         found = self.datasets()

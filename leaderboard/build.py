@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunMismatch
+from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, Report
@@ -169,14 +169,14 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
 
 def _dataset(run: Run, report: Report) -> Dataset | None:
     """The data set that a report was scored on, as the run's model reads it, if it still exists unchanged."""
-    own = run.dataset_path
-    path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
     try:
+        own = run.dataset_path
+        path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
         dataset = Dataset.open(path)
         if dataset.fingerprint != report.dataset["fingerprint"]:
             return None
         return dataset if report.trained_on is None else fitting(run, dataset)
-    except (DatasetError, RunMismatch):
+    except (DatasetError, RunError):
         return None
 
 

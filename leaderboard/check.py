@@ -114,7 +114,8 @@ def check_entry(
             f"version: the entry was scored by version {short(entry.scored_by)}, this is version {SCORING_VERSION}; "
             "score the run again, or check with the dmbench that scored it"
         )
-    run, dataset, asked = find_run(check, workspace), find_dataset(check, workspace), _settings(check)
+    run, asked = find_run(check, workspace), _settings(check)
+    dataset = find_dataset(check, workspace, run)
     if run is None or dataset is None:
         return check.verdict()
     try:

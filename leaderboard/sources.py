@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 from dmotion_bench.actions import kind_of
-from dmotion_bench.errors import DmbenchError, RunMismatch
+from dmotion_bench.addresses import remote_address
+from dmotion_bench.errors import DatasetError, DmbenchError, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.references import published_for
@@ -15,7 +17,7 @@ from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.transfer import training_of, transferable
 from dmotion_bench.storage.check import cache_damages
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.shard import LABELS, VIDEO, file_facts, shard_path
+from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, shard_path
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.workspace import Workspace
 from leaderboard.verdict import Findings
@@ -41,16 +43,14 @@ def find_run(check: Findings, workspace: Workspace) -> Run | None:
     return next((run for run in found if run.name == check.entry.name), found[0])
 
 
-def find_dataset(check: Findings, workspace: Workspace) -> Dataset | None:
-    """The data set with the entry's fingerprint, its files as they were recorded; of copies the one with its name."""
-    said, found = check.entry.content["dataset"], list[Dataset]()
-    for path in workspace.datasets():
-        try:
-            dataset = Dataset.open(path)
-        except DmbenchError:
-            continue
-        if dataset.fingerprint == said["fingerprint"]:
-            found.append(dataset)
+def find_dataset(check: Findings, workspace: Workspace, run: Run | None = None) -> Dataset | None:
+    """The data set with the entry's fingerprint, its files as they were recorded; of copies the one with its name.
+
+    Where the workspace has none, it is looked for where the run was trained.
+    """
+    said = check.entry.content["dataset"]
+    found = list(_of_fingerprint(said["fingerprint"], workspace.datasets()))
+    found = found or list(_of_fingerprint(said["fingerprint"], _remote_of(run)))
     if not found:
         check.missing.append(
             f"data set: none in {str(workspace.data)!r} has the fingerprint {said['fingerprint'][:12]}; {ELSEWHERE}"
@@ -61,16 +61,45 @@ def find_dataset(check: Findings, workspace: Workspace) -> Dataset | None:
     return chosen
 
 
+def _of_fingerprint(fingerprint: str, paths: Iterable[Path]) -> Iterator[Dataset]:
+    for path in paths:
+        try:
+            dataset = Dataset.open(path)
+        except DmbenchError:
+            continue
+        if dataset.fingerprint == fingerprint:
+            yield dataset
+
+
+def _remote_of(run: Run | None) -> Iterator[Path]:
+    """The address of the data set that a run was trained on, if it is on object storage and was opened from here."""
+    if run is None or remote_address(run.manifest["dataset_path"]) is None:
+        return
+    with contextlib.suppress(DmbenchError):
+        yield run.dataset_path
+
+
 def _damages(dataset: Dataset) -> Iterator[str]:
     """The files, and the cached frames, that differ from what the fingerprint says."""
     for index, shard in enumerate(dataset.manifest.shards):
         for kind, facts in ((VIDEO, shard.video), (LABELS, shard.labels)):
             file = shard_path(dataset.path, kind, index)
-            if facts is not None and (not file.is_file() or file_facts(file) != facts):
+            if facts is not None and not _is_sound(dataset, kind, index, facts):
                 yield f"{kind}/{file.name} is not what was recorded"
                 return
     for damage in cache_damages(dataset):
         yield f"{damage.file} {damage.what}; delete it"
+
+
+def _is_sound(dataset: Dataset, kind: str, index: int, facts: FileFacts) -> bool:
+    """Whether a shard's file is there, with the bytes that were recorded."""
+    file = shard_path(dataset.path, kind, index)
+    if dataset.remote is not None:
+        try:
+            file = dataset.remote.shard(kind, index, dataset.manifest)
+        except (FileNotFoundError, DatasetError):
+            return False
+    return file.is_file() and file_facts(file) == facts
 
 
 def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:

@@ -87,3 +87,8 @@ def test_the_citation_has_what_the_format_asks_for() -> None:
     assert PROJECT["description"] in citation["title"] or citation["title"].startswith(PROJECT["name"])
     for reference in citation["references"]:
         assert {"type", "title", "authors"} <= reference.keys()
+
+
+def test_every_extra_is_documented() -> None:
+    table = re.findall(r"^\| (`.+?`) \|", (ROOT / "docs" / "installation.md").read_text(), re.MULTILINE)
+    assert sorted(re.findall(r"`([\w-]+)`", " ".join(table))) == sorted(PROJECT["optional-dependencies"])

@@ -88,6 +88,8 @@ def _begin(rank: int, world: int, port: int, path: list[str], work: Callable[...
     os.environ["GLOO_SOCKET_IFNAME"] = "lo" if sys.platform == "linux" else "lo0"
     torch.set_num_threads(1)
     work(rank, *given)
+    if torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()  # its threads may abort the end of this process
 
 
 def train_exact(rank: int, data: Path, folder: Path, settings: tuple[str, ...], stop_at: int | None = None) -> None:

@@ -56,10 +56,13 @@ def _states(frames: int, pixel: np.ndarray) -> ObjectStates:
     )
 
 
-def record_walks(path: Path, episodes: int = 14, frames: int = 9) -> Path:
-    """Write the data set; returns its folder."""
-    recipe = DatasetRecipe(environment="walk", episodes=episodes, frames=frames, shard_episodes=episodes)
+def record_walks(path: Path, episodes: int = 14, frames: int = 9, shard_episodes: int | None = None) -> Path:
+    """Write the data set, in one shard unless another size is asked for; returns its folder."""
+    recipe = DatasetRecipe(
+        environment="walk", episodes=episodes, frames=frames, shard_episodes=shard_episodes or episodes
+    )
     with DatasetWriter.create_or_resume(path, recipe, SPEC) as writer:
-        writer.add(writer.write_shard(0, [episode(number, frames) for number in range(episodes)]))
+        for index in writer.missing:
+            writer.write_shard(index, [episode(number, frames) for number in writer.episodes_of(index)])
         writer.finish()
     return path

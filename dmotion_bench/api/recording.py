@@ -15,7 +15,7 @@ from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.recording.preset import USUAL_RANGES, recipe_for
 from dmotion_bench.recording.session import Progress as Done
-from dmotion_bench.recording.session import Recorded, record_dataset
+from dmotion_bench.recording.session import Recorded, record_dataset, recording_folder
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.shard import shard_count
@@ -119,7 +119,7 @@ def executor_for(recipe: DatasetRecipe, folder: Path, name: str, workers: int | 
     """
     if workers is None and name == "local":
         workers = available_workers()
-    absolute = folder.absolute()
+    absolute = recording_folder(folder).absolute()
     return make_executor(
         name,
         min(workers, shard_count(recipe)) if workers else None,

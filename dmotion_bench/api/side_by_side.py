@@ -108,7 +108,8 @@ def _trained_at_once(
     models: int,
     trackers: tuple[str, ...],
 ) -> Generator[Outcome]:
-    dataset.cache()  # once, and not by every job
+    if not request.stream and not dataset.cache_file.lacking():
+        dataset.cache()  # once, and not by every job
     threads, total = request.threads or 1, len(table_rows(dataset))
     size = JobSize(processors=threads, gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
     with jobs_folder(workspace) as folder:

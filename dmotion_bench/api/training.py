@@ -21,7 +21,14 @@ from dmotion_bench.learning.beginning import finished_result
 from dmotion_bench.learning.companions import Companions
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.labels import first_budget
-from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve, training_data
+from dmotion_bench.learning.start import (
+    TrainingRequest,
+    default_path,
+    open_run,
+    prepare_frames,
+    resolve,
+    training_data,
+)
 from dmotion_bench.learning.threads import shortage
 from dmotion_bench.learning.tracking import require_trackers
 from dmotion_bench.learning.training import Report
@@ -58,6 +65,8 @@ def train(
     out: AnyPath | None = None,
     resume: bool = False,
     threads: int | None = None,
+    stream: bool | None = None,
+    loaders: int | None = None,
     device: str = "auto",
     log: Sequence[str] = (),
     workspace: AnyPath | None = None,
@@ -80,6 +89,9 @@ def train(
         out: The run's folder. Default: ``runs/NAME`` of the workspace.
         resume: Whether there must be a run to continue.
         threads: That compute; the weights depend on their number. Default: the run's own, else what is fastest.
+        stream: Whether to read the compressed files while training instead of a cache of all decoded frames.
+            Default: where the cache does not fit on the disk.
+        loaders: Threads that read them; the order is the same for any number.
         device: ``"auto"``, ``"cpu"`` or ``"cuda"``.
         log: Where the curves are shown, too: ``"tensorboard"``, ``"wandb"``.
         workspace: The folder with ``data/`` and ``runs/``; the current one by default.
@@ -111,12 +123,13 @@ def train(
         settings=as_texts(settings),
         protocol=split,
         threads=threads,
+        stream=stream,
     )
     where = Workspace.current() if workspace is None else Workspace(workspace)
     model_class(model)  # a misspelt name is said before anything is loaded
     dataset = Dataset.open(where.dataset(data))
     run = begin(request, dataset, where, None if out is None else Path(out), resume=resume)
-    complete(run, dataset, device, progress, trackers)
+    complete(run, dataset, device, progress, trackers, loaders=loaders)
     return Run.open(run.path)
 
 
@@ -152,6 +165,7 @@ def complete(
     progress: Progress = None,
     trackers: Sequence[str] = (),
     *,
+    loaders: int | None = None,
     note: Callable[[str], None] = _LOG.info,
     warn: Callable[[str], None] = _LOG.warning,
 ) -> dict[str, Any]:
@@ -166,6 +180,7 @@ def complete(
         device: ``"auto"``, ``"cpu"`` or ``"cuda"``.
         progress: Told after every step, in the first process alone.
         trackers: Names of ``TRACKERS`` that are told the curves, too.
+        loaders: Threads that read the compressed files of a run that streams them; None for the usual number.
         note: Told in a sentence where the training comes from, if it does not begin.
         warn: Told in a sentence if it will be slow.
 
@@ -182,7 +197,7 @@ def complete(
                 lambda: (finished_result(run, note), run.manifest, run.threads)
             )
             if finished is None and mine.local_rank == 0:
-                dataset.cache()
+                prepare_frames(run, dataset)
             companions.gathered(mine.rank)
     else:
         finished = finished_result(run, note)
@@ -192,7 +207,7 @@ def complete(
         warn(told)
     fabric = fabric or launch(device)
     if mine.rank > 0:
-        return train_steps(run, training_data(run, dataset), fabric, lambda _: None)
+        return train_steps(run, training_data(run, dataset, loaders), fabric, lambda _: None)
     what = f"training {run.spec.model}"
     with telling(progress) as tell:
         tell(JobProgress(what=what, done=0, total=None, status="reading the data"))
@@ -201,7 +216,7 @@ def complete(
             status = f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s"
             tell(JobProgress(what=what, done=report.step, total=report.steps, status=status))
 
-        return train_steps(run, training_data(run, dataset), fabric, on_step, tuple(trackers))
+        return train_steps(run, training_data(run, dataset, loaders), fabric, on_step, tuple(trackers))
 
 
 def require_sharing(run: runs.Run, processes: int) -> None:

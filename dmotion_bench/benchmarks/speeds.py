@@ -7,6 +7,7 @@ Every registered environment and model is measured. A package can add speeds of 
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -20,11 +21,12 @@ from dmotion_bench.benchmarks import machine
 from dmotion_bench.benchmarks.planning_speed import PlanningOneByOne, PlanningTogether
 from dmotion_bench.benchmarks.result import Failure, Result
 from dmotion_bench.benchmarks.rounds import measure_in_rounds
-from dmotion_bench.benchmarks.scene import SIZE, scene_facts, scene_frames
+from dmotion_bench.benchmarks.scene import SIZE, scene_dataset, scene_facts, scene_frames
 from dmotion_bench.benchmarks.training_step import TrainingStep, untrained
 from dmotion_bench.errors import DmbenchError, UnknownName
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.optimization import has_bf16
+from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.recording.speed import RecordedFrames
@@ -54,6 +56,7 @@ def measure(only: str, seconds: float, announce: Callable[[str], None]) -> Itera
     for name in environment_names():
         works[f"record[{name}]"] = partial(recording, name, seconds)
     works["load_triplets"] = partial(loading, seconds)
+    works["stream_triplets"] = partial(streaming, seconds)
     for name in model_names():
         works |= {f"train[{name}{arch}]": partial(training, name, arch[1:], seconds) for arch in _architectures(name)}
     for name in model_names():
@@ -114,6 +117,28 @@ def loading(seconds: float) -> Result:
             return _BATCH
 
         return measure_in_rounds("load_triplets", "triplets/s", work, seconds, machine.memory_copy(3 * _FRAME_BYTES))
+
+
+def streaming(seconds: float) -> Result:
+    """Triplets a second of processor time, gathered from compressed shards while they are read, on one core."""
+    with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
+        dataset = scene_dataset(Path(folder) / "scene", _EPISODES, _FRAMES)
+        triplets = StreamedTriplets.of_split(dataset, "train", window=len(dataset) * _FRAMES // 4)
+        order = triplets.order(_BATCH, seed=0)
+        batches, step = StreamedBatches(triplets, order, None, torch.device("cpu")), 0
+
+        def work() -> float:
+            nonlocal step
+            batches.expect(step, 0, 1)
+            batches.gather(order.batch(step))
+            step += 1
+            return _BATCH
+
+        try:
+            yardstick = machine.memory_copy(3 * _FRAME_BYTES)
+            return measure_in_rounds("stream_triplets", "triplets/s", work, seconds, yardstick, clock=time.process_time)
+        finally:
+            batches.close()
 
 
 def training(name: str, arch: str, seconds: float) -> Result:

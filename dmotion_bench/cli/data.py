@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from dmotion_bench.addresses import remote_address
 from dmotion_bench.cli import data_export, data_import
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.wording import command
@@ -18,7 +19,7 @@ DatasetFolder = Annotated[
     Path | None,
     typer.Argument(
         metavar="[DIR]",
-        help="The data set, by path or name. Default: the only one of the workspace.",
+        help="The data set, by path, name or address (s3://bucket/path). Default: the only one of the workspace.",
         show_default=False,
     ),
 ]
@@ -94,24 +95,24 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
     from dmotion_bench.workspace import Workspace
 
     folder = Workspace.current().dataset(dataset)
+    address = remote_address(folder)
+    where = address or str(folder)
     with _progress("checking") as show:
         report = check_dataset(folder, show)
     recipe = report.manifest.recipe
     frames = sum(shard.frames for shard in report.manifest.shards)
     if as_json:
         damages = [{"file": damage.file, "what": damage.what} for damage in report.damages]
-        whole = {"dataset": str(folder), "sound": not damages, "damages": damages, "labels": report.labels}
+        whole = {"dataset": where, "sound": not damages, "damages": damages, "labels": report.labels}
         typer.echo(json.dumps(whole | {"episodes": recipe.episodes, "frames": frames}))
     else:
         for damage in report.damages:
             typer.echo(f"{damage.file} {damage.what}")
     if report.damages:
-        raise DatasetCorrupt(
-            f"{str(folder)!r} is damaged in {len(report.damages)} places; mend it with "
-            f"{command('dmbench data repair', folder)}."
-        )
+        way_out = f"mend it with {command('dmbench data repair', folder)}" if address is None else "put it there again"
+        raise DatasetCorrupt(f"{where!r} is damaged in {len(report.damages)} places; {way_out}.")
     if not as_json:
-        typer.echo(f"{folder} is sound: {recipe.episodes} episodes, {frames} frames, labels {report.labels}.")
+        typer.echo(f"{where} is sound: {recipe.episodes} episodes, {frames} frames, labels {report.labels}.")
 
 
 @group.command()

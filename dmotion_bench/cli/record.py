@@ -98,7 +98,8 @@ def record(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the data set. Default: data/ENVIRONMENT-PRESET, with the scene and the policy at the end "
+            help="Folder of the data set, or an address on object storage: s3://bucket/path, gs://, hf://. "
+            "Default: data/ENVIRONMENT-PRESET, with the scene and the policy at the end "
             "if they are not the usual ones, and with -varied or -shifted if factors vary."
         ),
     ] = None,
@@ -122,6 +123,7 @@ def record(
     from dmotion_bench.api.recording import default_folder, executor_for, record_recipe
     from dmotion_bench.cli.progress import BarOnDemand
     from dmotion_bench.recording.preset import recipe_for
+    from dmotion_bench.recording.session import recording_folder
     from dmotion_bench.workspace import Workspace
 
     recipe = recipe_for(
@@ -140,7 +142,7 @@ def record(
     )
     folder = out or default_folder(recipe, preset, Workspace.current())
     hands = executor_for(recipe, folder, executor, workers)
-    with following(lambda: _follower(folder, recipe), live, live_to) as poll:
+    with following(lambda: _follower(recording_folder(folder), recipe), live, live_to) as poll:
         with BarOnDemand(poll) as tell:
             recorded = record_recipe(recipe, folder, hands, tell)
         _tell(recorded, recipe.tasks, as_json)

@@ -43,7 +43,10 @@ def train(
         bool, typer.Option("--all", help="Train every model with each of its label budgets.")
     ] = False,
     data: Annotated[
-        Path | None, typer.Option(help="The data set, by path or name. Default: the only one of the workspace.")
+        Path | None,
+        typer.Option(
+            help="The data set, by path, name or address (s3://bucket/path). Default: the only one of the workspace."
+        ),
     ] = None,
     labels: Annotated[
         str | None,
@@ -123,6 +126,24 @@ def train(
     ] = 1,
     workers: Workers = None,
     executor: ExecutorName = None,
+    stream: Annotated[
+        bool | None,
+        typer.Option(
+            "--stream/--no-stream",
+            help="Read the compressed files while training instead of a cache of all decoded frames, and shuffle "
+            "8,192 triplets at a time ('--set window=N': N). Default: where the cache does not fit on the disk.",
+            show_default=False,
+        ),
+    ] = None,
+    loaders: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=MOST_THREADS,
+            help="Threads that read the compressed files. The order is the same for any number.  [default: 1]",
+            show_default=False,
+        ),
+    ] = None,
     cache: CacheFolder = None,
     live: Live = False,
     live_to: LiveTo = None,
@@ -160,7 +181,12 @@ def train(
         from dmotion_bench.api.training import TrainingRequest
 
         asked = TrainingRequest(
-            model="", preset=preset, seed=seed, protocol="paper" if split == "paper" else "episode", threads=threads
+            model="",
+            preset=preset,
+            seed=seed,
+            protocol="paper" if split == "paper" else "episode",
+            threads=threads,
+            stream=stream,
         )
         _train_all(asked, workspace, data, workers, executor, device, trackers, as_json)
         return
@@ -183,6 +209,7 @@ def train(
         settings=tuple(settings or ()),
         protocol="paper" if split == "paper" else "episode",
         threads=threads,
+        stream=stream,
     )
     dataset = Dataset.open(workspace.dataset(data))
     run = begin(request, dataset, workspace, out, resume=resume)
@@ -199,10 +226,10 @@ def train(
     if is_led():
         end_with(int(os.environ[LED]))
     if together.rank > 0:
-        train_run(run, dataset, device, trackers=trackers)
+        train_run(run, dataset, device, trackers=trackers, loaders=loaders)
         return
     with following(lambda: _follower(run.path), live, live_to) as poll:
-        _tell(run, dataset, train_run(run, dataset, device, poll, trackers), as_json)
+        _tell(run, dataset, train_run(run, dataset, device, poll, trackers, loaders), as_json)
 
 
 def _follower(run: Path) -> Follower:
@@ -324,13 +351,23 @@ def train_run(
     device: str = "auto",
     poll: Callable[[], None] = lambda: None,
     trackers: tuple[str, ...] = (),
+    loaders: int | None = None,
 ) -> dict[str, Any]:
     """Train a run to its end with a progress bar; ``poll`` is called after every step."""
     from dmotion_bench.api.training import complete
     from dmotion_bench.cli.progress import BarOnDemand, note
 
     with BarOnDemand(poll) as tell:
-        return complete(run, dataset, device, tell, trackers, note=note, warn=lambda told: typer.echo(told, err=True))
+        return complete(
+            run,
+            dataset,
+            device,
+            tell,
+            trackers,
+            loaders=loaders,
+            note=note,
+            warn=lambda told: typer.echo(told, err=True),
+        )
 
 
 def _transitions(dataset: Dataset) -> int:

@@ -6,6 +6,8 @@ once, and a batch is one indexed read: nothing waits for data.
 
 from __future__ import annotations
 
+from typing import Protocol, runtime_checkable
+
 import numpy as np
 import torch
 from einops import rearrange
@@ -18,6 +20,19 @@ from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.learning.triplets import TripletSet
 
 RESIDENT_SHARE = 0.6  # of the free device memory may be frames
+
+
+@runtime_checkable
+class Batches(Protocol):
+    """Turns the numbers of triplets into batches on the device."""
+
+    def __len__(self) -> int: ...
+
+    def expect(self, step: int, rank: int, world: int) -> None: ...
+
+    def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch: ...
+
+    def close(self) -> None: ...
 
 
 class TripletBatches:
@@ -46,6 +61,12 @@ class TripletBatches:
 
     def __len__(self) -> int:
         return len(self.triplets)
+
+    def expect(self, step: int, rank: int, world: int) -> None:
+        """Nothing needs to be read beforehand: every frame is at hand."""
+
+    def close(self) -> None:
+        """Nothing is held open."""
 
     def _fits(self) -> bool:
         free, _ = torch.cuda.mem_get_info(self.device)

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from dmotion_bench.learning.action_encoding import as_tensor
-from dmotion_bench.learning.batches import TripletBatches
+from dmotion_bench.learning.batches import Batches, TripletBatches
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.labels import LabelBudget
 from dmotion_bench.learning.model import Demonstrations, Phase, TrainingConfig
-from dmotion_bench.learning.triplets import BatchOrder, TripletSet
+from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
+from dmotion_bench.learning.streamed_order import StreamedOrder
+from dmotion_bench.learning.triplets import BatchOrder, TripletSet, steps_of
 from dmotion_bench.specs import Supervision
 
 VALIDATION_TRIPLETS = 1024
+Source = Callable[[int, int, int], tuple[Batches, BatchOrder | StreamedOrder]]
+"""The batches of a phase and their order, by batch size, seed and triplets of an episode side by side."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,12 +28,12 @@ class TrainingData:
     """The data that a run learns from.
 
     Attributes:
-        train, validation: Triplets whose frames may be seen.
+        train, validation: Triplets whose frames may be seen; streamed are both or neither.
         budget: The door to the labels.
     """
 
-    train: TripletSet
-    validation: TripletSet
+    train: TripletSet | StreamedTriplets
+    validation: TripletSet | StreamedTriplets
     budget: LabelBudget
 
 
@@ -40,8 +44,8 @@ class Part:
     phase: Phase
     start: int
     stop: int
-    batches: TripletBatches
-    order: BatchOrder
+    batches: Batches
+    order: BatchOrder | StreamedOrder
     validation: TripletBatches
 
 
@@ -71,19 +75,19 @@ def parts_of(
     Raises:
         LabelsNotAvailable: A phase needs actions that are not there.
     """
-    video = TripletBatches(data.train, None, device)
-    watched = TripletBatches(_evenly(data.validation, VALIDATION_TRIPLETS), None, device)
-    labelled, labelled_watched = video, watched
+    source_of = _of_streams if isinstance(data.train, StreamedTriplets) else _of_sets
+    held = held_for_validation(data)
+    watched = labelled_watched = TripletBatches(held, None, device)
+    sources = {False: source_of(data, device, False)}
     if any(phase.needs_actions for phase in phases):
-        paid = data.budget.actions(data.train, "training")
-        labelled = TripletBatches(paid.triplets, paid.actions, device)
-        held = data.budget.actions(_evenly(data.validation, VALIDATION_TRIPLETS), "validation")
-        labelled_watched = TripletBatches(held.triplets, held.actions, device)
+        sources[True] = source_of(data, device, True)
+        paid = data.budget.actions(held, "validation")
+        labelled_watched = TripletBatches(paid.triplets, paid.actions, device)
     parts: list[Part] = []
     for number, phase in enumerate(phases):
-        batches = labelled if phase.needs_actions else video
         size = phase.batch_size or config.batch_size
-        total = BatchOrder(len(video), size, 0).steps(config.epochs)
+        batches, order = sources[phase.needs_actions](size, seed + number, phase.together)
+        total = steps_of(config.epochs, len(data.train), size)
         start = parts[-1].stop if parts else 0
         parts.append(
             Part(
@@ -91,13 +95,40 @@ def parts_of(
                 start=start,
                 stop=start + max(1, round(phase.fraction * total)),
                 batches=batches,
-                order=BatchOrder(
-                    len(batches), size, seed + number, episode=batches.triplets.episode, together=phase.together
-                ),
+                order=order,
                 validation=labelled_watched if phase.needs_actions else watched,
             )
         )
     return tuple(parts)
+
+
+def _of_sets(data: TrainingData, device: torch.device, needs_actions: bool) -> Source:
+    """The triplets of a phase out of the frame cache."""
+    triplets, actions = data.train, None
+    assert isinstance(triplets, TripletSet), "streamed triplets are not in the cache"
+    if needs_actions:
+        paid = data.budget.actions(triplets, "training")
+        triplets, actions = paid.triplets, paid.actions
+    batches, episode = TripletBatches(triplets, actions, device), triplets.episode
+
+    def source(size: int, seed: int, together: int) -> tuple[Batches, BatchOrder]:
+        return batches, BatchOrder(len(batches), size, seed, episode=episode, together=together)
+
+    return source
+
+
+def _of_streams(data: TrainingData, device: torch.device, needs_actions: bool) -> Source:
+    """The triplets of a phase out of the compressed files."""
+    triplets, actions = data.train, None
+    assert isinstance(triplets, StreamedTriplets), "triplets of the cache are not streamed"
+    if needs_actions:
+        triplets, actions = data.budget.streamed_actions(triplets)
+
+    def source(size: int, seed: int, together: int) -> tuple[Batches, StreamedOrder]:
+        order = triplets.order(size, seed, together)
+        return StreamedBatches(triplets, order, actions, device), order
+
+    return source
 
 
 def steps_before_labels(parts: Sequence[Part]) -> int | None:
@@ -106,8 +137,19 @@ def steps_before_labels(parts: Sequence[Part]) -> int | None:
     return first or None
 
 
-def _evenly(triplets: TripletSet, most: int) -> TripletSet:
+def held_for_validation(data: TrainingData) -> TripletSet:
+    """The triplets that a training validates with; where they are streamed, a small cache is made of them.
+
+    Raises:
+        CacheNotWritable: That cache can be kept nowhere.
+        StorageFull: There is no space for it.
+    """
+    return _evenly(data.validation, VALIDATION_TRIPLETS)
+
+
+def _evenly(triplets: TripletSet | StreamedTriplets, most: int) -> TripletSet:
     """At most so many triplets, spread evenly."""
-    if len(triplets) <= most:
+    if isinstance(triplets, TripletSet) and len(triplets) <= most:
         return triplets
-    return triplets.subset(np.linspace(0, len(triplets) - 1, most).round().astype(np.int64))
+    index = np.linspace(0, len(triplets) - 1, min(most, len(triplets))).round().astype(np.int64)
+    return triplets.subset(index) if isinstance(triplets, TripletSet) else triplets.picked(index)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -22,7 +22,8 @@ from jaxtyping import Float, Int, Shaped, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete, require_discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.streamed import StreamedTriplets
+from dmotion_bench.learning.triplets import Triplets, TripletSet
 from dmotion_bench.specs import EpisodeLabels, Supervision
 from dmotion_bench.storage.readable import ReadableDataset
 
@@ -158,6 +159,10 @@ class DemonstrationFrames:
     actions: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"]
 
 
+StoredActions = Int[np.ndarray, " s"] | Float[np.ndarray, "s a"]
+"""Of an episode, one a step."""
+
+
 class LabelBudget:
     """Hands out the labels that a run's budget allows, and counts them.
 
@@ -183,8 +188,7 @@ class LabelBudget:
         Raises:
             LabelsNotAvailable: The request is for demonstrations, or for nothing.
         """
-        if self.request.kind not in ("share", "count"):
-            raise LabelsNotAvailable(f"the budget {self.request} has no actions for {purpose}; ask for --labels 100%.")
+        self._require_actions(purpose)
         episodes = np.unique(triplets.episode)
         order = np.random.default_rng(0).permutation(episodes)
         if self.request.kind == "share":
@@ -200,7 +204,31 @@ class LabelBudget:
         self.given[purpose] = len(part)
         return LabelledTriplets(triplets=part, actions=actions)
 
-    def demonstrations(self, triplets: TripletSet, draw: int = 0) -> DemonstrationFrames:
+    def streamed_actions(self, triplets: StreamedTriplets) -> tuple[StreamedTriplets, Callable[[int], StoredActions]]:
+        """As ``actions`` for training: the triplets that the budget pays for, and what reads an episode's actions.
+
+        Raises:
+            LabelsNotAvailable: The request is for demonstrations, or for nothing; or the labels are not there.
+        """
+        self._require_actions("training")
+        order = np.random.default_rng(0).permutation(len(triplets.episodes))
+        counts, paid = triplets.counts[order], np.zeros_like(triplets.counts)
+        if self.request.kind == "share":
+            chosen = max(1, round(self.request.amount * len(order)))
+            paid[order[:chosen]] = counts[:chosen]
+        else:
+            wanted = int(self.request.amount) - max(1, int(self.request.amount) // HELD_BACK)
+            paid[order] = np.clip(wanted - (np.cumsum(counts) - counts), 0, counts)
+        part = triplets.first(paid)
+        self._dataset.states(int(part.episodes[0]))  # what is missing is said before the work
+        self.given["training"] = len(part)
+        return part, lambda episode: self._dataset.states(episode).actions
+
+    def _require_actions(self, purpose: str) -> None:
+        if self.request.kind not in ("share", "count"):
+            raise LabelsNotAvailable(f"the budget {self.request} has no actions for {purpose}; ask for --labels 100%.")
+
+    def demonstrations(self, triplets: Triplets, draw: int = 0) -> DemonstrationFrames:
         """As many transitions as the budget has, drawn from triplets in which nothing is pushed.
 
         Of ``K-shot`` there are so many of each action, or an error is raised. Of ``K-shot-per-agent`` a transition is
@@ -222,7 +250,7 @@ class LabelBudget:
                 "the actions of this data set are not known, so there is nothing to demonstrate; train without labels "
                 "(--labels none), or import the recording again with '--actions TOPIC'."
             )
-        order = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(draw,))).permutation(len(triplets))
+        order = triplets.shuffled(np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(draw,))))
         if self.request.kind == "count":
             rows, actions = self._first_unpushed(triplets, order)
         else:
@@ -233,7 +261,7 @@ class LabelBudget:
         return DemonstrationFrames(frames=triplets.gather(rows), actions=actions)
 
     def _of_each_action(
-        self, triplets: TripletSet, order: Int[np.ndarray, " n"], spec: Discrete
+        self, triplets: Triplets, order: Iterator[int], spec: Discrete
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
         """The first rows of each action in which nothing is pushed, by action."""
         wanted = int(self.request.amount)
@@ -250,7 +278,7 @@ class LabelBudget:
         return np.asarray(rows), np.asarray(actions)
 
     def _of_each_agent(
-        self, triplets: TripletSet, order: Int[np.ndarray, " n"], spec: Discrete
+        self, triplets: Triplets, order: Iterator[int], spec: Discrete
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
         """The first rows that show something new of an agent and in which nothing is pushed, by action.
 
@@ -288,7 +316,7 @@ class LabelBudget:
             )
 
     def _first_unpushed(
-        self, triplets: TripletSet, order: Int[np.ndarray, " n"]
+        self, triplets: Triplets, order: Iterator[int]
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"] | Float[np.ndarray, "m a"]]:
         found = list(itertools.islice(self._unpushed(triplets, order), int(self.request.amount)))
         if not found:
@@ -299,13 +327,11 @@ class LabelBudget:
         rows, actions = zip(*found, strict=True)
         return np.asarray(rows), np.stack(actions)
 
-    def _unpushed(
-        self, triplets: TripletSet, order: Int[np.ndarray, " n"]
-    ) -> Iterator[tuple[int, Shaped[np.ndarray, "..."]]]:
+    def _unpushed(self, triplets: Triplets, order: Iterator[int]) -> Iterator[tuple[int, Shaped[np.ndarray, "..."]]]:
         """The rows in which nothing is pushed and their actions, one by one; only their episodes are opened."""
         known: dict[int, EpisodeLabels] = {}
-        for row in order.tolist():
-            episode, step = int(triplets.episode[row]), int(triplets.step[row])
+        for row in order:
+            episode, step = (int(place[0]) for place in triplets.places(np.array([row])))
             labels = known.get(episode) or known.setdefault(episode, self._dataset.labels(episode))
             if not labels.pushed[step]:
                 yield row, np.asarray(labels.actions[step])

@@ -121,6 +121,8 @@ class TrainingConfig:
             triplets' latest losses instead of evenly; needs ``Losses.per_triplet``. Rare events, such as pushes, are
             seen more often.
         validations: How many times the run is validated and its checkpoint written.
+        window: Triplets that are shuffled among each other while they are read from the compressed files; 0 shuffles
+            all of them, which takes the frame cache.
     """
 
     epochs: float
@@ -135,6 +137,7 @@ class TrainingConfig:
     ema: float = 0.0
     hard_share: float = 0.0
     validations: int = 10
+    window: int = 0
 
     def __post_init__(self) -> None:
         from dmotion_bench.errors import InvalidSetting
@@ -149,7 +152,7 @@ class TrainingConfig:
         require_bounds(
             self,
             above_zero=("epochs", "batch_size", "learning_rate", "validations"),
-            from_zero=("weight_decay", "clip_norm"),
+            from_zero=("weight_decay", "clip_norm", "window"),
             below_one=("hard_share", "ema"),
         )
 

@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 
 from torch import Tensor
 
+from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunError, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.labels import first_budget
@@ -31,7 +32,8 @@ from dmotion_bench.learning.precision import AUTO
 from dmotion_bench.learning.run_manifest import RUN_FORMAT, Conditions, RunSpec, read_manifest
 from dmotion_bench.learning.settings import from_json
 from dmotion_bench.storage.atomic import write_atomically
-from dmotion_bench.wording import shown
+from dmotion_bench.storage.remote_copy import copy_folder
+from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
 
 __all__ = ["Conditions", "Run", "RunSpec"]
@@ -89,7 +91,7 @@ class Run:
         path: Path,
         spec: RunSpec,
         *,
-        dataset_path: Path,
+        dataset_path: Path | str,
         versions: Mapping[str, str],
         threads: int | None = None,
     ) -> AnyRun:
@@ -98,7 +100,7 @@ class Run:
         Args:
             path: The folder.
             spec: What is asked for.
-            dataset_path: Of the data set.
+            dataset_path: Of the data set, or its address.
             versions: Of the packages, for a new run.
             threads: Asked for; None takes those of the run, or in a new one torch's own number.
 
@@ -151,7 +153,20 @@ class Run:
 
     @property
     def dataset_path(self) -> Path:
-        """Where the data set is: in the run's own workspace, which may have moved, or where it was."""
+        """Where the data set is: in the run's own workspace, which may have moved, or where it was.
+
+        An address is only followed to a place that was opened from here before: the run may come from anybody.
+
+        Raises:
+            RunError: The data set is at an address that nobody has opened here.
+        """
+        if (address := remote_address(self.manifest["dataset_path"])) is not None:
+            if not copy_folder(address).is_dir():
+                raise RunError(
+                    f"the run {self.name!r} was trained on {shown(address)}, which was never opened from here; if you "
+                    f"trust that place, open it with {command('dmbench data info', address)} and run the command again."
+                )
+            return Path(address)
         given, workspace = Path(self.manifest["dataset_path"]), self.path.resolve().parent.parent
         for candidate in (workspace / given, given, workspace / "data" / given.name):
             if (candidate / DATASET_MANIFEST).is_file():

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import UnknownName, UsageError
-from dmotion_bench.learning.curriculum import TrainingData
+from dmotion_bench.learning.curriculum import TrainingData, held_for_validation
 from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelBudget, LabelRequest
+from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.learning.run_manifest import stored_actions
 from dmotion_bench.learning.settings import to_json, with_settings
+from dmotion_bench.learning.streamed import LOADERS, WINDOW, StreamedTriplets
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import IMPORTED, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.split import FEWEST_EPISODES
 from dmotion_bench.versions import versions
-from dmotion_bench.workspace import Workspace
+from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 
+_log = logging.getLogger(__name__)
 _MORE_EPISODES = {
     False: f"record at least {FEWEST_EPISODES}.",
     True: f"import at least {FEWEST_EPISODES}: cut the recordings shorter with '--frames-per-episode', or import more.",
@@ -39,6 +44,8 @@ class TrainingRequest:
         arch: The model's first architecture.
         settings: ``KEY=VALUE`` of the model's or the training's config.
         threads: That each process computes with.
+        stream: Whether to read the compressed files instead of the frame cache; None takes what the run does, or in a
+            new one the cache where it fits on the disk.
     """
 
     model: str
@@ -49,6 +56,7 @@ class TrainingRequest:
     settings: Sequence[str] = ()
     protocol: SplitProtocol = "episode"
     threads: int | None = None
+    stream: bool | None = None
 
 
 def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
@@ -75,6 +83,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
             f"'--set {given}': an architecture has defaults of its own; give '--{given.replace('=', ' ')}'."
         )
     config, training = with_settings(request.settings, kind.configure(arch), kind.training_defaults(preset, arch))
+    training = _streaming(request, training)
     return RunSpec(
         model=request.model,
         arch=arch,
@@ -108,6 +117,8 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
     parts += [setting.replace("=", "_").replace("/", "_") for setting in request.settings]
     if request.threads is not None:
         parts.append(f"threads_{request.threads}")
+    if request.stream:
+        parts.append("stream")
     return workspace.runs / "-".join([*parts, f"s{spec.seed}"])
 
 
@@ -119,18 +130,68 @@ def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, work
     """
     spec = resolve(request, dataset)
     folder = path or default_path(request, spec, workspace)
-    return Run.create_or_open(folder, spec, dataset_path=dataset.path, versions=versions(), threads=request.threads)
+    spec = _streamed_where_needed(request, spec, dataset, folder)
+    return Run.create_or_open(folder, spec, dataset_path=dataset.where, versions=versions(), threads=request.threads)
 
 
-def training_data(run: Run, dataset: Dataset) -> TrainingData:
+def _streaming(request: TrainingRequest, training: TrainingConfig) -> TrainingConfig:
+    """The training's settings with what ``--stream`` says.
+
+    Raises:
+        UsageError: The settings say something else, or the split cannot be streamed.
+    """
+    if request.stream is False and training.window:
+        raise UsageError(
+            f"'--set window={training.window}' is for data that are streamed; leave it out, or '--no-stream'."
+        )
+    if request.stream and not training.window:
+        training = dataclasses.replace(training, window=WINDOW)
+    if training.window and request.protocol == "paper":
+        raise UsageError(
+            "'--split paper' shuffles all triplets of the data set and cannot be streamed; leave out '--stream' or "
+            "'--split paper'."
+        )
+    return training
+
+
+def _streamed_where_needed(request: TrainingRequest, spec: RunSpec, dataset: Dataset, folder: Path) -> RunSpec:
+    """The request as it stands if something was asked for, as the run does it, or streamed if no cache fits."""
+    window = spec.training_config.window
+    if request.stream is not None or window:
+        return spec
+    if (folder / RUN_MANIFEST).exists():
+        window = Run.open(folder).spec.training_config.window
+    elif request.protocol == "episode" and (lacking := dataset.cache_file.lacking()):
+        window = WINDOW
+        _log.warning(
+            "%s; the training reads the compressed files instead and shuffles %s triplets at a time ('--stream').",
+            *(lacking, f"{WINDOW:,}"),
+        )
+    return dataclasses.replace(spec, training={**spec.training, "window": window})
+
+
+def training_data(run: Run, dataset: Dataset, loaders: int | None = None) -> TrainingData:
     """The data of a run; only the label budget opens ``labels/``, and only for the labels that it hands out.
+
+    Args:
+        run: What is asked for.
+        dataset: Where the data are.
+        loaders: Threads that read, where the frames are streamed; None for the usual number.
 
     Raises:
         UsageError: There are too few episodes to train and validate.
     """
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
-    train = TripletSet.of_split(dataset, "train", protocol)
-    validation = TripletSet.of_split(dataset, "validation", protocol)
+    train: TripletSet | StreamedTriplets
+    validation: TripletSet | StreamedTriplets
+    if window := run.spec.training_config.window:
+        train, validation = (
+            StreamedTriplets.of_split(dataset, name, window=window, loaders=loaders or LOADERS)
+            for name in ("train", "validation")
+        )
+    else:
+        train = TripletSet.of_split(dataset, "train", protocol)
+        validation = TripletSet.of_split(dataset, "validation", protocol)
     if not len(train) or not len(validation):
         imported = dataset.recipe.environment == IMPORTED
         raise UsageError(
@@ -138,6 +199,14 @@ def training_data(run: Run, dataset: Dataset) -> TrainingData:
         )
     budget = LabelBudget(dataset, LabelRequest.parse(run.spec.labels), run.spec.seed)
     return TrainingData(train=train, validation=validation, budget=budget)
+
+
+def prepare_frames(run: Run, dataset: Dataset) -> None:
+    """Decode what trainings read from a cache, before several processes look for it."""
+    if run.spec.training_config.window:
+        held_for_validation(training_data(run, dataset))
+    else:
+        dataset.cache()
 
 
 def _preset_of(dataset: str) -> Preset:

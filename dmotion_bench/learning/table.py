@@ -137,7 +137,7 @@ class TableJob:
 
     request: TrainingRequest
     rows: tuple[Row, ...]
-    dataset: Path
+    dataset: Path | str
     workspace: Path
     device: str
     threads: int
@@ -189,7 +189,7 @@ def train_side_by_side(
         TableJob(
             request=request,
             rows=tuple(own),
-            dataset=dataset.path.absolute(),
+            dataset=dataset.where if isinstance(dataset.where, str) else dataset.where.absolute(),
             workspace=workspace.root.absolute(),
             device=device,
             threads=threads,

@@ -55,6 +55,7 @@ from dmotion_bench.storage.lock import held
 
 CHECKPOINT_SECONDS = 60.0
 LOG_ROWS = 200  # rows of metrics.jsonl in a training
+_NO_LOSSES = np.zeros(0, np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +191,11 @@ class _Trainer:
             rank=companions.rank,
         )
         self.average = AveragedWeights(self.model, self.config.ema) if self.config.ema else None
-        self.hardness = {part.phase.name: np.full(len(part.batches), np.nan, np.float32) for part in self.parts}
+        self.hardness = {
+            part.phase.name: np.full(len(part.batches), np.nan, np.float32)
+            for part in self.parts
+            if self.config.hard_share or not self.config.window  # streamed triplets may be too many
+        }
         self.checkpoints = Checkpoints(
             run=run,
             model=self.model,
@@ -228,7 +233,10 @@ class _Trainer:
         self.conditions = self._settle()  # here, where nobody else trains the run
         torch.set_num_threads(self.conditions.threads)
         self._resume()
-        with tracked(trackers, self.run, self.state.step) as self.trackers:
+        with contextlib.ExitStack() as opened:
+            for part in self.parts:
+                opened.callback(part.batches.close)
+            self.trackers = opened.enter_context(tracked(trackers, self.run, self.state.step))
             return self._fit(on_step)
 
     def _fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
@@ -278,6 +286,7 @@ class _Trainer:
                     if stop:
                         self.companions.any(stop)  # nobody leaves before the checkpoint is written
                         raise KeyboardInterrupt
+                part.batches.close()
         return self._finish()
 
     def _train(self, part: Part, step: int) -> tuple[dict[str, Tensor], float]:
@@ -285,12 +294,13 @@ class _Trainer:
         began = time.perf_counter()
         progress = (step - part.start) / (part.stop - part.start)
         set_learning_rate(self.optimizer, learning_rate(self.config, progress))
-        hardness = self.hardness[part.phase.name]
+        hardness = self.hardness.get(part.phase.name, _NO_LOSSES)
         chosen = part.order.mixed_batch(step - part.start, hardness, self.config.hard_share)
         companions = self.companions
         index = part.order.share(chosen, companions.rank, companions.world)
         weight = len(index) * companions.world / len(chosen)
         self.model.progress(progress)
+        part.batches.expect(step - part.start, companions.rank, companions.world)
         losses = self.step(part.batches(index), step, self.conditions.precision, weight)
         if self.average is not None:
             self.average.update(self.model, step)
@@ -376,7 +386,9 @@ class _Trainer:
                 best_step=state.best_step,
                 seconds=state.clock.before + state.clock.sitting,
             )
-            begun = [part.phase.name for part in self.parts if part.start < state.step]
+            begun = [
+                part.phase.name for part in self.parts if part.start < state.step and part.phase.name in self.hardness
+            ]
             self.checkpoints.save(path, facts, begun)
 
     def _resume(self) -> None:

@@ -8,7 +8,7 @@ copies: no worker processes, nothing is decoded (decision 008).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -18,6 +18,19 @@ from dmotion_bench.storage.readable import Frames, ReadableDataset
 
 SplitProtocol = Literal["episode", "paper"]
 """``episode`` keeps whole episodes apart; ``paper`` shuffles triplets, as the paper does, and leaks."""
+
+
+@runtime_checkable
+class Triplets(Protocol):
+    """Some triplets of a data set, wherever their frames are."""
+
+    def __len__(self) -> int: ...
+
+    def places(self, index: Int[np.ndarray, " b"]) -> tuple[Int[np.ndarray, " b"], Int[np.ndarray, " b"]]: ...
+
+    def shuffled(self, generator: np.random.Generator) -> Iterator[int]: ...
+
+    def gather(self, index: Int[np.ndarray, " b"]) -> UInt8[np.ndarray, "b 3 h w 3"]: ...
 
 
 class TripletSet:
@@ -67,8 +80,23 @@ class TripletSet:
         }
         return everything.subset(np.sort(part[name]))
 
+    @classmethod
+    def apart(cls, cache: Frames, episode: Int[np.ndarray, " n"], step: Int[np.ndarray, " n"]) -> TripletSet:
+        """Triplets whose frames have a cache of their own, three by three."""
+        apart = cls(cache, np.arange(len(episode)), np.ones(len(episode), np.int64))
+        apart.episode, apart.step = episode, step
+        return apart
+
     def __len__(self) -> int:
         return len(self._first)
+
+    def places(self, index: Int[np.ndarray, " b"]) -> tuple[Int[np.ndarray, " b"], Int[np.ndarray, " b"]]:
+        """The episode of each triplet, and the number of its middle frame in it."""
+        return self.episode[index], self.step[index]
+
+    def shuffled(self, generator: np.random.Generator) -> Iterator[int]:
+        """All triplets in a random order."""
+        yield from generator.permutation(len(self)).tolist()
 
     def subset(self, index: Int[np.ndarray, " m"]) -> TripletSet:
         """These triplets alone, sharing the frames."""
@@ -99,6 +127,11 @@ class TripletSet:
         for row, first in zip(out, places.tolist(), strict=True):
             row[...] = frames[first : first + 3]
         return out
+
+
+def steps_of(epochs: float, triplets: int, batch_size: int) -> int:
+    """How many steps make so many passes over the triplets."""
+    return max(1, round(epochs * triplets / min(batch_size, triplets)))
 
 
 class BatchOrder:
@@ -132,7 +165,7 @@ class BatchOrder:
 
     def steps(self, epochs: float) -> int:
         """How many steps make so many passes."""
-        return max(1, round(epochs * self.triplets / self.batch_size))
+        return steps_of(epochs, self.triplets, self.batch_size)
 
     def batch(self, step: int) -> Int[np.ndarray, " b"]:
         """The triplets of one step."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import PackageNotInstalled, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import SerialExecutor
@@ -25,6 +26,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.storage.repair import Salvaged, rebuild_tables, salvage
 from dmotion_bench.storage.shard import LABELS, VIDEO, shard_path
+from dmotion_bench.wording import shown
 
 _STAGING = "repairing"
 
@@ -56,7 +58,15 @@ def repair_dataset(
         path: Its folder.
         executor: Who records shards anew; this process by default.
         on_progress: Called with the number of shards that are checked, and of all.
+
+    Raises:
+        UsageError: It is on object storage.
     """
+    if (address := remote_address(path)) is not None:
+        raise UsageError(
+            f"{shown(address)} is on object storage, where nothing is mended; copy a sound data set there, or repair "
+            "it in a folder and copy that."
+        )
     report = check_dataset(path, on_progress)
     lost = report.shards if report.labels != "missing" else tuple(range(len(report.manifest.shards)))
     if report.cache:

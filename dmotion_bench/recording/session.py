@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from dmotion_bench.addresses import remote_address
 from dmotion_bench.environment import Packaged, Unproven
-from dmotion_bench.errors import PackageNotInstalled, RecordingFailed, UsageError
+from dmotion_bench.errors import DatasetMissing, PackageNotInstalled, RecordingFailed, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.policies import find_policy
@@ -17,10 +19,11 @@ from dmotion_bench.recording.replay import replay_sample
 from dmotion_bench.recording.rollout import make_environment, record_episodes
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
-from dmotion_bench.storage.manifest import Replay
+from dmotion_bench.storage.manifest import Manifest, Replay
+from dmotion_bench.storage.remote_copy import RemoteCopy, copy_folder, upload
 from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
-from dmotion_bench.storage.writer import DatasetWriter, deleted
-from dmotion_bench.workspace import AnyPath
+from dmotion_bench.storage.writer import DatasetWriter, check_recipe, deleted
+from dmotion_bench.workspace import DATASET_MANIFEST, AnyPath
 
 SHARD_EPISODES = 20  # small enough that a killed recording of a slow environment loses seconds
 
@@ -62,14 +65,14 @@ class Recorded:
     """The result of a recording.
 
     Attributes:
-        dataset: The folder.
+        dataset: The folder, or the address.
         episodes, frames: Of the whole data set.
         bytes: Of all its shards.
         made: What this run did of it.
         replay: Whether the recording repeats; None where the environment is known to be exact.
     """
 
-    dataset: Path
+    dataset: Path | str
     episodes: int
     frames: int
     bytes: int
@@ -130,12 +133,17 @@ def record_dataset(
 ) -> Recorded:
     """Record a data set, complete one that was interrupted, or extend one to more episodes.
 
+    At an address of object storage a data set appears as a whole: it is recorded into a folder of this machine
+    (``recording_folder``) and put there, its ``dataset.json`` last.
+
     Args:
-        path: The data set's folder.
+        path: The data set's folder, or its address.
         recipe: What to record.
         executor: Who makes the shards; this process by default.
         on_progress: Called at the start and after each shard.
     """
+    if (address := remote_address(path)) is not None:
+        return _record_elsewhere(address, recipe, executor, on_progress)
     path, spec, executor = Path(path), environment_facts(recipe), executor or SerialExecutor()
     kind: object = environment_class(recipe.environment)
     packages = kind.packages if isinstance(kind, Packaged) else ()
@@ -157,6 +165,48 @@ def record_dataset(
             made=progress,
             replay=replay,
         )
+
+
+def recording_folder(path: AnyPath) -> Path:
+    """Where a data set is recorded: its own folder, or where it waits to be put at an address."""
+    address = remote_address(path)
+    return Path(path) if address is None else copy_folder(address, "-recording")
+
+
+def _record_elsewhere(
+    address: str, recipe: DatasetRecipe, executor: Executor | None, on_progress: Callable[[Progress], None]
+) -> Recorded:
+    """Record a data set and put it at an address, or extend the one that is there."""
+    folder, spec, remote = recording_folder(address), environment_facts(recipe), RemoteCopy(address)
+    standing = None
+    with contextlib.suppress(DatasetMissing):
+        standing = remote.refresh()
+    if standing is not None:
+        check_recipe(standing, recipe, spec, address)
+        if standing.recipe == recipe:
+            remote.require_whole(standing)
+            return _standing(address, standing)
+        if not (folder / DATASET_MANIFEST).is_file():
+            folder.mkdir(parents=True, exist_ok=True)
+            remote.fetch_all(standing, folder)
+    recorded = record_dataset(folder, recipe, executor, on_progress)
+    upload(folder, address)
+    shutil.rmtree(folder)
+    return replace(recorded, dataset=address)
+
+
+def _standing(address: str, manifest: Manifest) -> Recorded:
+    """What is told of a data set that is complete already."""
+    files = [file for shard in manifest.shards for file in (shard.video, shard.labels) if file is not None]
+    episodes = manifest.recipe.episodes
+    return Recorded(
+        dataset=address,
+        episodes=episodes,
+        frames=sum(shard.frames for shard in manifest.shards),
+        bytes=sum(file.size for file in files),
+        made=Progress(episodes=episodes, total=episodes, frames=0, seconds=0.0),
+        replay=manifest.replay,
+    )
 
 
 def _record_missing(writer: DatasetWriter, executor: Executor, on_progress: Callable[[Progress], None]) -> Progress:

@@ -9,10 +9,12 @@ from typing import Literal
 
 import numpy as np
 
+from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetCorrupt
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import TABLES, Manifest, ShardEntry
 from dmotion_bench.storage.mcap_reader import DamagedFile
+from dmotion_bench.storage.remote_copy import RemoteCopy
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, scan_shard, shard_path
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
 from dmotion_bench.workspace import CACHE
@@ -67,10 +69,12 @@ class CheckReport:
         return tuple(sorted({damage.shard for damage in self.damages if damage.shard is not None}))
 
 
-def labels_state(dataset: Path, manifest: Manifest) -> LabelsState:
+def labels_state(dataset: Path, manifest: Manifest, remote: RemoteCopy | None = None) -> LabelsState:
     """Whether a data set has labels, never had, or has lost them altogether."""
     if all(shard.labels is None for shard in manifest.shards):
         return "none"
+    if remote is not None:
+        return "present" if remote.sizes(LABELS) else "missing"
     return "present" if any((dataset / LABELS).glob("*.mcap")) else "missing"
 
 
@@ -78,22 +82,37 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
     """Read everything that a data set holds.
 
     Args:
-        path: Its folder.
+        path: Its folder, or its address.
         on_progress: Called with the number of shards that are checked, and of all.
     """
+    remote = None if (address := remote_address(path)) is None else RemoteCopy(address)
+    damages = list[Damage]()
+    if remote is not None:
+        remote.refresh()
+        path = remote.folder
+        damages += _remote_table_damages(remote)
     manifest = Manifest.read_complete(path)
-    labels = labels_state(path, manifest)
-    damages = list(_table_damages(path, manifest))
+    labels = labels_state(path, manifest, remote)
+    damages += [] if damages else _table_damages(path, manifest)
     rows = _rows(path, manifest)
     for index, entry in enumerate(manifest.shards):
         on_progress(index, len(manifest.shards))
         files = [(VIDEO, entry.video), (LABELS, entry.labels if labels == "present" else None)]
-        found = [one for kind, facts in files if facts is not None for one in _file_damage(path, kind, index, facts)]
+        found = [
+            one
+            for kind, facts in files
+            if facts is not None
+            for one in (
+                _file_damage(path, kind, index, facts)
+                if remote is None
+                else _remote_damage(remote, kind, index, manifest)
+            )
+        ]
         found = found or list(_content_damages(path, manifest, rows, index, entry, labels))
         damages += found
     on_progress(len(manifest.shards), len(manifest.shards))
     if rows is not None and not damages:
-        damages += cache_damages(Dataset(path, manifest, rows))
+        damages += cache_damages(Dataset(path, manifest, rows, remote))
     return CheckReport(dataset=path, manifest=manifest, damages=tuple(damages), labels=labels)
 
 
@@ -125,6 +144,28 @@ def _file_damage(path: Path, kind: str, index: int, facts: FileFacts) -> Iterato
         yield Damage(file=name, shard=index, what=f"has {file.stat().st_size} bytes instead of {facts.size}")
     elif file_facts(file) != facts:
         yield Damage(file=name, shard=index, what="has other bytes than were recorded")
+
+
+def _remote_damage(remote: RemoteCopy, kind: str, index: int, manifest: Manifest) -> Iterator[Damage]:
+    """What is wrong with a file of the storage; a sound one is here afterwards."""
+    name = f"{kind}/{shard_path(remote.folder, kind, index).name}"
+    try:
+        file = remote.shard(kind, index, manifest)
+        entry = manifest.shards[index]
+        if file_facts(file) != (entry.video if kind == VIDEO else entry.labels):  # a copy that the disk has spoilt
+            file.unlink()
+            remote.shard(kind, index, manifest)
+    except FileNotFoundError:
+        yield Damage(file=name, shard=index, what="is missing")
+    except DatasetCorrupt:
+        yield Damage(file=name, shard=index, what="has other bytes than were recorded")
+
+
+def _remote_table_damages(remote: RemoteCopy) -> Iterator[Damage]:
+    try:
+        remote.fetch_tables(Manifest.read_complete(remote.folder))
+    except DatasetCorrupt as damage:
+        yield Damage(file=EPISODES, shard=None, what=f"cannot be had: {damage}")
 
 
 def cache_damages(dataset: Dataset) -> Iterator[Damage]:

@@ -116,6 +116,22 @@ class CacheFile:
         except (pa.ArrowException, OSError, ValueError):
             return False
 
+    def lacking(self) -> str:
+        """A sentence on the space that is lacking for the file; empty if it is there, or fits.
+
+        It fits where a tenth of the free space is left over.
+        """
+        if self.path.is_file():
+            return ""
+        there = next(folder for folder in (self.folder, *self.folder.absolute().parents) if folder.is_dir())
+        free = shutil.disk_usage(there).free
+        if self.bytes <= 0.9 * free:
+            return ""
+        return (
+            f"the frames take {self.bytes / _GIB:.1f} GiB as a cache, and {str(self.folder)!r} has room for "
+            f"{free / _GIB:.1f} GiB"
+        )
+
     def build(self, episodes: Episodes) -> None:
         """Write the file, an episode in memory at a time.
 

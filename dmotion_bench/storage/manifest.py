@@ -29,6 +29,7 @@ from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe, EnvSpec, Objec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import read_json
+from dmotion_bench.storage.limits import LARGEST_MANIFEST
 from dmotion_bench.storage.manifest_check import check_episode_size, check_manifest
 from dmotion_bench.storage.shard import FileFacts
 from dmotion_bench.wording import command, shown
@@ -36,7 +37,6 @@ from dmotion_bench.workspace import DATASET_MANIFEST
 
 FORMAT: Final = "dmbench/1"
 TABLES: Final = ("episodes.parquet", "tasks.parquet")
-_LARGEST: Final = 32 * 2**20  # bytes of a dataset.json that are read
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +152,7 @@ class Manifest:
         """
         path = dataset / DATASET_MANIFEST
         try:
-            content = read_json(path, largest=_LARGEST)
+            content = read_json(path, largest=LARGEST_MANIFEST)
             _check_format(content.get("format"), dataset)
             manifest = _manifest(Fields(content, "it"))
             check_manifest(manifest, TABLES)
@@ -184,7 +184,7 @@ class Manifest:
         return manifest
 
 
-def record_words(recipe: DatasetRecipe, dataset: Path) -> list[str]:
+def record_words(recipe: DatasetRecipe, dataset: Path | str) -> list[str]:
     """The words of the command that completes a data set."""
     if recipe.environment == IMPORTED:
         return ["dmbench", "data", "import"]

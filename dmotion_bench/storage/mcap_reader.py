@@ -21,7 +21,15 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from dmotion_bench.storage.mcap_writer import CHUNK_HEAD, COMPRESSION, MAGIC, MESSAGE_HEAD, RECORD_HEAD, Span
+from dmotion_bench.storage.mcap_writer import (
+    CHUNK_HEAD,
+    COMPRESSION,
+    MAGIC,
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    WINDOW_LOG,
+    Span,
+)
 from dmotion_bench.wording import sentence
 
 _CHUNK_TAIL: Final = struct.Struct(f"<I{len(COMPRESSION)}sQ")  # compression's name, compressed size
@@ -44,13 +52,28 @@ class MessageView(NamedTuple):
     data: memoryview
 
 
-def read_messages(path: Path, span: Span, *, chunk_limit: int) -> Iterator[MessageView]:
+class Room:
+    """Memory that chunks are unpacked into one after the other: what is set aside anew costs more than unpacking."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+
+    def of(self, size: int) -> memoryview:
+        """So many bytes, those of the chunk before."""
+        if size > len(self._bytes):
+            self._bytes = bytearray(size)
+        return memoryview(self._bytes)[:size]
+
+
+def read_messages(path: Path, span: Span, *, chunk_limit: int, room: Room | None = None) -> Iterator[MessageView]:
     """The messages of the chunks that stand in ``span``.
 
     Args:
         path: The file.
         span: As ``McapWriter.chunks`` returned it.
         chunk_limit: Largest uncompressed chunk that is accepted [bytes].
+        room: Where chunks are unpacked; a message is then gone once that of the next chunk is asked for. None takes
+            new memory for each.
     """
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
@@ -66,7 +89,7 @@ def read_messages(path: Path, span: Span, *, chunk_limit: int) -> Iterator[Messa
             if opcode == Opcode.CHUNK:
                 if length > chunk_limit + chunk_limit // 64 + _FIXED:  # noise grows when it is compressed
                     raise DamagedFile(f"holds a chunk of {length} bytes at byte {position}, more than can be right")
-                yield from _chunk_messages(memoryview(file.read(length)), chunk_limit, position)
+                yield from _chunk_messages(memoryview(file.read(length)), chunk_limit, position, room)
             elif opcode == Opcode.MESSAGE_INDEX:
                 file.seek(length, os.SEEK_CUR)
             else:
@@ -82,7 +105,7 @@ def _head(data: bytes) -> tuple[int, int]:
     return opcode, length
 
 
-def _chunk_messages(body: memoryview, limit: int, where: int) -> Iterator[MessageView]:
+def _chunk_messages(body: memoryview, limit: int, where: int, room: Room | None) -> Iterator[MessageView]:
     if len(body) < _FIXED:
         raise DamagedFile(f"holds a chunk at byte {where} that is cut off")
     _, _, uncompressed, crc = CHUNK_HEAD.unpack_from(body)
@@ -98,12 +121,12 @@ def _chunk_messages(body: memoryview, limit: int, where: int) -> Iterator[Messag
         declared = zstandard.get_frame_parameters(packed).content_size
         if declared != uncompressed:  # zstandard would set aside what the frame declares, whatever we allow
             raise DamagedFile(f"holds a chunk at byte {where} that contradicts itself about its size")
-        raw = zstandard.ZstdDecompressor().decompress(packed, max_output_size=uncompressed)
+        raw = _unpacked(packed, (room or Room()).of(uncompressed), where)
     except zstandard.ZstdError as error:
         raise DamagedFile(f"holds a chunk at byte {where} that cannot be decompressed: {error}") from None
     if zlib.crc32(raw) != crc:
         raise DamagedFile(f"holds a chunk at byte {where} that does not match its checksum")
-    data, position = memoryview(raw), 0
+    data, position = raw, 0
     while position < len(data):
         try:
             opcode, length, channel, _, t_ns, _ = MESSAGE_HEAD.unpack_from(data, position)
@@ -114,6 +137,18 @@ def _chunk_messages(body: memoryview, limit: int, where: int) -> Iterator[Messag
             raise DamagedFile(f"holds a message in the chunk at byte {where} that is garbled")
         yield MessageView(channel, t_ns, data[position + MESSAGE_HEAD.size : end])
         position = end
+
+
+def _unpacked(packed: memoryview, into: memoryview, where: int) -> memoryview:
+    """Fill ``into`` with the content of one frame of Zstandard, which has that very size."""
+    largest = max(2**WINDOW_LOG, len(into))  # of the window that the frame may ask memory for
+    with zstandard.ZstdDecompressor(max_window_size=largest).stream_reader(packed) as stream:
+        done = 0
+        while done < len(into) and (count := stream.readinto(into[done:])):
+            done += count
+        if done < len(into):
+            raise DamagedFile(f"holds a chunk at byte {where} that is cut off")
+    return into
 
 
 class Section(NamedTuple):

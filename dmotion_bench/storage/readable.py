@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Int, UInt8
 
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, SplitName
+from dmotion_bench.storage.mcap_reader import Room
 from dmotion_bench.storage.messages import StateLabels
 from dmotion_bench.storage.tables import EpisodeTable
 from dmotion_bench.storage.tasks import ControlTask
@@ -64,7 +65,7 @@ class ReadableDataset(Protocol):
 
     def tasks(self) -> list[ControlTask]: ...
 
-    def video(self, episode: int) -> UInt8[np.ndarray, "t h w 3"]: ...
+    def video(self, episode: int, room: Room | None = None) -> UInt8[np.ndarray, "t h w 3"]: ...
 
     def states(self, episode: int) -> StateLabels: ...
 

@@ -20,7 +20,7 @@ from dmotion_bench.errors import DatasetError
 from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode, EpisodeLabels, delay_of
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.limits import LAST_NS, MOST_EPISODES, MOST_SHARD_EPISODES, longest_episode, most_frames
-from dmotion_bench.storage.mcap_reader import DamagedFile, Section, list_sections, read_messages
+from dmotion_bench.storage.mcap_reader import DamagedFile, Room, Section, list_sections, read_messages
 from dmotion_bench.storage.mcap_writer import McapWriter, Span
 from dmotion_bench.storage.messages import (
     StateLabels,
@@ -328,10 +328,12 @@ def read_states(path: Path, span: Span, spec: EnvSpec, frames: int) -> StateLabe
     return decode_states(read_messages(path, span, chunk_limit=chunk_limit(spec)), spec, frames)
 
 
-def read_video(path: Path, span: Span, spec: EnvSpec, frames: int) -> UInt8[np.ndarray, "t h w 3"]:
-    """An episode's frames."""
+def read_video(
+    path: Path, span: Span, spec: EnvSpec, frames: int, room: Room | None = None
+) -> UInt8[np.ndarray, "t h w 3"]:
+    """An episode's frames; ``room`` is where the file's chunks are unpacked."""
     pictures = np.empty((frames, spec.height, spec.width, 3), np.uint8)
-    decode_video(read_messages(path, span, chunk_limit=chunk_limit(spec)), pictures)
+    decode_video(read_messages(path, span, chunk_limit=chunk_limit(spec), room=room), pictures)
     return pictures
 
 

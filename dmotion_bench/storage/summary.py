@@ -8,24 +8,29 @@ from pathlib import Path
 from typing import Any
 
 from dmotion_bench.actions import actions_to_json
+from dmotion_bench.addresses import remote_address
 from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.frame_cache import cache_name
 from dmotion_bench.storage.manifest import FORMAT, Manifest, record_words
+from dmotion_bench.storage.remote_copy import RemoteCopy
 from dmotion_bench.storage.shard import LABELS, VIDEO
 from dmotion_bench.storage.split import split_episodes
 from dmotion_bench.workspace import cache_folder
 
 
 def summarize(path: Path) -> dict[str, Any]:
-    """The figures of a data set, as plain values.
+    """The figures of a data set in a folder or at an address, as plain values.
 
     Raises:
         DatasetMissing, DatasetVersionUnknown, DatasetCorrupt: ``dataset.json`` cannot be read.
+        PlaceUnreachable: The storage does not answer.
     """
-    manifest = Manifest.read(path)
+    remote = None if (address := remote_address(path)) is None else RemoteCopy(address)
+    manifest = Manifest.read(path) if remote is None else remote.refresh()
+    folder = path if remote is None else remote.folder
     recipe, spec = manifest.recipe, manifest.spec
     summary: dict[str, Any] = {
-        "dataset": str(path),
+        "dataset": address or str(path),
         "format": FORMAT,
         "complete": manifest.complete,
         "salvaged": manifest.salvaged,
@@ -35,9 +40,9 @@ def summarize(path: Path) -> dict[str, Any]:
         "actions": actions_to_json(spec.actions),
         "objects": [one.name for one in spec.objects],
         "episodes": recipe.episodes,
-        "video_bytes": _size(path / VIDEO),
-        "labels_bytes": _size(path / LABELS),
-        "cache_bytes": _size(cache_folder(path), cache_name(manifest.fingerprint)),
+        "video_bytes": _size(path / VIDEO) if remote is None else sum(remote.sizes(VIDEO).values()),
+        "labels_bytes": _size(path / LABELS) if remote is None else sum(remote.sizes(LABELS).values()),
+        "cache_bytes": _size(cache_folder(folder), cache_name(manifest.fingerprint)),
         "versions": dict(manifest.versions),
     }
     if not manifest.complete:
@@ -48,7 +53,7 @@ def summarize(path: Path) -> dict[str, Any]:
     return summary | {
         "frames": sum(shard.frames for shard in manifest.shards),
         "shards": len(manifest.shards),
-        "labels": labels_state(path, manifest),
+        "labels": labels_state(path, manifest, remote),
         "split": {name: len(members) for name, members in split.items()},
         "fingerprint": manifest.fingerprint,
     }

@@ -101,7 +101,7 @@ class DatasetWriter:
             standing: Manifest | None = None
             if existing:
                 standing = Manifest.read(path)
-                _check_recipe(standing, recipe, spec, path)
+                check_recipe(standing, recipe, spec, path)
                 _remove_leftovers(path)
                 receipts = list(_standing_shards(path, recipe, spec))
             writer = cls(path, recipe, spec, receipts, lock, packages)
@@ -253,7 +253,12 @@ def _remove_leftovers(path: Path) -> None:
         remove_leftovers(folder)
 
 
-def _check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path: Path) -> None:
+def check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path: Path | str) -> None:
+    """See that a data set can become that of a recipe: it is a part of it, or all of it.
+
+    Raises:
+        RecipeMismatch: It cannot; says what differs.
+    """
     elsewhere = "name another folder with '--out DIR'"
     if standing.salvaged:
         raise RecipeMismatch(f"{str(path)!r} was repaired and lacks episodes, so it cannot be extended; {elsewhere}.")

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from dmotion_bench.api.recording import record
     from dmotion_bench.api.runs import Run, load_run
     from dmotion_bench.api.scoring import score
+    from dmotion_bench.api.sharing import share_list, share_pull, share_push
     from dmotion_bench.api.training import train
     from dmotion_bench.api.viewing import Served, view
     from dmotion_bench.errors import DmbenchError
@@ -66,6 +67,9 @@ __all__ = [
     "register_environment",
     "register_model",
     "score",
+    "share_list",
+    "share_pull",
+    "share_push",
     "train",
     "view",
 ]
@@ -91,6 +95,9 @@ _HOMES: Final = {
     "register_environment": "registry",
     "register_model": "registry",
     "score": "api.scoring",
+    "share_list": "api.sharing",
+    "share_pull": "api.sharing",
+    "share_push": "api.sharing",
     "train": "api.training",
     "view": "api.viewing",
 }

@@ -24,6 +24,8 @@
     │   ├── RunMismatch               a run that was made with other settings or data
     │   └── ProcessLost               one of the processes that train together has ended, and so do the others
     ├── ModelContractBroken           a model does not do what learning/model.py asks
+    ├── ShareMissing                  nothing is published in that place under that fingerprint
+    ├── ShareCorrupt                  what is published there is not what its name or its manifest says
     ├── EntryInvalid                  an entry of the leaderboard that breaks its schema
     ├── PackageNotInstalled           an optional dependency is absent; names the command
     ├── FolderInUse                   another process writes into the folder
@@ -176,6 +178,14 @@ class ProcessLost(RunError):
 
 class ModelContractBroken(DmbenchError):
     """A model does not do what ``learning/model.py`` asks of it."""
+
+
+class ShareMissing(DmbenchError):
+    """Nothing is published in that place under that fingerprint."""
+
+
+class ShareCorrupt(DmbenchError):
+    """What is published there is not what its name or its manifest says."""
 
 
 class EntryInvalid(DmbenchError):

@@ -46,6 +46,7 @@ COMMANDS = (
     "play",
     "view",
     "leaderboard",
+    "share",
     "list_names",
     "bench",
     "info",

@@ -102,6 +102,15 @@ def check(
             show_default=False,
         ),
     ] = None,
+    place: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="PLACE",
+            help="Fetch the runs and data sets that the entries need from there first: a folder or an address to which "
+            "somebody published them with 'dmbench share push'.",
+        ),
+    ] = None,
     cache: CacheFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -120,6 +129,8 @@ def check(
     if executor is not None:
         require_one_of("executor", executor, EXECUTORS)
     asked = paths or [built]
+    if place is not None:
+        _fetch(asked, place)
     with progress_bar() as bar:
         task = bar.add_task("checking", total=None, status="")
         if executor is None and workers in (None, 1):
@@ -143,6 +154,17 @@ def check(
     told += [f"{unknown} of {len(verdicts)} could not be checked here"] if unknown else []
     if told:
         raise RunError("; ".join(told) + ".")
+
+
+def _fetch(paths: list[Path], place: str) -> None:
+    """Fetch what the entries need; what is not there is said, and found missing by the check."""
+    from dmotion_bench.api.sharing import pull_entries
+    from dmotion_bench.cli.progress import BarOnDemand
+
+    with BarOnDemand() as bar:
+        missing = pull_entries(paths, place, progress=bar)
+    for why in missing:
+        typer.echo(f"not fetched: {why}", err=True)
 
 
 def _checked_side_by_side(

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from dmotion_bench.addresses import PROTOCOLS
-from dmotion_bench.errors import DatasetCorrupt, PackageNotInstalled, PlaceUnreachable
+from dmotion_bench.errors import DatasetCorrupt, DmbenchError, PackageNotInstalled, PlaceUnreachable
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.shard import FileFacts
 from dmotion_bench.wording import sentence, shown
@@ -31,7 +31,7 @@ PATIENCE_S: float = 30.0
 _PACKAGES: Final = {
     "s3": ("s3fs", "pip install 'dmbench[remote]'"),
     "gs": ("gcsfs", "pip install gcsfs"),
-    "hf": ("huggingface_hub", "pip install huggingface_hub"),
+    "hf": ("huggingface_hub", "pip install 'dmbench[hub]'"),
 }
 _NO_HELP: Final = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
 """What comes again however often one asks."""
@@ -47,10 +47,13 @@ class ObjectStore:
     """The files below an address. It may be handed to other processes, where it connects anew.
 
     Attributes:
+        described_by: The file that tells the digests, for sentences.
         address: Such as ``s3://bucket/path``.
         requests: Requests so far, repeated ones with them.
         bytes: That were read so far.
     """
+
+    described_by = "dataset.json"
 
     def __init__(self, address: str) -> None:
         self.address, self.requests, self.bytes = address, 0, 0
@@ -94,11 +97,24 @@ class ObjectStore:
             self._tried(name, lambda: self._copy(name, facts, to))
         except PlaceUnreachable as error:
             if isinstance(error.__cause__, WrongBody):
-                raise DatasetCorrupt(
-                    f"{shown(self._at(name))} is damaged: {error.__cause__}. Nothing of it is used. Put the data set "
-                    "there again, or name another copy of it with '--data'."
-                ) from None
+                raise self._damaged(name, error.__cause__) from None
             raise
+
+    def holds(self, name: str, facts: FileFacts) -> bool:
+        """Whether a file is there with these bytes: it is read as a whole.
+
+        Raises:
+            PlaceUnreachable: The storage does not answer.
+        """
+        try:
+            self._tried(name, lambda: self._pass_on(name, facts, lambda _piece: None))
+        except FileNotFoundError:
+            return False
+        except PlaceUnreachable as error:
+            if isinstance(error.__cause__, WrongBody):
+                return False
+            raise
+        return True
 
     def sizes(self, folder: str) -> dict[str, int]:
         """The files of a folder by name, with their sizes [bytes]; empty if there is none.
@@ -110,16 +126,18 @@ class ObjectStore:
             PlaceUnreachable: The storage does not answer.
         """
 
-        def listed() -> dict[str, int]:
-            system = self._connected()
-            system.invalidate_cache()
-            found = system.ls(self._at(folder), detail=True)
-            return {str(one["name"]).rpartition("/")[2]: int(one["size"]) for one in found if one["type"] == "file"}
+        return {_last(one): int(one["size"]) for one in self._listed(folder) if one["type"] == "file"}
 
-        try:
-            return self._tried(folder, listed)
-        except FileNotFoundError:
-            return {}
+    def folders(self, folder: str) -> list[str]:
+        """The names of the folders in a folder; none if there is no such folder.
+
+        Args:
+            folder: Below the address.
+
+        Raises:
+            PlaceUnreachable: The storage does not answer.
+        """
+        return sorted(_last(one) for one in self._listed(folder) if one["type"] == "directory")
 
     def write(self, file: Path, name: str) -> None:
         """Put a file there, under its name whole or not at all.
@@ -156,15 +174,36 @@ class ObjectStore:
     def _at(self, name: str) -> str:
         return f"{self.address}/{name}" if name else self.address
 
+    def _damaged(self, name: str, what: object) -> DmbenchError:
+        """The error for a file that holds other bytes, however often it is read."""
+        return DatasetCorrupt(
+            f"{shown(self._at(name))} is damaged: {what}. Nothing of it is used. Put the data set there again, or name "
+            "another copy of it with '--data'."
+        )
+
+    def _listed(self, folder: str) -> list[Mapping[str, Any]]:
+        def listed() -> list[Mapping[str, Any]]:
+            system = self._connected()
+            system.invalidate_cache()
+            return list(system.ls(self._at(folder), detail=True))
+
+        try:
+            return self._tried(folder, listed)
+        except FileNotFoundError:
+            return []
+
     def _copy(self, name: str, facts: FileFacts, to: Path) -> None:
-        digest = hashlib.sha256()
         with atomic_file(to) as file:
-            for first in range(0, facts.size, PIECE):
-                piece = self._tried(name, partial(self._exactly, name, first, min(first + PIECE, facts.size)))
-                digest.update(piece)
-                file.write(piece)
-            if digest.hexdigest() != facts.sha256:
-                raise WrongBody("it does not hold the bytes that dataset.json describes")
+            self._pass_on(name, facts, file.write)
+
+    def _pass_on(self, name: str, facts: FileFacts, take: Callable[[bytes], object]) -> None:
+        digest = hashlib.sha256()
+        for first in range(0, facts.size, PIECE):
+            piece = self._tried(name, partial(self._exactly, name, first, min(first + PIECE, facts.size)))
+            digest.update(piece)
+            take(piece)
+        if digest.hexdigest() != facts.sha256:
+            raise WrongBody(f"it does not hold the bytes that {self.described_by} describes")
 
     def _exactly(self, name: str, first: int, stop: int) -> bytes:
         piece = self._piece(name, first, stop)
@@ -208,6 +247,10 @@ class ObjectStore:
         if self._system is None:
             self._system = _file_system(self.address)
         return self._system
+
+
+def _last(listed: Mapping[str, Any]) -> str:
+    return str(listed["name"]).rstrip("/").rpartition("/")[2]
 
 
 def _said(error: Exception) -> str:

@@ -22,6 +22,8 @@ from leaderboard.gallery import fitting_steps, gallery
 from leaderboard.markup import Markup, element, escaped, joined
 from leaderboard.provenance import count_figures, provenance
 from leaderboard.standings import control_standings, standings
+from leaderboard.summary import Summary, summarise
+from leaderboard.summary_section import TITLE, shows, summary_section
 
 LARGEST: Final = 5_000_000
 """Bytes of the page."""
@@ -30,14 +32,15 @@ LARGEST: Final = 5_000_000
 def make_page(entries: Sequence[Entry]) -> str:
     """The page of some entries; the same entries make the same bytes."""
     boards = make_boards(entries)
+    summary = summarise(boards)
     for steps in range(fitting_steps(boards), -1, -1):
-        page = _page(entries, boards, steps)
+        page = _page(entries, boards, summary, steps)
         if len(page.encode()) <= LARGEST or not steps:
             break
     return page
 
 
-def _page(entries: Sequence[Entry], boards: Sequence[Board], steps: int) -> str:
+def _page(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary | None, steps: int) -> str:
     style, script = _asset("page.css"), _asset("page.js")
     policy = f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'"
     head = element(
@@ -50,10 +53,11 @@ def _page(entries: Sequence[Entry], boards: Sequence[Board], steps: int) -> str:
         element("style", Markup(style)),
     )
     styles = assign_styles(boards)
+    sections = [_section(board, place, styles, steps) for place, board in enumerate(boards)]
     body = element(
         "body",
-        _header(entries, boards),
-        element("main", joined(_section(board, place, styles, steps) for place, board in enumerate(boards))),
+        _header(entries, boards, summary),
+        element("main", _summary(summary, boards), joined(sections)),
         _footer(entries),
         element("script", Markup(script)),
     )
@@ -68,7 +72,14 @@ def _hash(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
-def _header(entries: Sequence[Entry], boards: Sequence[Board]) -> Markup:
+def _summary(summary: Summary | None, boards: Sequence[Board]) -> Markup | None:
+    if summary is None:
+        return None
+    places = {board: place for place, board in enumerate(map(id, boards))}
+    return summary_section(summary, [_anchor(places[id(board)]) for board in summary.boards])
+
+
+def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary | None) -> Markup:
     measured = [entry for entry in entries if entry.is_measured]
     links = [
         element(
@@ -77,6 +88,8 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board]) -> Markup:
         )
         for place, board in enumerate(boards)
     ]
+    if summary is not None:
+        links.insert(0, element("li", element("a", TITLE, href="#summary")))
     return element(
         "header",
         element("h1", "dmbench leaderboard"),
@@ -131,6 +144,7 @@ def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
     return element(
         "section",
         element("h2", board.title, element("small", board.dataset) if board.dataset else None),
+        element("p", shows(board), class_="shows") if board.measured else None,
         element("p", *_described(board), class_="note"),
         standings(board, _anchor(place)),
         joined(element("p", note, class_="note") for note in _notes(board)),

@@ -3,6 +3,7 @@
 A page asks for results by a pair of comments, which a reader does not see; what stands between them is replaced::
 
     <!-- results:boards -->      every board with its tables, then what was published
+    <!-- results:summary -->     the summary across worlds
     <!-- results:chosen -->      the table of the chosen rows (``chosen.py``)
     <!-- results:NAME.interval -->   one number of a chosen row, within a sentence
     <!-- /results -->            the end of each
@@ -22,6 +23,8 @@ from leaderboard.board_tables import board_section, published_section
 from leaderboard.chosen import chosen_table, find_rows, numbers, read_choices
 from leaderboard.entry_file import read_entries
 from leaderboard.layout import CHOSEN, ENTRIES
+from leaderboard.summary import summarise
+from leaderboard.summary_section import summary_lines
 
 _ASKED: Final = re.compile(r"(<!-- results:(\S+) -->)(.*?)(<!-- /results -->)", re.DOTALL)
 _OPENED: Final = re.compile(r"<!-- /?results\b")
@@ -48,7 +51,9 @@ def write_results(folder: Path, pages: Sequence[Path], *, check: bool = False) -
         raise UsageError(f"{str(folder)!r} holds no entries; make them with 'dmbench leaderboard build'.")
     boards = make_boards(entries)
     rows = find_rows(read_choices(folder / CHOSEN), boards) if (folder / CHOSEN).is_file() else []
+    summary = summarise(boards)
     blocks = {"boards": _every_board(boards)} | ({"chosen": chosen_table(rows)} if rows else {})
+    blocks |= {} if summary is None else {"summary": summary_lines(summary)}
     found = {name: f"\n{chr(10).join(lines)}\n" for name, lines in blocks.items()} | dict(numbers(rows))
     changed = []
     for page in pages:

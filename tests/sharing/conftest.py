@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,7 +93,6 @@ def folder(tmp_path: Path) -> Published:
 @pytest.fixture
 def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Published:
     """What answers to ``hf://`` is a file system of fsspec over a folder, as there is no network."""
-    import fsspec
     from fsspec.implementations.local import LocalFileSystem
 
     root = tmp_path / "hub"
@@ -105,8 +105,9 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Published:
         def _strip_protocol(cls, path: str) -> str:
             return str(root / path.removeprefix("hf://")) if path.startswith("hf://") else path
 
-    monkeypatch.setitem(fsspec.registry._registry, "hf", Hub)
-    monkeypatch.setattr(Hub, "auto_mkdir", True, raising=False)
+    import fsspec.registry  # noqa: F401 (there now, and to be changed)
+
+    monkeypatch.setitem(sys.modules["fsspec.registry"]._registry, "hf", Hub)
     monkeypatch.setattr(object_store, "PAUSES", (0.001,))
     monkeypatch.setattr(object_store, "_OPTIONS", {"hf": lambda: {"auto_mkdir": True}})
     return _folder(root / "datasets/who/what", "hf://datasets/who/what")
@@ -133,7 +134,7 @@ def bucket(storage: Storage) -> Published:
     return Published(storage.address, files, put, delete)
 
 
-@pytest.fixture(params=["folder", "bucket", "hub"])
+@pytest.fixture(params=["folder", pytest.param("bucket", marks=pytest.mark.slow), "hub"])
 def place(request: pytest.FixtureRequest) -> Published:
     """Each kind of place in turn."""
     found: Published = request.getfixturevalue(request.param)

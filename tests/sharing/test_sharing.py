@@ -284,9 +284,8 @@ def test_what_fails_for_good_costs_a_sentence_and_leaves_nothing_wrong(
         with pytest.raises(error, match=r"is damaged: .* Nothing of it is used|failed 4 times"):
             dm.share_pull(wanted(workspace), bucket.address, workspace=outsider.root)
         assert nothing_in(outsider)
-    sound = set(bucket.files().values())
-    assert set(contents(outsider.root).values()) <= sound  # what has arrived is waiting, and right
     storage.fault = lambda _method, _path: None
+    assert set(contents(outsider.root).values()) <= set(bucket.files().values())  # what has arrived is right
     dm.share_pull([weights(workspace), fingerprint(workspace)], bucket.address, workspace=outsider.root)
     assert contents(outsider.data / "noise") == contents(workspace.data / "noise")
 
@@ -440,23 +439,31 @@ def test_other_weights_with_a_manifest_that_lies_are_deleted_again(
     assert contents(outsider.root) == {}
 
 
-def test_links_are_not_followed(workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path) -> None:
+@pytest.mark.parametrize("part", ["/files/", "dataset.json", "video/shard-00000.mcap"])
+def test_links_in_a_place_are_not_followed(
+    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path, part: str
+) -> None:
     dm.share_push(["known", "noise"], folder.address)
-    secret = tmp_path / "secret"
-    for name in list(folder.files()):
-        path = Path(folder.address) / name
-        if name.endswith(("run.json", "dataset.json")) or "/files/" in name:
-            secret.write_bytes(path.read_bytes())
-            path.unlink()
-            path.symlink_to(secret)
-            break
+    path = next(Path(folder.address) / name for name in folder.files() if part in name)
+    path.rename(tmp_path / "secret")
+    path.symlink_to(tmp_path / "secret")
     with pytest.raises((ShareCorrupt, ShareMissing)):
         dm.share_pull([weights(workspace), fingerprint(workspace)], folder.address, workspace=outsider.root)
-    (outsider.root / "runs").mkdir(exist_ok=True)
-    (outsider.root / "runs/known").symlink_to(tmp_path / "anywhere")
-    shutil.rmtree(folder.address)
-    dm.share_push("known", folder.address)
-    with pytest.raises(UsageError, match="is there already"):
+    assert not (outsider.data / "noise").exists() or not (outsider.runs / "known").exists()
+
+
+def test_links_in_the_workspace_are_not_written_through(
+    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    dm.share_push(["known", "noise"], folder.address)
+    for path, wanted in ((outsider.runs / "known", weights), (outsider.data / "noise", fingerprint)):
+        path.parent.mkdir()
+        path.symlink_to(tmp_path / "anywhere")
+        with pytest.raises(UsageError, match="is there already"):
+            dm.share_pull(wanted(workspace), folder.address, workspace=outsider.root)
+        path.unlink()
+    (outsider.root / "arriving").symlink_to(tmp_path)
+    with pytest.raises(UsageError, match="is a link; delete it"):
         dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
     assert not (tmp_path / "anywhere").exists()
 

@@ -1,0 +1,170 @@
+"""The summary across worlds, as the first section of the page and as Markdown."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+from typing import Final
+
+from dmotion_bench.registry import environment_class, environment_names
+
+from leaderboard.board import Board
+from leaderboard.board_tables import TO, WIDTH, world
+from leaderboard.markdown import plain, table
+from leaderboard.markup import Markup, element, joined
+from leaderboard.summary import Standing, Summary
+
+TITLE: Final = "All worlds together"
+SCORE: Final = (
+    "A training's score in a world is 1 - MSE / MSE of copying the last frame, of the next frame on the test episodes: "
+    "1 is perfect, 0 is copying the last frame, below 0 is worse than copying it."
+)
+MEANING: Final = (
+    "IQM is the interquartile mean, the mean of the middle half of a model's scores over worlds and trainings, all of "
+    "them if there are fewer than four. P(better) is the probability of improvement over the model below: that of a "
+    "higher score of a training drawn from each, averaged over the worlds. Both are rliable's definitions (Agarwal et "
+    "al. 2021). Each model has its usual label budget and its usual settings."
+)
+INTERVALS: Final = (
+    "In brackets stands the 95% interval over trainings, a bootstrap within each world. One training says nothing about "
+    "others, so there is no interval, and P(better) only tells in what share of the worlds this training was better; an "
+    "interval of fewer than five trainings is too narrow. The intervals on the boards are another matter: they are over test "
+    "episodes, for the models as they were trained."
+)
+
+
+def summary_section(summary: Summary, anchors: Sequence[str]) -> Markup:
+    """The section of the page.
+
+    Args:
+        summary: To be shown.
+        anchors: Where the boards of its worlds are on the page.
+    """
+    heads = ["Model", "Labels", "Trainings", "IQM"]
+    cells = [element("th", head, scope="col") for head in heads]
+    for board, anchor in zip(summary.boards, anchors, strict=True):
+        link = element("a", board.title, href=f"#{anchor}")
+        cells.append(element("th", link, element("small", f" {board.dataset}"), scope="col"))
+    cells.append(element("th", "P(better)", scope="col"))
+    rows = [_row(one, place + 1 == len(summary.standings)) for place, one in enumerate(summary.standings)]
+    ranking = element(
+        "table",
+        element("caption", TITLE, id="summary-caption"),
+        element("thead", element("tr", *cells)),
+        element("tbody", joined(rows)),
+        class_="ranking",
+    )
+    return element(
+        "section",
+        element("h2", TITLE),
+        element("p", summary_shows(summary), class_="shows"),
+        element("div", ranking, class_="scroll", tabindex=0, role="region", aria_labelledby="summary-caption"),
+        joined(element("p", note, class_="note") for note in (SCORE, MEANING, INTERVALS, *_absent(summary))),
+        id="summary",
+        class_="summary",
+    )
+
+
+def summary_lines(summary: Summary) -> list[str]:
+    """The lines of the summary in a Markdown page."""
+    worlds = [f"{world(board)}, {plain(board.dataset)} ({board.fingerprint[:8]})" for board in summary.boards]
+    body = [
+        [
+            plain(one.model),
+            f"{plain(one.labels)}: {_counts(one)}",
+            f"{one.trainings}",
+            _ordinary(f"**{_score(one.iqm)}**" + (f" ({_between(one)})" if one.interval else "")),
+            *(_ordinary(_score(mean)) for mean in _means(one)),
+            "" if one.over_next is None else f"{one.over_next:.2f}",
+        ]
+        for one in summary.standings
+    ]
+    lines = table(["Model", "Labels", "Trainings in each world", "IQM", *worlds, "P(better)"], body, words=2)
+    said = [one for note in (SCORE, MEANING, INTERVALS, *_absent(summary)) for one in (*textwrap.wrap(note, WIDTH), "")]
+    return ["", *lines, "", *said]
+
+
+def _row(one: Standing, last: bool) -> Markup:
+    name = element("a", one.model, href=f"#{one.rows[0].entries[0].slug}")
+    between = element("small", _between(one) if one.interval else "1 training" if one.trainings == 1 else "")
+    cells = [
+        element("th", name, scope="row"),
+        element("td", _counts(one), element("small", one.labels)),
+        element("td", str(one.trainings)),
+        element("td", element("b", _score(one.iqm)), between),
+        *(element("td", _score(mean)) for mean in _means(one)),
+        element("td", "" if last or one.over_next is None else f"{one.over_next:.2f}"),
+    ]
+    return element("tr", *cells)
+
+
+def summary_shows(summary: Summary) -> str:
+    worlds = " and ".join(board.title for board in summary.boards)
+    return (
+        f"How well each model predicts the next frame of {worlds} together, the best model first: "
+        f"{len(summary.standings)} models, {_trainings(summary)}."
+    )
+
+
+def _trainings(summary: Summary) -> str:
+    """How many trainings the models have in each world."""
+    known = sorted({one.trainings for one in summary.standings})
+    return (
+        f"each with {known[0]} to {known[-1]} trainings in a world" if known[-1] > 1 else "one training in each world"
+    )
+
+
+def _absent(summary: Summary) -> list[str]:
+    """What is not in the table, and why."""
+    told = []
+    if summary.left_out:
+        told.append(f"Left out, as they lack a result in one of these worlds: {', '.join(summary.left_out)}.")
+    if summary.too_small:
+        told.append(
+            f"Worlds with results of fewer than half as many models, which are not counted: "
+            f"{', '.join(summary.too_small)}."
+        )
+    return told
+
+
+def _means(one: Standing) -> list[float]:
+    return [float(mean) for mean in one.scores.mean(axis=0)]
+
+
+def _score(value: float) -> str:
+    return f"{value:.4f}" if value >= 0 else f"\u2212{-value:.4f}"
+
+
+def _ordinary(text: str) -> str:
+    """With an ordinary minus sign."""
+    return text.replace("\u2212", "-")
+
+
+def _between(one: Standing) -> str:
+    assert one.interval is not None, "asked for where there is one"
+    return TO.join(map(_score, one.interval))
+
+
+def _counts(one: Standing) -> str:
+    """The labels that were handed out in the worlds."""
+    counts = dict.fromkeys("?" if row.label_count is None else f"{row.label_count:,}" for row in one.rows)
+    return " or ".join(counts)
+
+
+def shows(board: Board) -> str:
+    """What a board shows, in one sentence."""
+    kinds = {entry.actions for entry in board.measured}
+    with_ = f" with {' and '.join(sorted(kinds))} actions" if kinds - {"discrete"} else ""
+    planned = any(name.startswith("control_distance") for row in board.rows for name in row.figures)
+    then = ", and how near a planner that uses it brings the objects to their goals" if planned else ""
+    told = f"{_scene(board.environment)}how far each model's next frame{with_} is from the true one{then}."
+    return told[0].upper() + told[1:]
+
+
+def _scene(environment: str) -> str:
+    """What happens in an environment, as the first sentence of its class says, if it is installed."""
+    if environment not in environment_names():
+        return ""
+    said = (environment_class(environment).__doc__ or "").strip().splitlines()[:1]
+    return "".join(f"{re.split(r'[;.]', line)[0]}: " for line in said)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Final
 
 from dmotion_bench.registry import environment_class, environment_names
-
 from leaderboard.board import Board
 from leaderboard.board_tables import TO, WIDTH, world
 from leaderboard.markdown import plain, table
@@ -27,9 +26,9 @@ MEANING: Final = (
     "al. 2021). Each model has its usual label budget and its usual settings."
 )
 INTERVALS: Final = (
-    "In brackets stands the 95% interval over trainings, a bootstrap within each world. One training says nothing about "
-    "others, so there is no interval, and P(better) only tells in what share of the worlds this training was better; an "
-    "interval of fewer than five trainings is too narrow. The intervals on the boards are another matter: they are over test "
+    "In brackets stands the 95% interval over trainings, a bootstrap within each world; of fewer than five it "
+    "is too narrow. One training says nothing about others: there is no interval, and P(better) only tells in what "
+    "share of the worlds this training was better. The intervals on the boards are another matter: they are over test "
     "episodes, for the models as they were trained."
 )
 

@@ -53,8 +53,8 @@ def share_push(
     not sent again, and nothing there is replaced by other content.
 
     Args:
-        what: Runs or data sets, by path or name; or entries of the leaderboard, for the run and the data sets that
-            checking them takes.
+        what: Runs or data sets, by path or name; or entries of the leaderboard, by file or folder, for the run and the
+            data sets that checking them takes.
         place: A folder, or an address that begins with ``s3://``, ``gs://`` or ``hf://``.
         labels: Whether ``labels/`` of the data sets are published, too: checking an entry takes them.
         mend: Read what the place has already, and replace what is damaged.
@@ -93,8 +93,8 @@ def share_pull(
     """Fetch runs and data sets that were published; each appears as a whole, with the right hashes, or not at all.
 
     Args:
-        what: Entries of the leaderboard, by file, for all that checking them takes; or hashes of weights or of a data
-            set, at least their first eight digits.
+        what: Entries of the leaderboard, by file or folder, for all that checking them takes; or hashes of weights or
+            of a data set, at least their first eight digits.
         place: As for ``share_push``.
         labels: Whether ``labels/`` of the data sets are fetched, too: checking an entry takes them.
         workspace: The folder with ``data/`` and ``runs/``; the current one by default.
@@ -162,9 +162,8 @@ def pull_entries(
     Raises:
         As ``share_pull``, but for what is missing.
     """
-    files = [one for path in paths for one in (sorted(path.glob("*.json")) if _is_folder(path) else [path])]
     missing = []
-    for file in files:
+    for file in map(Path, _listed(paths)):
         if not file.is_file() or wanted_by(file) is None:
             continue
         try:
@@ -179,16 +178,23 @@ def _workspace(given: AnyPath | None) -> Workspace:
 
 
 def _listed(things: Things) -> list[AnyPath]:
-    return [things] if isinstance(things, str | os.PathLike) else list(things)
+    """One thing after the other; a folder of entries stands for those of its entries that were measured."""
+    given = [things] if isinstance(things, str | os.PathLike) else list(things)
+    return [one for thing in given for one in (_measured(Path(thing)) if _holds_entries(Path(thing)) else [thing])]
+
+
+def _measured(folder: Path) -> list[Path]:
+    return [path for path in sorted(folder.glob("*.json")) if wanted_by(path) is not None]
+
+
+def _holds_entries(path: Path) -> bool:
+    """Whether a path is a folder of entries."""
+    sources = (RUN_MANIFEST, DATASET_MANIFEST)
+    return path.is_dir() and not any((path / name).exists() for name in sources) and any(path.glob("*.json"))
 
 
 def _telling(tell: Tell, verb: str) -> Callable[[str, int, int], None]:
     return lambda name, done, total: tell(JobProgress(what=f"{verb} {name}", done=done, total=total, status="files"))
-
-
-def _is_folder(path: Path) -> bool:
-    """Whether a path is a folder of entries."""
-    return path.is_dir() and not (path / RUN_MANIFEST).is_file()
 
 
 def _wanted(given: AnyPath) -> Wanted | None:

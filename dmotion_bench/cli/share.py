@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -33,8 +34,8 @@ def push(
         list[str],
         typer.Argument(
             metavar="RUN|DATASET|ENTRY...",
-            help="Runs and data sets, by path or name; or entries of the leaderboard, for all that checking them "
-            "takes.",
+            help="Runs and data sets, by path or name; or entries of the leaderboard and folders of them, for all "
+            "that checking them takes.",
         ),
     ],
     place: Annotated[str, typer.Option("--to", metavar="PLACE", help=f"Where: {_PLACE}.")],
@@ -60,8 +61,9 @@ def push(
         return
     for one in pushed:
         _show_pushed(one, labels)
-    pull = command("dmbench share pull", *(one.fingerprint[:16] for one in pushed), "--from", place)
-    typer.echo(f"Others fetch it with {pull}.")
+    hashes = [one.fingerprint[:16] for one in pushed][:4]
+    pull = command("dmbench share pull", *hashes, "--from", place)
+    typer.echo(f"Others fetch {'them' if len(pushed) > 1 else 'it'} with {pull}, or by the entry in place of hashes.")
 
 
 @group.command()
@@ -70,8 +72,8 @@ def pull(
         list[str],
         typer.Argument(
             metavar="ENTRY|HASH...",
-            help="Entries of the leaderboard, for all that checking them takes; or hashes of weights or data sets, at "
-            "least their first eight digits.",
+            help="Entries of the leaderboard and folders of them, for all that checking them takes; or hashes of "
+            "weights or data sets, at least their first eight digits.",
         ),
     ],
     place: Annotated[str, typer.Option("--from", metavar="PLACE", help=f"Where: {_PLACE}.")],
@@ -141,7 +143,7 @@ def _show_pulled(one: Pulled, labels: bool) -> None:
 
 def _next(what: list[str], pulled: list[Pulled], place: str) -> str:
     """What to type next."""
-    entries = [one for one in what if one.endswith(".json")]
+    entries = [one for one in what if Path(one).exists()]
     if entries:
         return f"Check with {command('dmbench leaderboard check', *entries)}."
     here: dict[str, Any] = {one.fingerprint: one for one in pulled}

@@ -26,7 +26,7 @@ MEANING: Final = (
     "al. 2021). Each model has its usual label budget and its usual settings."
 )
 INTERVALS: Final = (
-    "In brackets stands the 95% interval over trainings, a bootstrap within each world; of fewer than five it "
+    "With an IQM stands its 95% interval over trainings, a bootstrap within each world; of fewer than five it "
     "is too narrow. One training says nothing about others: there is no interval, and P(better) only tells in what "
     "share of the worlds this training was better. The intervals on the boards are another matter: they are over test "
     "episodes, for the models as they were trained."
@@ -73,7 +73,7 @@ def summary_lines(summary: Summary) -> list[str]:
             plain(one.model),
             f"{plain(one.labels)}: {_counts(one)}",
             f"{one.trainings}",
-            _ordinary(f"**{_score(one.iqm)}**" + (f" ({_between(one)})" if one.interval else "")),
+            _ordinary(_score(one.iqm) + (f" ({_between(one)})" if one.interval else "")),
             *(_ordinary(_score(mean)) for mean in _means(one)),
             "" if one.over_next is None else f"{one.over_next:.2f}",
         ]
@@ -91,7 +91,7 @@ def _row(one: Standing, last: bool) -> Markup:
         element("th", name, scope="row"),
         element("td", _counts(one), element("small", one.labels)),
         element("td", str(one.trainings)),
-        element("td", element("b", _score(one.iqm)), between),
+        element("td", _score(one.iqm), between),
         *(element("td", _score(mean)) for mean in _means(one)),
         element("td", "" if last or one.over_next is None else f"{one.over_next:.2f}"),
     ]
@@ -109,9 +109,7 @@ def summary_shows(summary: Summary) -> str:
 def _trainings(summary: Summary) -> str:
     """How many trainings the models have in each world."""
     known = sorted({one.trainings for one in summary.standings})
-    return (
-        f"each with {known[0]} to {known[-1]} trainings in a world" if known[-1] > 1 else "one training in each world"
-    )
+    return f"{known[0]} to {known[-1]} trainings of each in a world" if known[-1] > 1 else "one training in each world"
 
 
 def _absent(summary: Summary) -> list[str]:

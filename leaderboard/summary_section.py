@@ -9,14 +9,14 @@ from typing import Final
 
 from dmotion_bench.registry import environment_class, environment_names
 from leaderboard.board import Board
-from leaderboard.board_tables import TO, WIDTH, world
+from leaderboard.board_tables import TO, WIDTH
 from leaderboard.markdown import plain, table
 from leaderboard.markup import Markup, element, joined
 from leaderboard.summary import Standing, Summary
 
 TITLE: Final = "All worlds together"
 SCORE: Final = (
-    "A training's score in a world is 1 - MSE / MSE of copying the last frame, of the next frame on the test episodes: "
+    "Trainings are counted in each world. A training's score in a world is 1 - MSE / MSE of copying the last frame, of the next frame on the test episodes: "
     "1 is perfect, 0 is copying the last frame, below 0 is worse than copying it."
 )
 MEANING: Final = (
@@ -40,13 +40,12 @@ def summary_section(summary: Summary, anchors: Sequence[str]) -> Markup:
         summary: To be shown.
         anchors: Where the boards of its worlds are on the page.
     """
-    heads = ["Model", "Labels", "Trainings", "IQM"]
-    cells = [element("th", head, scope="col") for head in heads]
+    cells = [element("th", head, scope="col") for head in ("Model", "IQM")]
     for board, anchor in zip(summary.boards, anchors, strict=True):
         link = element("a", board.title, href=f"#{anchor}")
         cells.append(element("th", link, element("small", f" {board.dataset}"), scope="col"))
-    cells.append(element("th", "P(better)", scope="col"))
-    rows = [_row(one, place + 1 == len(summary.standings)) for place, one in enumerate(summary.standings)]
+    cells += [element("th", head, scope="col") for head in ("P(better)", "Labels", "Trainings")]
+    rows = [_row(one) for one in summary.standings]
     ranking = element(
         "table",
         element("caption", TITLE, id="summary-caption"),
@@ -67,33 +66,33 @@ def summary_section(summary: Summary, anchors: Sequence[str]) -> Markup:
 
 def summary_lines(summary: Summary) -> list[str]:
     """The lines of the summary in a Markdown page."""
-    worlds = [f"{world(board)}, {plain(board.dataset)} ({board.fingerprint[:8]})" for board in summary.boards]
+    worlds = [f"{board.title} ({board.fingerprint[:8]})" for board in summary.boards]
     body = [
         [
             plain(one.model),
-            f"{plain(one.labels)}: {_counts(one)}",
-            f"{one.trainings}",
             _ordinary(_score(one.iqm) + (f" ({_between(one)})" if one.interval else "")),
             *(_ordinary(_score(mean)) for mean in _means(one)),
             "" if one.over_next is None else f"{one.over_next:.2f}",
+            f"{plain(one.labels)}: {_counts(one)}",
+            f"{one.trainings}",
         ]
         for one in summary.standings
     ]
-    lines = table(["Model", "Labels", "Trainings in each world", "IQM", *worlds, "P(better)"], body, words=2)
+    lines = table(["Model", "IQM", *worlds, "P(better)", "Labels", "Trainings"], body)
     said = [one for note in (SCORE, MEANING, INTERVALS, *_absent(summary)) for one in (*textwrap.wrap(note, WIDTH), "")]
     return ["", *lines, "", *said]
 
 
-def _row(one: Standing, last: bool) -> Markup:
+def _row(one: Standing) -> Markup:
     name = element("a", one.model, href=f"#{one.rows[0].entries[0].slug}")
     between = element("small", _between(one) if one.interval else "1 training" if one.trainings == 1 else "")
     cells = [
         element("th", name, scope="row"),
-        element("td", _counts(one), element("small", one.labels)),
-        element("td", str(one.trainings)),
         element("td", _score(one.iqm), between),
         *(element("td", _score(mean)) for mean in _means(one)),
-        element("td", "" if last or one.over_next is None else f"{one.over_next:.2f}"),
+        element("td", "" if one.over_next is None else f"{one.over_next:.2f}"),
+        element("td", _counts(one), element("small", one.labels)),
+        element("td", str(one.trainings)),
     ]
     return element("tr", *cells)
 

@@ -16,8 +16,8 @@ from leaderboard.summary import Standing, Summary
 
 TITLE: Final = "All worlds together"
 SCORE: Final = (
-    "Trainings are counted in each world. A training's score in a world is 1 - MSE / MSE of copying the last frame, of the next frame on the test episodes: "
-    "1 is perfect, 0 is copying the last frame, below 0 is worse than copying it."
+    "A training's score in a world is 1 - MSE / MSE of copying the last frame, of the next frame on the test episodes: "
+    "1 is perfect, 0 is copying the last frame, below 0 is worse than copying it. Trainings are counted in each world."
 )
 MEANING: Final = (
     "IQM is the interquartile mean, the mean of the middle half of a model's scores over worlds and trainings, all of "

@@ -80,6 +80,8 @@ MENTIONED = (
     "dmbench leaderboard compare RUN RUN",
     "dmbench play",
     "dmbench plan",
+    "dmbench share",
+    "dmbench share pull",
     "dmbench view",
 )
 """Named in a sentence, to be completed by the reader."""

@@ -91,6 +91,19 @@ def test_an_outsider_gets_the_same_bytes_from_every_kind_of_place(
     assert not (outsider.root / "arriving").exists()
 
 
+def test_a_folder_of_entries_stands_for_those_that_were_measured(
+    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    (tmp_path / "entries").mkdir()
+    entry_of(workspace, tmp_path / "entries" / "a.json")
+    entry_of(workspace, tmp_path / "entries" / "b.json")
+    entry_of(workspace, tmp_path / "entries" / "c.json", kind="published")
+    pushed = dm.share_push(tmp_path / "entries", folder.address)
+    assert [(one.kind, one.name) for one in pushed] == [("data set", "noise"), ("run", "known")]
+    pulled = dm.share_pull([tmp_path / "entries"], folder.address, workspace=outsider.root)
+    assert [one.path for one in pulled] == [outsider.data / "noise", outsider.runs / "known"]
+
+
 def test_files_stand_under_their_hashes(workspace: Workspace, folder: Published) -> None:
     dm.share_push(["known", "noise"], folder.address)
     for name, content in folder.files().items():

@@ -23,7 +23,8 @@ DOCS: Final = Path(__file__).parent.parent
 FOLDER: Final = "assets/diagrams"
 BLOCK: Final = re.compile(r"^```mermaid\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
-_PAGE: Final = """<!doctype html><meta charset="utf-8"><body><div id="out"></div><script src="{script}"></script><script>
+_PAGE: Final = """<!doctype html><meta charset="utf-8"><body><div id="out"></div><script src="{script}"></script>
+<script>
 mermaid.initialize({{startOnLoad: false, theme: "neutral", fontFamily: "Helvetica, Arial, sans-serif",
   htmlLabels: false, flowchart: {{htmlLabels: false, useMaxWidth: false, rankSpacing: 32, nodeSpacing: 32}}}});
 mermaid.render("diagram", {text}).then(drawn => {{ document.getElementById("out").innerHTML = drawn.svg; }});
@@ -67,9 +68,7 @@ def draw(text: str, script: Path, chromium: str = "chromium") -> str:
 
 def main(script: Path) -> None:
     """Draw every diagram that has no picture, and delete pictures of diagrams that are gone."""
-    wanted = {
-        picture_of(text): text for page in sorted(DOCS.rglob("*.md")) for text in BLOCK.findall(page.read_text())
-    }
+    wanted = {picture_of(text): text for page in sorted(DOCS.rglob("*.md")) for text in BLOCK.findall(page.read_text())}
     (DOCS / FOLDER).mkdir(parents=True, exist_ok=True)
     for old in (DOCS / FOLDER).glob("*.svg"):
         if f"{FOLDER}/{old.name}" not in wanted:

@@ -1,11 +1,12 @@
 """Docstrings as mkdocstrings reads them, and annotations as they stand in the source.
 
 Ours are of Google's style but for three habits: ``Example:`` holds one example, ``::`` begins a listing, and one line
-of ``Args:`` may explain several arguments.
+may explain several names.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from typing import Any, Final
 
@@ -14,10 +15,12 @@ import griffe
 _SHAPED: Final = {"Float", "Int", "Bool", "UInt8", "Shaped", "Num"}
 """jaxtyping's annotations: the text in their brackets names axes and is no annotation itself."""
 
-_TOGETHER: Final = re.compile(r"^(?P<room> +)(?P<names>\*{0,2}\w+(?:, \*{0,2}\w+)+): (?P<text>.*(?:\n(?P=room) +.*)*)", re.M)
+_TOGETHER: Final = re.compile(
+    r"^(?P<room> +)(?P<names>\*{0,2}\w+(?:, \*{0,2}\w+)+): (?P<text>.*(?:\n(?P=room) +.*)*)", re.M
+)
+"""A line that explains several names at once, with the lines that go on with it."""
 
-
-_SECTIONS: Final = re.compile(r"(?<=\n)(Args|Attributes):\n(?P<lines>(?:[ \t]+\S.*\n?|\n(?=[ \t]+\S))+)")
+_SECTIONS: Final = re.compile(r"(?<=\n)(Args|Attributes|Raises):\n(?P<lines>(?:[ \t]+\S.*\n?|\n(?=[ \t]+\S))+)")
 
 
 class Docstrings(griffe.Extension):
@@ -45,9 +48,7 @@ def readable(docstring: str) -> str:
 
 
 def _apart(found: re.Match[str]) -> str:
-    first, *others = found["names"].split(", ")
-    lines = [f"{found['room']}{first}: {found['text']}"]
-    return "\n".join([*lines, *(f"{found['room']}{name}: As `{first}`: {found['text']}" for name in others)])
+    return "\n".join(f"{found['room']}{name}: {found['text']}" for name in found["names"].split(", "))
 
 
 def _quote_axes(expression: object) -> None:
@@ -62,6 +63,7 @@ def _quote_axes(expression: object) -> None:
         kind, *axes = expression.slice.elements
         expression.slice.elements = [kind, *(f'"{str(one).strip(chr(39) + chr(34)).strip()}"' for one in axes)]
         return
-    for part in vars(expression).values():
+    for field in dataclasses.fields(expression):
+        part = getattr(expression, field.name)
         for one in part if isinstance(part, list | tuple) else [part]:
             _quote_axes(one)

@@ -58,7 +58,7 @@ class Links:
         return f"source/{path}.md"
 
     def repository_path(self, path: str, target: str) -> str | None:
-        """The file or folder of the repository that a link of the file ``path`` leads to; None if it leads elsewhere."""
+        """The file or folder of the repository that a link of ``path`` leads to; None if it leads elsewhere."""
         if _ELSEWHERE.match(target):
             return None
         joined = posixpath.normpath(posixpath.join(posixpath.dirname(path), target.partition("#")[0]))

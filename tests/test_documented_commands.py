@@ -33,6 +33,7 @@ from walk import assert_printed, run_python, save, steps
 
 from dmotion_bench import registry
 from dmotion_bench.api import demonstration
+from dmotion_bench.api import planning as api_planning
 from dmotion_bench.api import scoring as api_scoring
 from dmotion_bench.learning import checkpoint, start, table
 from dmotion_bench.learning.start import TrainingRequest, open_run
@@ -137,14 +138,16 @@ def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
 def _shorten_planning(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("dmotion_bench.planning.choices.make_solver", lambda name, settings=(): TWO)
     patch.setattr("dmotion_bench.scoring.control.make_solver", lambda name, settings=(): TWO)
-    patch.setattr(api_scoring, "control_scoring", _two_steps)
+    patch.setattr("dmotion_bench.api.planning.make_solver", lambda name, settings=(): TWO)
+    for module in (api_scoring, api_planning):
+        patch.setattr(module, "control_scoring", _two_steps)
 
 
 def _shortened(command: str) -> list[str]:
     """The words of a command, with what makes it short, and a file in place of a window."""
     words = shlex.split(f"{command} {COMPLETED.get(command, '')}")[1:]
     match words:
-        case ["record", *_]:
+        case ["record", *_] if "tiny" not in words:
             words += ["--episodes", str(EPISODES), "--frames", str(FRAMES), "--tasks", "4"]
         case ["score", *_]:
             words += ["--tasks", "1"] if "control" in words else ["--horizon", "4"]

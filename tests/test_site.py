@@ -194,6 +194,7 @@ def test_links_lead_to_pages_of_the_site() -> None:
         ("docs/decisions/a.md", "../../tests/fuzz"): "../source/tests/fuzz/index.md",
         ("docs/api/index.md", "../decisions"): "../project/decisions.md",
         ("README.md", "docs/experiments"): "../experiments/README.md",
+        ("CONTRIBUTING.md", "docs/site/diagrams.py"): "../source/docs/site/diagrams.py.md",
         ("README.md", "LICENSE"): "../source/LICENSE.md",
         ("README.md", "https://arxiv.org/abs/2103.04301"): "https://arxiv.org/abs/2103.04301",
         ("README.md", "#results"): "#results",

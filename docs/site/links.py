@@ -14,6 +14,9 @@ from pathlib import Path
 from typing import Final
 
 DOCS: Final = "docs/"
+UNPUBLISHED: Final = "docs/site"
+"""What builds the site is no part of it, and so has a page as other sources have."""
+
 INDEXES: Final = {"docs/decisions": "DECISIONS.md"}
 """Folders that a page lists better than their files' names would."""
 
@@ -47,11 +50,12 @@ class Links:
         """The source address in the site of a file or folder of the repository, such as ``source/a/b.py.md``."""
         path = INDEXES.get(path, path)
         here = self._root / path
+        published = path.startswith(DOCS) and not f"{path}/".startswith(f"{UNPUBLISHED}/")
         if here.is_dir():
-            if path.startswith(DOCS) and (here / "README.md").is_file():
+            if published and (here / "README.md").is_file():
                 return f"{path}/README.md".removeprefix(DOCS)
             return f"source/{path}/index.md"
-        if path.startswith(DOCS):
+        if published:
             return path.removeprefix(DOCS)
         if path.endswith(".md") and "/" not in path:
             return f"project/{path.lower()}" if path != "README.md" else "project/about.md"

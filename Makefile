@@ -7,7 +7,7 @@ PARALLEL := -n auto --dist worksteal  # a process a core; long tests come first 
 
 unexport PYTHONDONTWRITEBYTECODE  # else each of the processes that tests start compiles every module anew
 
-.PHONY: install demo test test-fast smoke check faults fuzz kill format bench results clean
+.PHONY: install demo test test-fast smoke check faults fuzz kill format bench results site clean
 
 install: $(STAMP)
 
@@ -56,5 +56,9 @@ bench: install
 results: install
 	$(BIN)/dmbench leaderboard results README.md docs/results.md --from docs/leaderboard
 
+site: install
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	@echo "open site/index.html"
+
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache

@@ -3,12 +3,20 @@
 What makes it short: recordings of 13 short episodes, trainings of a step or two, one row of the table of all models, a
 planner of two candidates, pictures written to files where the command would open a window. Nothing else of a command
 is changed (``_shortened``).
+
+A tutorial is followed from its first line in an empty folder: its files are saved, its Python is run, its commands are
+typed, and what they print is compared with what the page shows (``walk.py``).
 """
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import os
 import shlex
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +25,15 @@ from typing import Any
 import pytest
 from dmbench_command import dmbench
 from known_model import result_of
+from object_storage import object_storage
+from pretend_slurm import install_slurm
 from storage.foreign import foxglove_file, steady, video
 from test_documentation import PAGES, ROOT, _commands, _is_example
+from walk import assert_printed, run_python, save, steps
 
+from dmotion_bench import registry
 from dmotion_bench.api import demonstration
+from dmotion_bench.api import planning as api_planning
 from dmotion_bench.api import scoring as api_scoring
 from dmotion_bench.learning import checkpoint, start, table
 from dmotion_bench.learning.start import TrainingRequest, open_run
@@ -36,6 +49,9 @@ from dmotion_bench.workspace import Workspace
 pytestmark = pytest.mark.slow
 
 EPISODES, FRAMES = 13, 16  # the docs name episode 12
+PLANNED_IN_FULL = {"own_environment"}
+"""Tutorials whose Python says what planning reaches; it takes a second there."""
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 READ = [page for page in PAGES if page.name == "README.md" or page.parent.name == "docs"]
 RECORDED = (
     ("grid_world", "small"),
@@ -57,6 +73,8 @@ ELSEWHERE = {
     "leaderboard results": "tests/leaderboard/test_results.py",
     "tiny-latents": "tests/test_third_party.py",
     "--executor ray": "tests/execution/test_executors.py",
+    "--all --data planar_push-tiny --executor slurm": "tests/execution/test_executors.py",
+    "--devices": "tests/cli/test_train_together.py",
     "record gym:": "tests/recorders/test_gymnasium_env.py",
     "--action-fields": "tests/storage/test_import_continuous.py",
 }
@@ -95,6 +113,10 @@ def _shorter_training(settings: Any, config: Any, training: Any) -> Any:
 _with_settings = start.with_settings
 
 
+def _tested_elsewhere(command: str) -> str | None:
+    return next((test for part, test in ELSEWHERE.items() if part in command), None)
+
+
 TWO = CrossEntropy(samples=2, horizon=1, iterations=1, elites=1)
 _control_scoring = api_scoring.control_scoring
 
@@ -103,29 +125,36 @@ def _two_steps(*asked: Any, **more: Any) -> ControlScoring:
     return replace(_control_scoring(*asked, **more), steps=2)
 
 
-def _shorten(patch: pytest.MonkeyPatch) -> None:
+def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
     patch.setattr(start, "with_settings", _shorter_training)
+    if planning:
+        _shorten_planning(patch)
     patch.setattr(table, "model_names", lambda: ["dmotion"])
     patch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
-    patch.setattr("dmotion_bench.planning.choices.make_solver", lambda name, settings=(): TWO)
-    patch.setattr("dmotion_bench.scoring.control.make_solver", lambda name, settings=(): TWO)
-    patch.setattr(api_scoring, "control_scoring", _two_steps)
     patch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: its layers are most of what a scoring computes
     patch.setattr(demonstration, "EPISODES", 12)
     patch.setattr(demonstration, "EPOCHS", 0.01)
     patch.delenv("DMBENCH_WORKSPACE", raising=False)
 
 
+def _shorten_planning(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr("dmotion_bench.planning.choices.make_solver", lambda name, settings=(): TWO)
+    patch.setattr("dmotion_bench.scoring.control.make_solver", lambda name, settings=(): TWO)
+    patch.setattr("dmotion_bench.api.planning.make_solver", lambda name, settings=(): TWO)
+    for module in (api_scoring, api_planning):
+        patch.setattr(module, "control_scoring", _two_steps)
+
+
 def _shortened(command: str) -> list[str]:
     """The words of a command, with what makes it short, and a file in place of a window."""
     words = shlex.split(f"{command} {COMPLETED.get(command, '')}")[1:]
     match words:
-        case ["record", *_]:
+        case ["record", *_] if "tiny" not in words:
             words += ["--episodes", str(EPISODES), "--frames", str(FRAMES), "--tasks", "4"]
         case ["score", *_]:
             words += ["--tasks", "1"] if "control" in words else ["--horizon", "4"]
             words += ["--workers", "1"] if "--all" in words else []  # others do not know the shortened planner
-        case ["plan", *_]:
+        case ["plan", *_] if "--steps" not in words:
             words += ["--steps", "2"]
         case ["bench", *_]:
             words += ["--only", "find_centres", "--seconds", "0.1"]
@@ -175,9 +204,54 @@ def test_every_command_of_a_page_runs(
     shutil.copytree(template, tmp_path / "reader")
     monkeypatch.chdir(tmp_path / "reader")
     for command in dict.fromkeys(filter(_is_example, _commands(page))):
-        own = next((test for part, test in ELSEWHERE.items() if part in command), None)
-        if own is not None:
+        if own := _tested_elsewhere(command):
             assert (ROOT / own).is_file()
         elif command not in MENTIONED:
             outcome = dmbench(_shortened(command), capsys, monkeypatch)
             assert outcome.code == 0, f"{page.name}: {command}\n{outcome.out}\n{outcome.err}"
+
+
+def _install(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What ``pip install .`` does, into a folder of its own that this process looks into."""
+    pip = ("pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", "installed")
+    subprocess.run([sys.executable, "-m", *pip, "--disable-pip-version-check", "."], cwd=folder, check=True)
+    monkeypatch.syspath_prepend(str(folder / "installed"))
+    importlib.invalidate_caches()
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_tutorial_can_be_followed_from_an_empty_folder(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _shorten(monkeypatch, planning=page.stem not in PLANNED_IN_FULL)
+    machines = contextlib.ExitStack()
+    if page.stem == "cluster":
+        monkeypatch.setenv("PATH", f"{install_slurm(tmp_path / 'slurm')}{os.pathsep}{os.environ['PATH']}")
+        for name, value in machines.enter_context(object_storage()).environment.items():
+            monkeypatch.setenv(name, value)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(registry, "_ADDED", {})
+    modules, names = set(sys.modules), dict[str, Any]()
+    try:
+        for step in steps(page.read_text()):
+            if step.kind == "file":
+                save(step, tmp_path)
+                importlib.invalidate_caches()
+            elif step.kind == "python":
+                run_python(step.text, names, page.name)
+            elif step.text == "pip install .":
+                _install(tmp_path, monkeypatch)
+            elif step.text.startswith("export "):
+                monkeypatch.setenv(*step.text.removeprefix("export ").split("=", 1))
+            elif own := _tested_elsewhere(step.text):
+                assert (ROOT / own).is_file()
+            else:
+                outcome = dmbench(_shortened(step.text), capsys, monkeypatch)
+                assert outcome.code == 0, f"{page.name}: {step.text}\n{outcome.out}\n{outcome.err}"
+                assert_printed(step.expected, outcome.out, f"{page.name}: {step.text}")
+    finally:
+        machines.close()
+        for name in set(sys.modules) - modules:  # the page's own, which the next page must not find
+            if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+                del sys.modules[name]

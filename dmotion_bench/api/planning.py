@@ -237,7 +237,7 @@ def open_trial(
         data: The data set; a reference takes the only one if none is named.
 
     Raises:
-        As ``plan``.
+        RunMissing, UnknownName, UsageError, DatasetError: As ``plan``.
     """
     model: ForwardModel[Any] | None = None
     if run is not None and str(run) in REFERENCES and not Path(run).exists():

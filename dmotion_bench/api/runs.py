@@ -90,7 +90,7 @@ class Run(runs.Run):
             UInt8[b t h w 3], or Float[b t c h w] in [-1, 1].
 
         Raises:
-            As ``predict``.
+            RunMissing, LabelsNotAvailable, UnknownName, UsageError: As ``predict``.
 
         Example:
             >>> run = dm.load_run("tiny")

@@ -30,6 +30,8 @@ pytestmark = pytest.mark.slow
 
 NAMES = sorted(point.name for point in entry_points(group=MODELS) if point.value.startswith("baselines."))
 UNSUPERVISED = [name for name in NAMES if model_class(name).supervision is Supervision.NONE]
+FEW = [name for name in NAMES if model_class(name).supervision is Supervision.FEW]
+SUPERVISED = [name for name in NAMES if model_class(name).supervision is Supervision.ACTIONS]
 FRAMES = 5
 SETTINGS = ("batch_size=4", "epochs=1", "validations=3")
 
@@ -66,7 +68,7 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Callabl
 
 
 def _train(name: str, data: Path, folder: Path, labels: str | None = None, stop_at: int | None = None) -> Run:
-    if labels is None and name not in UNSUPERVISED:
+    if labels is None and name in SUPERVISED:
         labels = "100%"
     dataset = Dataset.open(data)
     request = TrainingRequest(model=name, labels=labels, preset=Preset.TINY, settings=SETTINGS)
@@ -83,9 +85,10 @@ def _train(name: str, data: Path, folder: Path, labels: str | None = None, stop_
 def test_the_benchmarks_models_are_those_of_its_design() -> None:
     assert set(NAMES) == {
         *("dmotion", "dmotion-no-stn", "wm-ae", "wm-vae", "ed-cnn", "cswm", "clasp"),
-        *("lapo", "lam-vae", "jepa"),
+        *("lapo", "lam-vae", "jepa", "laom", "laom-labels", "idm-ed-cnn"),
     }
-    assert set(UNSUPERVISED) == {"dmotion", "dmotion-no-stn", "clasp", "lapo", "lam-vae"}
+    assert set(UNSUPERVISED) == {"dmotion", "dmotion-no-stn", "clasp", "lapo", "lam-vae", "laom"}
+    assert set(FEW) == {"laom-labels", "idm-ed-cnn"}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -190,7 +193,7 @@ def test_what_learns_from_labels_at_once_shares_nothing(name, recorded, trained,
     assert take_over(open_run(request, Dataset.open(recorded), None, Workspace(tmp_path))) is None
 
 
-@pytest.mark.parametrize("name", sorted({*NAMES} - {*UNSUPERVISED}))
+@pytest.mark.parametrize("name", SUPERVISED)
 def test_a_tenth_of_the_labels_is_a_tenth(name, trained) -> None:
     run = trained(name, "10%")
     each = FRAMES - 2  # triplets of an episode: one of eleven, and one to validate with

@@ -5,16 +5,17 @@ frames; it may look at the frames after the action too, so it needs far fewer la
 it names every action of the video, and what follows learns from these names as if they were labels. VPT clones a
 policy; the benchmark wants a forward model, so here E-D CNN (``encoder_decoder.py``) learns from the named video.
 
-Settled so (docs/baselines.md): the inverse model is the trunk by which LAPO infers latent actions, over
-(x_{t-1}, x_t, x_{t+1}), in place of a ResNet and a transformer over 128 frames; the names are its most likely actions,
-as VPT's, or its estimates of continuous ones; and it is no longer trained once it names. An action that no label shows
-is never named.
+Settled so (docs/baselines.md): the inverse model is the trunk by which the other models infer latent actions, over
+(x_t, x_{t+1}), in place of a ResNet and a transformer over 128 frames; while it learns, the frames of a batch are
+rolled by the same random shift, since few labels show few places; the names are its most likely actions, as VPT's, or
+its estimates of continuous ones; and it is no longer trained once it names. An action that no label shows is never
+named.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 import torch.nn.functional as F
@@ -31,17 +32,21 @@ from dmotion_bench.specs import Preset, Supervision
 
 INVERSE = Phase(name="inverse", fraction=0.2, needs_actions=True)
 FORWARD = Phase(name="forward", fraction=0.8)
+STRIDE = 16  # [px]: a roll by so many changes nothing for the trunk
 
 
 @dataclass(frozen=True, kw_only=True)
 class RelabellingConfig:
-    """The choices of E-D CNN that the published method leaves open.
+    """The choices that the published method leaves open.
 
     Attributes:
+        frames: How many frames the inverse model sees: x_t and x_{t+1}, or x_{t-1} before them. A third frame tells of
+            velocities, and takes more labels to be told from chance.
         warp: Whether the forward model can carry what moves, by a flow, instead of painting it anew.
         gate_floor: The least share of what it paints that is let in anywhere: above 0 for video of which little moves.
     """
 
+    frames: Literal[2, 3] = 2
     warp: bool = False
     gate_floor: float = 0.0
 
@@ -52,10 +57,10 @@ class RelabellingConfig:
 class InverseModel(nn.Module):
     """Which action lies between x_t and x_{t+1}: a score for each discrete one, or the numbers of a continuous one."""
 
-    def __init__(self, actions: ActionSpec | None) -> None:
+    def __init__(self, actions: ActionSpec | None, frames: int) -> None:
         super().__init__()
-        self.encoding = ActionEncoding(actions)
-        self.trunk = MotionTrunk(frames=3)
+        self.encoding, self.frames = ActionEncoding(actions), frames
+        self.trunk = MotionTrunk(frames=frames)
         self.out = linear(MotionTrunk.length, self.encoding.width, 0.1)
         left_to_adam(*self.out.parameters())
 
@@ -66,7 +71,8 @@ class InverseModel(nn.Module):
         following: Float[Tensor, "b p hp wp"],
     ) -> Float[Tensor, "b a"]:
         """Logits, or normalised numbers."""
-        scores: Tensor = self.out(self.trunk.summarise(torch.cat([previous, current, following], dim=1)))
+        seen = torch.cat([previous, current, following][-self.frames :], dim=1)
+        scores: Tensor = self.out(self.trunk.summarise(seen))
         return scores.float()
 
     def errors(self, scores: Float[Tensor, "b a"], action: Actions) -> Float[Tensor, " b"]:
@@ -95,7 +101,7 @@ class InverseRelabelling(ForwardModel[RelabellingConfig]):
     def __init__(self, config: RelabellingConfig, inputs: ModelInputs) -> None:
         super().__init__(config, inputs)
         check_size("inverse-dynamics relabelling", inputs)
-        self.inverse = InverseModel(inputs.actions)
+        self.inverse = InverseModel(inputs.actions, config.frames)
         self.encoding = ActionEncoding(inputs.actions)
         self.network = CodedUNet(self.encoding.width, warps=config.warp, gate_floor=config.gate_floor)
         self.phase = INVERSE
@@ -117,13 +123,14 @@ class InverseRelabelling(ForwardModel[RelabellingConfig]):
 
     def losses(self, batch: TripletBatch) -> Losses:
         """The inverse model's error in the first phase; then the forward model's, in squared [-1, 1] units."""
-        previous, current, following = pack(batch.previous), pack(batch.current), pack(batch.next)
-        scores = self.inverse(previous, current, following)
         if self.phase == INVERSE:
             assert batch.action is not None, "the loop gives labelled triplets in a phase that needs actions"
-            each = self.inverse.errors(scores, batch.action)
+            images = self._rolled(torch.stack([batch.previous, batch.current, batch.next]))
+            each = self.inverse.errors(self.inverse(*map(pack, images)), batch.action)
             inverse = each.mean()
             return Losses(total=inverse, terms={"inverse": inverse.detach()}, per_triplet=each.detach())
+        previous, current, following = pack(batch.previous), pack(batch.current), pack(batch.next)
+        scores = self.inverse(previous, current, following)
         each = squared_error(self._next(previous, current, self.inverse.named(scores)), following)
         prediction = each.mean()
         return Losses(total=prediction, terms={"prediction": prediction.detach()}, per_triplet=each.detach())
@@ -145,6 +152,13 @@ class InverseRelabelling(ForwardModel[RelabellingConfig]):
     ) -> Float[Tensor, "b c h w"]:
         """The forward model's output."""
         return unpack(self._next(pack(previous), pack(current), action)).float()
+
+    def _rolled(self, images: Float[Tensor, "t b c h w"]) -> Float[Tensor, "t b c h w"]:
+        """All images of a batch moved alike, by less than the trunk's stride; in evaluation as they are."""
+        if not self.training:
+            return images
+        down, right = torch.randint(STRIDE, (2,)).tolist()
+        return images.roll((down, right), dims=(-2, -1))
 
     def _next(self, previous: Tensor, current: Tensor, action: Actions) -> Float[Tensor, "b p hp wp"]:
         code = self.encoding(action).to(current.dtype)

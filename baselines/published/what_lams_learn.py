@@ -51,7 +51,7 @@ MOVES: Final = ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0))
 FOLLOWS: Final = 0.95
 LABELLED: Final = 0.01
 TRANSITIONS: Final = 10_000
-BATCH, STEPS, PROBE_STEPS, WIDTH, RATE = 128, 1500, 1500, 96, 2e-3
+BATCH, STEPS, PROBE_STEPS, WIDTH, RATE = 128, 1500, 800, 96, 2e-3
 CODES: Final = LapoConfig(codebooks=1, latents=1, codes=8, length=16, commitment=0.25)
 PUBLISHED: Final = {"without remedies": (0.781, 0.739), "with 1% of the labels": (0.295, 0.986)}
 """Controllable and stochastic loss as published."""
@@ -296,9 +296,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stderr.write(f"{number} of {len(conditions())} conditions, {spent:.1f} CPU minutes\n")
     if asked.json:
         rows = [{**vars(condition), "losses": values} for condition, values in found.items()]
-        print(json.dumps(rows))
+        sys.stdout.write(json.dumps(rows) + "\n")
     else:
-        print(written(found))
+        sys.stdout.write(written(found) + "\n")
 
 
 if __name__ == "__main__":

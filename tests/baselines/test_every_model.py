@@ -114,9 +114,10 @@ def test_what_draws_with_a_u_net_can_warp(name: str, build, step, video, batch) 
         assert not any(isinstance(part, UNet) for part in build(kind).modules())
         return
     model = build(kind, warp=True)
+    model.enter(model.phases()[-1])
     (drawing,) = (part for part in model.modules() if isinstance(part, UNet))
     before = drawing.flow.weight.clone()
-    step(model, video if kind.supervision is Supervision.NONE else batch, 2)
+    step(model, batch if kind.supervision is Supervision.ACTIONS else video, 2)
     assert not torch.equal(drawing.flow.weight, before)
     assert not any(hasattr(part, "flow") for part in build(kind).modules())
 

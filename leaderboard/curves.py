@@ -124,10 +124,7 @@ def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup |
     if not curves:
         return None
     title = f"Worth of labels: {where}"
-    series = [
-        _divided(rows, figure, styles[name], [rows[-1].figures[figure].mean] * len(rows))
-        for name, rows in curves.items()
-    ]
+    series = [_divided(rows, figure, styles[name], rows[-1].figures[figure].mean) for name, rows in curves.items()]
     guides = [Guide("with all labels", 1.0), Guide(f"{WITHIN:.0%} above", 1 + WITHIN)]
     chart = line_chart(title, _label_axis(series), Axis(label="MSE / own with all labels", log=True), series, guides)
     numbers = _numbers(
@@ -144,7 +141,7 @@ def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> M
     if not curves or not copied:
         return None
     title = f"Label efficiency against copying: {where}"
-    series = [_divided(rows, figure, styles[name], [copied[0]] * len(rows)) for name, rows in curves.items()]
+    series = [_divided(rows, figure, styles[name], copied[0]) for name, rows in curves.items()]
     chart = line_chart(
         title, _label_axis(series), Axis(label="MSE / copying's", log=True), series, [Guide(COPYING, 1.0)]
     )
@@ -159,8 +156,8 @@ def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> M
     return _figure(chart, title, numbers)
 
 
-def _divided(rows: Sequence[Row], figure: str, style: Style, by: Sequence[float]) -> Series:
-    values = [row.figures[figure].mean / one for row, one in zip(rows, by, strict=True)]
+def _divided(rows: Sequence[Row], figure: str, style: Style, by: float) -> Series:
+    values = [row.figures[figure].mean / by for row in rows]
     return Series(
         name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(y)}" for row, y in zip(rows, values, strict=True)),
         points=[Point(x=float(row.label_count or 0), y=y) for row, y in zip(rows, values, strict=True)],

@@ -51,7 +51,7 @@ MOVES: Final = ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0))
 FOLLOWS: Final = 0.95
 LABELLED: Final = 0.01
 TRANSITIONS: Final = 10_000
-BATCH, STEPS, PROBE_STEPS, WIDTH, RATE = 128, 1500, 800, 96, 2e-3
+BATCH, STEPS, PROBE_STEPS, WIDTH, RATE = 128, 1000, 600, 96, 2e-3
 CODES: Final = LapoConfig(codebooks=1, latents=1, codes=8, length=16, commitment=0.25)
 PUBLISHED: Final = {"without remedies": (0.781, 0.739), "with 1% of the labels": (0.295, 0.986)}
 """Controllable and stochastic loss as published."""

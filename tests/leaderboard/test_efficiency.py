@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -112,12 +111,9 @@ def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(sound: E
         made |= {"figures": made["figures"] | {"mse": figure}, "by_episode": {"mse": sums}}
         return Entry(made)
 
-    curve: Callable[[str], list[Entry]] = lambda model: [  # noqa: E731
-        entry(model, labels, total, error)
-        for labels, total, error in (("4", 4, 4.0), ("16", 16, 2.0), ("100%", 64, 1.0))
-    ]
+    curve = [entry("a", "4", 4, 4.0), entry("a", "16", 16, 2.0), entry("a", "100%", 64, 1.0)]
     two_points = [entry("b", "10%", 6, 2.0), entry("b", "100%", 64, 1.0)]
-    (board,) = make_boards([*curve("a"), *two_points])
+    (board,) = make_boards([*curve, *two_points])
     drawn = str(charts(board, assign_styles([board])))
     assert drawn.count("labels to within 10% of its own with all") == 1
     assert "55.7" in drawn  # 16 * 4 ** 0.9

@@ -7,12 +7,16 @@ from them all along. What differs is in ``labels.use`` of a report and an entry,
 from __future__ import annotations
 
 from dmotion_bench.learning.run import RunSpec
-from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Supervision
 
 
-def label_use(spec: RunSpec) -> str:
-    """The value of ``labels.use``, a name in ``LABEL_USES``; empty where labels were used in the usual way."""
-    during = model_class(spec.model).supervision is Supervision.FEW
+def label_use(spec: RunSpec, supervision: Supervision) -> str:
+    """The value of ``labels.use``, a name in ``LABEL_USES``; empty where labels were used in the usual way.
+
+    Args:
+        spec: Of the run.
+        supervision: Of its model.
+    """
+    during = supervision is Supervision.FEW
     finetuned = spec.training_config.adaptation == "finetuned"
     return ", ".join(["during"] * during + ["finetuned"] * finetuned)

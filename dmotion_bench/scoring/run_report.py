@@ -72,7 +72,7 @@ def compose_report(
         )
     if not run.model.needs_pixels:
         remarks["prediction"] = f"{run.spec.model} draws no frames; what it is good for shows in control"
-    use = label_use(spec)
+    use = label_use(spec, run.model.supervision)
     if use:
         remarks["labels"] = LABEL_USES[use]
     if settings["protocol"] == "paper":

@@ -42,5 +42,5 @@ SPEC = RunSpec(
 )
 def test_what_is_not_usual_has_a_name(model, adaptation, use) -> None:
     spec = replace(SPEC, model=model, training={**SPEC.training, "adaptation": adaptation})
-    assert label_use(spec) == use
+    assert label_use(spec, model_class(model).supervision) == use
     assert use == "" or use in LABEL_USES

@@ -84,8 +84,8 @@ def _error(model: ForwardModel[Any], shown: Demonstrations) -> float:
     if not len(shown):
         return 0.0
     errors = []
-    for rows in torch.arange(len(shown)).split(AT_ONCE):
-        some = shown.subset(rows)
+    for start in range(0, len(shown), AT_ONCE):
+        some = shown.subset(torch.arange(start, min(start + AT_ONCE, len(shown))))
         predicted = model.predict(some.previous, some.current, some.action)
         errors.append((predicted - some.next).square().mean((1, 2, 3)))
     return float(torch.cat(errors).mean())

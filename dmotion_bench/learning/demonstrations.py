@@ -44,7 +44,8 @@ class Demonstrations:
         """
         if len(self) <= READ_AT_ONCE:
             return function(self.previous, self.current, self.next)
-        some = (self.subset(index) for index in torch.arange(len(self)).split(READ_AT_ONCE))
+        starts = range(0, len(self), READ_AT_ONCE)
+        some = (self.subset(torch.arange(start, min(start + READ_AT_ONCE, len(self)))) for start in starts)
         return torch.cat([function(one.previous, one.current, one.next) for one in some])
 
     def contiguous(self) -> Demonstrations:

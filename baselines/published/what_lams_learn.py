@@ -51,8 +51,8 @@ MOVES: Final = ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0))
 FOLLOWS: Final = 0.95
 LABELLED: Final = 0.01
 TRANSITIONS: Final = 10_000
-BATCH, STEPS, PROBE_STEPS, WIDTH, RATE = 128, 1000, 600, 96, 2e-3
-CODES: Final = LapoConfig(codebooks=1, latents=1, codes=8, length=16, commitment=0.25)
+BATCH, STEPS, PROBE_STEPS, WIDTH, RATE = 128, 1200, 600, 64, 2e-3
+CODES, LENGTH = 8, 16
 PUBLISHED: Final = {"without remedies": (0.781, 0.739), "with 1% of the labels": (0.295, 0.986)}
 """Controllable and stochastic loss as published."""
 
@@ -76,15 +76,15 @@ class Condition:
 
 @dataclass(frozen=True, kw_only=True)
 class Transitions:
-    """Pairs of frames, as flat cells, and what was done between them."""
+    """Pairs of frames, as flat cells, and what was done between them; ``m`` data sets beside each other."""
 
-    before: Float[Tensor, "n 16"]
-    after: Float[Tensor, "n 16"]
-    action: Int[Tensor, " n"]
+    before: Float[Tensor, "m n 16"]
+    after: Float[Tensor, "m n 16"]
+    action: Int[Tensor, "m n"]
 
-    def part(self, index: Int[Tensor, " m"]) -> Transitions:
-        """These of them."""
-        return Transitions(before=self.before[index], after=self.after[index], action=self.action[index])
+    def part(self, index: Int[Tensor, " b"]) -> Transitions:
+        """These of each data set."""
+        return Transitions(before=self.before[:, index], after=self.after[:, index], action=self.action[:, index])
 
 
 def after(cell: Int[Tensor, " n"], action: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
@@ -96,7 +96,7 @@ def after(cell: Int[Tensor, " n"], action: Int[Tensor, " n"]) -> Int[Tensor, " n
 
 
 def recorded(count: int, noise: float, correlated: bool, generator: torch.Generator) -> Transitions:
-    """So many transitions from cells drawn evenly."""
+    """One data set of so many transitions, from cells drawn evenly."""
     cell = torch.randint(CELLS, (count,), generator=generator)
     action = torch.randint(ACTIONS, (count,), generator=generator)
     if correlated:
@@ -106,7 +106,16 @@ def recorded(count: int, noise: float, correlated: bool, generator: torch.Genera
         torch.cat([F.one_hot(place, CELLS), noise * torch.randint(2, (count, NOISY), generator=generator)], dim=1)
         for place in (cell, after(cell, action))
     ]
-    return Transitions(before=frames[0].float(), after=frames[1].float(), action=action)
+    return Transitions(before=frames[0].float()[None], after=frames[1].float()[None], action=action[None])
+
+
+def beside(sets: Sequence[Transitions]) -> Transitions:
+    """Data sets beside each other."""
+    return Transitions(
+        before=torch.cat([one.before for one in sets]),
+        after=torch.cat([one.after for one in sets]),
+        action=torch.cat([one.action for one in sets]),
+    )
 
 
 def least_errors(noise: float) -> tuple[float, float]:
@@ -122,50 +131,89 @@ def least_errors(noise: float) -> tuple[float, float]:
     return float(upper), NOISY * noise**2 / 4
 
 
-def rolled(frames: Float[Tensor, "b 16"], down: Int[Tensor, " b"], right: Int[Tensor, " b"]) -> Float[Tensor, "b 16"]:
+def rolled(
+    frames: Float[Tensor, "m b 16"], down: Int[Tensor, " b"], right: Int[Tensor, " b"]
+) -> Float[Tensor, "m b 16"]:
     """The upper cells of each frame moved round both ways, its lowest row to the right."""
     row, column = torch.arange(ROWS), torch.arange(COLUMNS)
     rows = (row - down[:, None]) % ROWS
     columns = (column - right[:, None]) % COLUMNS
     places = torch.cat([(rows[:, :, None] * COLUMNS + columns[:, None]).flatten(1), CELLS + columns], dim=1)
-    return frames.gather(1, places)
+    return frames.gather(2, places.expand(len(frames), -1, -1))
 
 
-def network(inputs: int, outputs: int) -> nn.Sequential:
-    """Two hidden layers."""
-    return nn.Sequential(
-        nn.Linear(inputs, WIDTH), nn.ReLU(), nn.Linear(WIDTH, WIDTH), nn.ReLU(), nn.Linear(WIDTH, outputs)
-    )
+class Networks(nn.Module):
+    """So many networks of two hidden layers beside each other, which share nothing but the time they take."""
 
-
-class LatentActionModel(nn.Module):
-    """An encoder of two frames into one of eight codes, and a decoder of the second from the first and the code."""
-
-    def __init__(self) -> None:
+    def __init__(self, count: int, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.encoder = network(2 * (CELLS + NOISY), CODES.action_length)
-        self.quantizer = VectorQuantizer(CODES)
-        self.decoder = network(CELLS + NOISY + CODES.action_length, CELLS + NOISY)
-        self.action = nn.Linear(CODES.action_length, ACTIONS)
+        sizes = itertools.pairwise((inputs, WIDTH, WIDTH, outputs))
+        self.layers = nn.ModuleList(Linears(count, one, other) for one, other in sizes)
 
-    def infer(self, pairs: Transitions) -> tuple[Float[Tensor, "b d"], Float[Tensor, ""]]:
-        """The quantised latent, and the commitment loss."""
-        code, commitment = self.quantizer(self.encoder(torch.cat([pairs.before, pairs.after], dim=1)))
-        return code, commitment
+    def forward(self, features: Float[Tensor, "m b i"]) -> Float[Tensor, "m b o"]:
+        first, *others = self.layers
+        features = first(features)
+        for layer in others:
+            features = layer(F.relu(features))
+        return features
+
+
+class Linears(nn.Module):
+    """So many linear layers beside each other, initialised as torch's."""
+
+    def __init__(self, count: int, inputs: int, outputs: int) -> None:
+        super().__init__()
+        reach = inputs**-0.5
+        self.weight = nn.Parameter(torch.empty(count, inputs, outputs).uniform_(-reach, reach))
+        self.bias = nn.Parameter(torch.empty(count, 1, outputs).uniform_(-reach, reach))
+
+    def forward(self, features: Float[Tensor, "m b i"]) -> Float[Tensor, "m b o"]:
+        return torch.baddbmm(self.bias, features, self.weight)
+
+
+class LatentActionModels(nn.Module):
+    """An encoder of two frames into one of eight codes, a decoder of the second from the first and the code; of each m.
+
+    Every model has a codebook of its own.
+    """
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.count = count
+        self.encoder = Networks(count, 2 * (CELLS + NOISY), LENGTH)
+        self.quantizer = VectorQuantizer(
+            LapoConfig(codebooks=count, latents=1, codes=CODES, length=LENGTH, commitment=0.25)
+        )
+        self.decoder = Networks(count, CELLS + NOISY + LENGTH, CELLS + NOISY)
+        self.action = Linears(count, LENGTH, ACTIONS)
+
+    def infer(self, pairs: Transitions) -> tuple[Float[Tensor, "m b d"], Float[Tensor, ""]]:
+        """The quantised latents, and the commitment loss, summed over the models."""
+        latent = self.encoder(torch.cat([pairs.before, pairs.after], dim=2))
+        code, commitment = self.quantizer(rearrange(latent, "m b d -> b (m d)"))
+        return rearrange(code, "b (m d) -> m b d", m=self.count), commitment * self.count
 
     def loss(self, pairs: Transitions, augmented: bool) -> Float[Tensor, ""]:
-        """Squared error of the second frame, summed over its cells, and the commitment."""
+        """Squared error of the second frame, summed over its cells and the models, and the commitment."""
         seen = shown = pairs
         if augmented:
             seen, shown = _rolled_pairs(pairs), _rolled_pairs(pairs)
         code, commitment = self.infer(seen)
-        drawn = self.decoder(torch.cat([shown.before, code], dim=1))
-        error: Tensor = (drawn - shown.after).square().sum(1).mean() + commitment
-        return error
+        return _error(self.decoder(torch.cat([shown.before, code], dim=2)), shown.after) + commitment
+
+    def label_loss(self, labelled: Transitions) -> Float[Tensor, ""]:
+        """Cross-entropy of the labelled actions as they are read from the latent, summed over the models."""
+        read = self.action(self.infer(labelled)[0])
+        each: Tensor = F.cross_entropy(read.flatten(0, 1), labelled.action.flatten()) * self.count
+        return each
+
+
+def _error(drawn: Float[Tensor, "m b 16"], true: Float[Tensor, "m b 16"]) -> Float[Tensor, ""]:
+    return (drawn - true).square().sum((0, 2)).mean()
 
 
 def _rolled_pairs(pairs: Transitions) -> Transitions:
-    count = len(pairs.action)
+    count = pairs.action.shape[1]
     down, right = torch.randint(ROWS, (count,)), torch.randint(COLUMNS, (count,))
     return Transitions(
         before=rolled(pairs.before, down, right), after=rolled(pairs.after, down, right), action=pairs.action
@@ -183,51 +231,55 @@ def _steps(parameters: Iterator[nn.Parameter], steps: int, loss: Callable[[], Te
         schedule.step()
 
 
-def trained(condition: Condition, seed: int, steps: int = STEPS) -> LatentActionModel:
-    """A latent-action model of the transitions of a condition."""
-    generator = torch.Generator().manual_seed(seed)
-    data = recorded(TRANSITIONS, condition.noise, condition.correlated, generator)
-    labelled = data.part(torch.arange(round(LABELLED * TRANSITIONS)))
-    model = LatentActionModel().train()
+def trained(data: Transitions, *, augmented: bool, labelled: bool, steps: int = STEPS) -> LatentActionModels:
+    """A latent-action model of each of some data sets."""
+    models = LatentActionModels(len(data.action)).train()
+    told = data.part(torch.arange(round(LABELLED * data.action.shape[1])))
 
     def loss() -> Tensor:
-        total = model.loss(data.part(torch.randint(TRANSITIONS, (BATCH,), generator=generator)), condition.augmented)
-        if condition.labelled:
-            total = total + F.cross_entropy(model.action(model.infer(labelled)[0]), labelled.action)
-        return total
+        total = models.loss(data.part(torch.randint(data.action.shape[1], (BATCH,))), augmented)
+        return total + models.label_loss(told) if labelled else total
 
-    _steps(model.parameters(), steps, loss)
-    return model.eval()
+    _steps(models.parameters(), steps, loss)
+    return models.eval()
 
 
 def losses_of(
-    infer: Callable[[Transitions], Float[Tensor, "b d"]], noise: float, seed: int, steps: int = PROBE_STEPS
-) -> tuple[float, float]:
-    """The controllable and the stochastic loss of a latent; the latter is 1 where there is no noise.
+    infer: Callable[[Transitions], Float[Tensor, "m b d"]],
+    noises: Sequence[float],
+    seeds: Sequence[int],
+    steps: int = PROBE_STEPS,
+) -> list[tuple[float, float]]:
+    """The controllable and the stochastic loss of each of some latents; the latter is 1 where there is no noise.
 
     Args:
-        infer: Gives the latent of each of some transitions.
-        noise: Of these.
-        seed: Of the transitions, and of the new decoder.
-        steps: That it is fitted for.
+        infer: Gives the latents of some transitions.
+        noises: Of these, of each latent.
+        seeds: Of these, of each latent.
+        steps: That the new decoders are fitted for.
     """
-    generator = torch.Generator().manual_seed(1_000_000 + seed)
-    known, asked = (recorded(TRANSITIONS, noise, False, generator) for _ in range(2))
+    drawn = [
+        [recorded(TRANSITIONS, noise, False, torch.Generator().manual_seed(2 * seed + part)) for part in (0, 1)]
+        for noise, seed in zip(noises, (1_000_000 + seed for seed in seeds), strict=True)
+    ]
+    known, asked = (beside([pair[part] for pair in drawn]) for part in (0, 1))
     with torch.no_grad():
-        latents = [infer(pairs).detach() for pairs in (known, asked)]
-    inputs = [torch.cat([pairs.before, latent], dim=1) for pairs, latent in zip((known, asked), latents, strict=True)]
-    decoder = network(inputs[0].shape[1], CELLS + NOISY)
+        inputs = [torch.cat([pairs.before, infer(pairs)], dim=2) for pairs in (known, asked)]
+    decoders = Networks(len(noises), inputs[0].shape[2], CELLS + NOISY)
 
     def loss() -> Tensor:
-        index = torch.randint(TRANSITIONS, (BATCH,), generator=generator)
-        error: Tensor = (decoder(inputs[0][index]) - known.after[index]).square().sum(1).mean()
-        return error
+        index = torch.randint(TRANSITIONS, (BATCH,))
+        return _error(decoders(inputs[0][:, index]), known.after[:, index])
 
-    _steps(decoder.parameters(), steps, loss)
+    _steps(decoders.parameters(), steps, loss)
     with torch.no_grad():
-        errors = (decoder(inputs[1]) - asked.after).square().mean(0)
-    upper, lowest = least_errors(noise)
-    return float(errors[:CELLS].sum()) / upper, float(errors[CELLS:].sum()) / lowest if noise else 1.0
+        errors = (decoders(inputs[1]) - asked.after).square().mean(1)
+    found = []
+    for noise, error in zip(noises, errors, strict=True):
+        upper, lowest = least_errors(noise)
+        stochastic = float(error[CELLS:].sum()) / lowest if noise else 1.0
+        found.append((float(error[:CELLS].sum()) / upper, stochastic))
+    return found
 
 
 def conditions() -> list[Condition]:
@@ -238,12 +290,33 @@ def conditions() -> list[Condition]:
     ]
 
 
-def measured(condition: Condition, seed: int, steps: int, probe_steps: int) -> tuple[float, float]:
-    """Both losses of a condition under one seed."""
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        model = trained(condition, seed, steps)
-        return losses_of(lambda pairs: model.infer(pairs)[0], condition.noise, seed, probe_steps)
+def measured(seeds: int, steps: int, probe_steps: int) -> dict[Condition, list[tuple[float, float]]]:
+    """Both losses of every condition under each seed.
+
+    What is trained alike, all noises, policies and seeds, is trained beside each other.
+    """
+    found = {}
+    for augmented, labelled in itertools.product((False, True), repeat=2):
+        alike = [one for one in conditions() if (one.augmented, one.labelled) == (augmented, labelled)]
+        runs = [(condition, seed) for condition in alike for seed in range(seeds)]
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            data = beside(
+                [
+                    recorded(TRANSITIONS, one.noise, one.correlated, torch.Generator().manual_seed(seed))
+                    for one, seed in runs
+                ]
+            )
+            models = trained(data, augmented=augmented, labelled=labelled, steps=steps)
+            losses = losses_of(
+                lambda pairs, models=models: models.infer(pairs)[0],  # type: ignore[misc]
+                [one.noise for one, _ in runs],
+                [seed for _, seed in runs],
+                probe_steps,
+            )
+        for place, condition in enumerate(alike):
+            found[condition] = losses[place * seeds : (place + 1) * seeds]
+    return {condition: found[condition] for condition in conditions()}
 
 
 def half_width(values: Sequence[float]) -> float:
@@ -289,11 +362,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if min(asked.seeds, asked.steps, asked.probe_steps) < 1:
         parser.error("--seeds, --steps and --probe-steps must be 1 or more.")
     torch.set_num_threads(1)  # the networks are small: more threads would wait for each other
-    began, found = time.process_time(), dict[Condition, list[tuple[float, float]]]()
-    for number, condition in enumerate(conditions(), 1):
-        found[condition] = [measured(condition, seed, asked.steps, asked.probe_steps) for seed in range(asked.seeds)]
-        spent = (time.process_time() - began) / 60
-        sys.stderr.write(f"{number} of {len(conditions())} conditions, {spent:.1f} CPU minutes\n")
+    began = time.process_time()
+    found = measured(asked.seeds, asked.steps, asked.probe_steps)
+    sys.stderr.write(f"{(time.process_time() - began) / 60:.1f} CPU minutes\n")
     if asked.json:
         rows = [{**vars(condition), "losses": values} for condition, values in found.items()]
         sys.stdout.write(json.dumps(rows) + "\n")

@@ -12,8 +12,9 @@ from baselines.published.what_lams_learn import (
     ACTIONS,
     CELLS,
     FOLLOWS,
-    Condition,
+    Networks,
     after,
+    beside,
     conditions,
     half_width,
     least_errors,
@@ -23,8 +24,6 @@ from baselines.published.what_lams_learn import (
     rolled,
     trained,
 )
-
-SHORT = 300
 
 
 def test_the_square_walks_and_stays_at_the_edges() -> None:
@@ -43,20 +42,21 @@ def test_the_square_walks_and_stays_at_the_edges() -> None:
 
 def test_a_correlated_policy_mostly_takes_the_cells_own_action() -> None:
     told = recorded(4000, 1.0, True, torch.Generator().manual_seed(0))
-    own = told.before[:, :CELLS].argmax(1) % ACTIONS == told.action
+    own = told.before[0, :, :CELLS].argmax(1) % ACTIONS == told.action[0]
     assert own.float().mean().item() == pytest.approx(FOLLOWS + (1 - FOLLOWS) / ACTIONS, abs=0.02)
     free = recorded(4000, 1.0, False, torch.Generator().manual_seed(0))
-    assert torch.bincount(free.action).tolist() == pytest.approx([800] * 5, rel=0.1)
+    assert torch.bincount(free.action[0]).tolist() == pytest.approx([800] * 5, rel=0.1)
 
 
 def test_the_least_error_without_a_latent_is_that_of_the_mean_of_what_may_follow() -> None:
     data = recorded(20_000, 2.0, False, torch.Generator().manual_seed(0))
-    cell = data.before[:, :CELLS].argmax(1)
+    before, following = data.before[0], data.after[0]
+    cell = before[:, :CELLS].argmax(1)
     upper = torch.zeros(())
     for place in range(CELLS):
-        mine = data.after[cell == place][:, :CELLS]
+        mine = following[cell == place][:, :CELLS]
         upper += (mine - mine.mean(0)).square().sum()
-    noise = data.after[:, CELLS:]
+    noise = following[:, CELLS:]
     found = least_errors(2.0)
     assert found[0] == pytest.approx(float(upper) / len(cell), rel=0.02)
     assert found[1] == pytest.approx(float((noise - noise.mean(0)).square().sum(1).mean()), rel=0.02)
@@ -66,31 +66,44 @@ def test_the_least_error_without_a_latent_is_that_of_the_mean_of_what_may_follow
     ("infer", "controllable", "stochastic"),
     [
         (lambda pairs: F.one_hot(pairs.action, ACTIONS).float(), 0.0, 1.0),
-        (lambda pairs: pairs.after[:, CELLS:], 1.0, 0.0),
+        (lambda pairs: pairs.after[:, :, CELLS:], 1.0, 0.0),
         (lambda pairs: pairs.after, 0.0, 0.0),
-        (lambda pairs: torch.zeros(len(pairs.action), 2), 1.0, 1.0),
+        (lambda pairs: torch.zeros(1, pairs.action.shape[1], 2), 1.0, 1.0),
     ],
     ids=["the action", "the noise", "everything", "nothing"],
 )
 def test_losses_say_what_a_latent_holds(infer, controllable, stochastic) -> None:
     torch.manual_seed(0)
-    found = losses_of(infer, 1.0, 0, steps=500)
+    (found,) = losses_of(infer, [1.0], [0], steps=500)
     assert found == pytest.approx((controllable, stochastic), abs=0.12)
 
 
 def test_rolling_moves_both_parts_round() -> None:
-    frame = torch.arange(16.0)[None]
+    frame = torch.arange(16.0)[None, None]
     found = rolled(frame, torch.tensor([1]), torch.tensor([3])).reshape(4, 4)
     picture = frame.reshape(4, 4)
     assert torch.equal(found[:3], picture[:3].roll((1, 3), dims=(0, 1)))
     assert torch.equal(found[3], picture[3].roll(3))
 
 
-def test_without_noise_the_latent_holds_the_action() -> None:
-    condition = Condition(noise=0.0, correlated=False, augmented=False, labelled=False)
+def test_without_noise_the_latent_holds_the_action_and_with_it_the_noise() -> None:
     torch.manual_seed(0)
-    model = trained(condition, 0, steps=600)
-    assert losses_of(lambda pairs: model.infer(pairs)[0], 0.0, 0, steps=500)[0] < 0.5
+    data = beside([recorded(4000, noise, False, torch.Generator().manual_seed(0)) for noise in (0.0, 2.0)])
+    models = trained(data, augmented=False, labelled=False, steps=600)
+    still, noisy = losses_of(lambda pairs: models.infer(pairs)[0], [0.0, 2.0], [0, 0], steps=400)
+    assert still[0] < 0.5
+    assert noisy[0] > 0.8
+    assert noisy[1] < 0.6
+
+
+def test_networks_beside_each_other_are_each_their_own() -> None:
+    torch.manual_seed(0)
+    networks, inputs = Networks(3, 5, 2), torch.randn(3, 7, 5)
+    for place in range(3):
+        alone = inputs[place]
+        for number, layer in enumerate(networks.layers):
+            alone = (alone if number == 0 else alone.relu()) @ layer.weight[place] + layer.bias[place]
+        torch.testing.assert_close(networks(inputs)[place], alone)
 
 
 def test_half_of_an_interval_is_students() -> None:

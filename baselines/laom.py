@@ -71,9 +71,9 @@ class LaomConfig:
             places.
     """
 
-    length: int = 256
-    embedding: int = 512
-    hidden: int = 512
+    length: int = 128
+    embedding: int = 256
+    hidden: int = 256
     ahead: int = 2
     target_rate: float = 0.01
     label_weight: float = 0.05

@@ -143,7 +143,7 @@ class Clasp(ForwardModel[ClaspConfig]):
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn the z of each action."""
         shown = demonstrations
-        self.table.fit(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
+        self.table.fit(shown.read(self.latent_action), shown.action)
 
     def begin(
         self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]

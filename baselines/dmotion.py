@@ -202,7 +202,7 @@ class DMotion(ForwardModel[DMotionConfig]):
 
         Of several agents, first of all whose maps are whose.
         """
-        motions = self._motions(demonstrations.current, demonstrations.next)
+        motions = demonstrations.read(lambda _, current, following: self._motions(current, following))
         self.table.fit(motions if self.config.agents > 1 else motions[:, 0], demonstrations.action)
 
     def predict(

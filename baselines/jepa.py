@@ -116,6 +116,12 @@ class Predictor(nn.Module):
         return embedding.float()
 
 
+def _twice(batch: TripletBatch) -> TripletBatch:
+    """Each triplet two times."""
+    names = ("previous", "current", "next", "action")
+    return dataclasses.replace(batch, **{name: torch.cat([getattr(batch, name)] * 2) for name in names}, episode=None)
+
+
 def sketched_gaussianity(embeddings: Float[Tensor, "t b d"], directions: Float[Tensor, "d m"]) -> Float[Tensor, ""]:
     """SIGReg: how far the batch is from an isotropic Gaussian (Balestriero, LeCun 2025, section 4).
 
@@ -176,6 +182,9 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
                 embedding = self.embed(batch.current)
             return reconstruction_losses(self._decode(embedding), batch.current)
         assert batch.action is not None, "the loop gives labelled triplets in a phase that needs actions"
+        if len(batch.current) == 1:  # under one label; batch normalisation takes two or more
+            batch = _twice(batch)
+        assert batch.action is not None
         embeddings = rearrange(
             self.embed(torch.cat([batch.previous, batch.current, batch.next])), "(t b) d -> t b d", t=3
         )

@@ -167,7 +167,7 @@ class Lapo(ForwardModel[LapoConfig]):
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn the z_t of each action."""
         shown = demonstrations
-        self.table.fit(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
+        self.table.fit(shown.read(self.latent_action), shown.action)
 
     def predict(
         self,

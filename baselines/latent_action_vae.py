@@ -105,7 +105,7 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn the latent action of each action."""
         shown = demonstrations
-        self.table.fit(self.latent_action(shown.previous, shown.current, shown.next), shown.action)
+        self.table.fit(shown.read(self.latent_action), shown.action)
 
     def predict(
         self,

@@ -40,6 +40,7 @@ class Supervision(StrEnum):
     """Which action labels a model is given while it learns."""
 
     NONE = "none"  # video only; actions are aligned afterwards from demonstrations
+    FEW = "few"  # video, and a few demonstrations while it learns from it
     ACTIONS = "actions"  # asks the label budget for the actions of its training triplets
 
 

@@ -102,7 +102,8 @@ def _check_class(kind: type[ForwardModel[Any]]) -> None:
     subject.require(
         isinstance(getattr(kind, "supervision", None), Supervision),
         "its class variable supervision is not set; it is Supervision.NONE for models that learn from video alone, "
-        "Supervision.ACTIONS for those that are given the actions",
+        "Supervision.FEW for those that are given a few beside it, Supervision.ACTIONS for those that are given the "
+        "actions of all that they learn from",
     )
     paper = getattr(kind, "paper", None)
     subject.require(isinstance(paper, str) and bool(paper), "its class variable paper says no authors and title")
@@ -181,7 +182,13 @@ def _check_phases(subject: ModelTrial) -> None:
     asking = [phase.name for phase in phases if phase.needs_actions]
     if subject.kind.supervision is Supervision.NONE:
         subject.require(not asking, f"its supervision is NONE but the phase {asking[:1]} needs actions")
-    else:
+    beside = [phase.name for phase in phases if phase.with_labels]
+    if subject.kind.supervision is Supervision.FEW:
+        asks = bool(asking or beside)
+        subject.require(asks, "its supervision is FEW but no phase needs actions or has labels beside it")
+        return
+    subject.require(not beside, f"the phase {beside[:1]} has labels beside it, which only Supervision.FEW is given")
+    if subject.kind.supervision is Supervision.ACTIONS:
         subject.require(bool(asking), "its supervision is ACTIONS but no phase needs actions")
 
 
@@ -190,6 +197,11 @@ def _entered(subject: ModelTrial, phase: Phase, *, training: bool) -> ForwardMod
     with subject.calling(f"enter({phase.name!r})"):
         model.enter(phase)
     return model
+
+
+def _batch_of(subject: ModelTrial, phase: Phase) -> TripletBatch:
+    """A batch as the training of a phase has it."""
+    return subject.batch(BATCH, actions=phase.needs_actions, labelled=phase.with_labels)
 
 
 def _losses(subject: ModelTrial, model: ForwardModel[Any], batch: TripletBatch, seed: int = 0) -> Losses:
@@ -217,7 +229,7 @@ def _losses(subject: ModelTrial, model: ForwardModel[Any], batch: TripletBatch, 
 
 def _check_losses(subject: ModelTrial, phase: Phase) -> None:
     """Check losses in training: finite, differentiable, also in bfloat16, and independent of unpaid labels."""
-    batch = subject.batch(BATCH, actions=phase.needs_actions)
+    batch = _batch_of(subject, phase)
     model = _entered(subject, phase, training=True)
     for share in (0.0, 0.5, 0.999):
         with subject.calling(f"progress({share})"):
@@ -297,7 +309,7 @@ def _aligned(subject: ModelTrial, *, steps: int) -> tuple[ForwardModel[Any], For
             optimizer = torch.optim.Adam((one for one in model.parameters() if one.requires_grad), lr=1e-2)
             for step in range(steps):
                 model.progress(step / steps)
-                _losses(subject, model, subject.batch(BATCH, actions=phase.needs_actions), seed=step).total.backward()  # type: ignore[no-untyped-call]
+                _losses(subject, model, _batch_of(subject, phase), seed=step).total.backward()  # type: ignore[no-untyped-call]
                 optimizer.step()
                 optimizer.zero_grad()
     with torch.no_grad(), subject.calling("align(demonstrations)"):

@@ -193,7 +193,8 @@ def _planner_of(entries: Iterable[Entry]) -> Version | None:
 
 def _row_key(entry: Entry) -> tuple[str, ...]:
     content = entry.content
-    return entry.model, content["arch"], content["preset"], entry.labels, entry.trained_on or "", _without_seed(entry)
+    own = entry.trained_on or ""
+    return entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own, _without_seed(entry)
 
 
 def _without_seed(entry: Entry) -> str:
@@ -208,7 +209,11 @@ def _measured_row(entries: Sequence[Entry], planner: Version | None) -> Row:
         kind="measured",
         name=first.model,
         model=first.model,
-        variant=", ".join([f"{arch} architecture"] * (arch != "compact") + [f"trained on {own}"] * (own is not None)),
+        variant=", ".join(
+            [f"{arch} architecture"] * (arch != "compact")
+            + [first.label_use] * bool(first.label_use)
+            + [f"trained on {own}"] * (own is not None)
+        ),
         elsewhere=own is not None,
         labels=first.labels,
         label_count=first.label_count,

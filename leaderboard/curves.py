@@ -7,13 +7,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from leaderboard.board import OTHER_PLANNER, Board, Row
+from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board, Row
 from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
 from leaderboard.columns import count, number
+from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, needed_of_rows
 from leaderboard.markup import Markup, element, joined
 
 Styles = Mapping[tuple[str, str], Style]
 """By model and variant."""
+COPYING: Final = REFERENCE_WORDS["copy_last"]
 _AHEAD: Final = re.compile(r"(\w+)\[(\d+)\]")
 
 
@@ -53,6 +55,8 @@ def charts(board: Board, styles: Styles) -> Markup:
     drawn = [
         _labels(board, styles, "mse", "MSE", where),
         _labels(board, styles, "position_error_paper", "position error, paper's [px]", where),
+        _relative(board, styles, "mse", where),
+        _against_copying(board, styles, "mse", where),
         _ahead(board, styles, "rollout_mse", "MSE", "steps ahead", f"Error over the rollout: {where}", log=True),
         _ahead(
             board,
@@ -112,6 +116,66 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
         ],
     )
     return _figure(chart, title, numbers)
+
+
+def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
+    """Label curves as multiples of each model's own error with all labels, and the labels that each needs."""
+    curves = label_curves(board, figure)
+    if not curves:
+        return None
+    title = f"Worth of labels: {where}"
+    series = [_divided(rows, figure, styles[name], rows[-1].figures[figure].mean) for name, rows in curves.items()]
+    guides = [Guide("with all labels", 1.0), Guide(f"{WITHIN:.0%} above", 1 + WITHIN)]
+    chart = line_chart(title, _label_axis(series), Axis(label="MSE / own with all labels", log=True), series, guides)
+    numbers = _numbers(
+        ("model", f"labels to within {WITHIN:.0%} of its own with all", "95% interval"),
+        [(rows[-1].title, *_needed(needed_of_rows(rows, figure))) for rows in curves.values()],
+    )
+    return _figure(chart, title, numbers)
+
+
+def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
+    """Label curves as shares of the error of copying the last frame."""
+    curves = label_curves(board, figure)
+    copied = [row.figures[figure].mean for row in board.rows if row.name == COPYING and figure in row.figures]
+    if not curves or not copied:
+        return None
+    title = f"Label efficiency against copying: {where}"
+    series = [_divided(rows, figure, styles[name], copied[0]) for name, rows in curves.items()]
+    chart = line_chart(
+        title, _label_axis(series), Axis(label="MSE / copying's", log=True), series, [Guide(COPYING, 1.0)]
+    )
+    numbers = _numbers(
+        ("model", "labels", "MSE / copying's"),
+        [
+            (row.title, f"{row.labels} ({count(row.label_count or 0)})", number(row.figures[figure].mean / copied[0]))
+            for rows in curves.values()
+            for row in rows
+        ],
+    )
+    return _figure(chart, title, numbers)
+
+
+def _divided(rows: Sequence[Row], figure: str, style: Style, by: float) -> Series:
+    values = [row.figures[figure].mean / by for row in rows]
+    return Series(
+        name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(y)}" for row, y in zip(rows, values, strict=True)),
+        points=[Point(x=float(row.label_count or 0), y=y) for row, y in zip(rows, values, strict=True)],
+        style=style,
+    )
+
+
+def _label_axis(series: Sequence[Series]) -> Axis:
+    counts = sorted({point.x for one in series for point in one.points})
+    return Axis(label="action labels used", log=True, ticks=counts)
+
+
+def _needed(found: LabelsNeeded | None) -> tuple[str, str]:
+    """The figure and its interval, as they are written."""
+    if found is None:
+        return "not comparable", ""
+    interval = "" if found.low is None or found.high is None else f"{number(found.low)} to {number(found.high)}"
+    return f"{'at most ' if found.at_most else ''}{number(found.labels)}", interval
 
 
 def _ahead(

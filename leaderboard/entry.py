@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import PublishedResult
-from dmotion_bench.scoring.report import CONTROL_OF_CODE, SCORING_OF_CODE, FigureJson, Version
+from dmotion_bench.scoring.report import CONTROL_OF_CODE, LABEL_USES, SCORING_OF_CODE, FigureJson, Version
 from dmotion_bench.specs import VERSION
 from leaderboard.json_schema import violations
 
@@ -118,6 +118,11 @@ class Entry:
     def labels(self) -> str:
         """The label budget that was asked for."""
         return str(self.content["labels"]["asked"])
+
+    @property
+    def label_use(self) -> str:
+        """In words how labels were used, where that is not the usual way."""
+        return LABEL_USES.get(self.content["labels"].get("use", ""), "")
 
     @property
     def label_count(self) -> int | None:

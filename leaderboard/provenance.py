@@ -36,7 +36,8 @@ def _measured(entry: Entry) -> Markup:
     given = ", ".join(f"{purpose} {count}" for purpose, count in labels["given"].items())
     facts: dict[str, Any] = {
         "model": f"{entry.model}, {content['arch']} architecture, preset {content['preset']}, seed {content['seed']}",
-        "labels": f"{labels['asked']}: {count(labels['total'])} handed out{f' ({given})' if given else ''}",
+        "labels": f"{labels['asked']}: {count(labels['total'])} handed out{f' ({given})' if given else ''}"
+        + (f"; {entry.label_use}" if entry.label_use else ""),
         "data set": f"{dataset['name']} ({dataset['environment']})",
         "data set's SHA-256": dataset["fingerprint"],
         "trained on": _training(own) if own else "",

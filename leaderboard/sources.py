@@ -11,7 +11,9 @@ from dmotion_bench.actions import kind_of
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetError, DmbenchError, RunMismatch
 from dmotion_bench.learning.run import Run
+from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.earlier_planning import present_planning
+from dmotion_bench.scoring.label_use import label_use
 from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.transfer import training_of, transferable
@@ -127,6 +129,7 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect("labels.asked", content["labels"]["asked"], spec.labels)
     check.expect("labels.given", content["labels"]["given"], result.get("labels", {}))
     check.expect("labels.total", content["labels"]["total"], result.get("labels_total", 0))
+    check.expect("labels.use", content["labels"].get("use", ""), label_use(spec, model_class(spec.model).supervision))
     elsewhere = dataset.fingerprint != spec.fingerprint
     check.expect("settings.protocol", content["settings"]["protocol"], "episode" if elsewhere else spec.protocol)
     for name, value in content["training"].items():

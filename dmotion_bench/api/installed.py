@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 
@@ -10,8 +11,14 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.registry import model_class
+from dmotion_bench.specs import Supervision
 
 _SIDE, _ACTIONS = 128, 4
+LEARNS_FROM: Final = {
+    Supervision.NONE: "video",
+    Supervision.FEW: "video, few actions",
+    Supervision.ACTIONS: "video and actions",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +26,7 @@ class ModelFacts:
     """A model, as ``dmbench list models`` shows it.
 
     Attributes:
-        learns_from: ``"video"``, or ``"video and actions"``.
+        learns_from: ``"video"``, ``"video, few actions"``, or ``"video and actions"``.
         parameters: Of its first architecture, for 128 x 128 pixels and four actions.
         architectures: Their names.
         paper: Where it is from.
@@ -45,7 +52,7 @@ def model_facts(name: str) -> ModelFacts:
     inputs = ModelInputs(height=_SIDE, width=_SIDE, actions=Discrete.numbered(_ACTIONS))
     built = kind(kind.configure(kind.architectures[0]), inputs)
     return ModelFacts(
-        learns_from="video" if kind.supervision.value == "none" else "video and actions",
+        learns_from=LEARNS_FROM[kind.supervision],
         parameters=sum(parameter.numel() for parameter in built.parameters()),
         architectures=tuple(kind.architectures),
         paper=kind.paper,

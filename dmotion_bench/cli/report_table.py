@@ -55,7 +55,7 @@ def show_report(report: Report, run: Path) -> None:
         rows.append((_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others))
     show_figures(_headline(report), ("figure", "mean ± std", "95% interval", "n", *beside), rows)
     console = stdout_console()
-    for name in (*beside, "trained_on", "actions", "positions", "gain", "control", "rollout", "split"):
+    for name in (*beside, "labels", "trained_on", "actions", "positions", "gain", "control", "rollout", "split"):
         if name in report.remarks:
             console.print(f"  {name.replace('_', ' ')}: {report.remarks[name]}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
@@ -95,7 +95,8 @@ def _show_board(reports: Mapping[Path, Report]) -> None:
         headings += [_words(name)] + ["MSE above the best, 95%"] * (name == "mse" and bool(behind))
     rows: list[tuple[str, ...]] = []
     for path, report in zip(paths, here, strict=True):
-        labels = f"{report.labels['asked']} ({report.labels['total']})"
+        use = f", {report.labels['use']}" if "use" in report.labels else ""
+        labels = f"{report.labels['asked']} ({report.labels['total']}{use})"
         run = report.run if report.trained_on is None else f"{report.run} (trained on {report.trained_on})"
         rows.append((run, labels, *_row(report.figures, shown, behind.get(path, "") if behind else None)))
         if "paper" in report.reference:

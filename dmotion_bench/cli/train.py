@@ -52,11 +52,11 @@ def train(
         str | None,
         typer.Option(
             metavar="[none|N|all|P%|one-shot|K-shot]",
-            help="Label budget: how many action labels the model is given. 64: this many labelled transitions; 10%, "
-            "all: the actions of this share of the episodes; one-shot, 5-shot: this many demonstrations of each "
-            "discrete action; one-shot-per-agent, where several agents act: of each agent's every action. Models that "
-            "learn from video alone use one-shot by default, and 64 if the actions are continuous; other models need a "
-            "budget.",
+            help="Label budget: how many action labels the model is given. 1, 2, 64: this many labelled transitions; "
+            "10%, all: this share of them; one-shot, 5-shot: this many demonstrations of each discrete action; "
+            "one-shot-per-agent, where several agents act: of each agent's every action. Models that learn from video, "
+            "alone or with few labels, use one-shot by default, and 64 if the actions are continuous; other models "
+            "need a budget.",
         ),
     ] = None,
     preset: Annotated[

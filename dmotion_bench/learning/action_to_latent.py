@@ -31,7 +31,8 @@ class ActionToLatent(nn.Module):
     Args:
         spec: Of the actions; None, if they are not known, stands for a map that cannot be asked.
         width: Length of a latent action.
-        unaligned: The latent action of every action before ``fit``; zeros if left out.
+        unaligned: The latent action of every action before ``fit``; zeros if left out. A discrete action that no
+            demonstration shows keeps it: no motion in DMotion, the centre of the latent actions in others.
 
     Attributes:
         rows: A row for each discrete action; or the latent action of a continuous action's middle, and how it changes
@@ -39,6 +40,7 @@ class ActionToLatent(nn.Module):
     """
 
     rows: Tensor
+    before: Tensor
 
     def __init__(self, spec: ActionSpec | None, width: int, unaligned: Float[Tensor, " d"] | None = None) -> None:
         super().__init__()
@@ -49,10 +51,11 @@ class ActionToLatent(nn.Module):
         else:
             rows = start.repeat(self.encoding.width, 1)
         self.register_buffer("rows", rows)
+        self.register_buffer("before", rows.clone(), persistent=False)
 
     @torch.no_grad()
     def fit(self, latent: Float[Tensor, "n d"], action: Actions) -> None:
-        """Learn from demonstrations; a discrete action without demonstrations keeps its row.
+        """Learn from these demonstrations alone, whatever was learned before (see ``unaligned``).
 
         Args:
             latent: The latent action that the model reads off each demonstration.
@@ -61,6 +64,7 @@ class ActionToLatent(nn.Module):
         if isinstance(self.spec, Continuous):
             self.rows.copy_(ridge(self.encoding(action), latent))
             return
+        self.rows.copy_(self.before)
         for number in range(len(self.rows)):
             if (of_action := latent[action == number]).numel():
                 self.rows[number] = of_action.float().mean(0)
@@ -115,8 +119,8 @@ class JointActionToLatent(nn.Module):
     def fit(self, latent: Float[Tensor, "n k d"], action: Int[Tensor, " n"]) -> None:
         """Learn from demonstrations whose latent actions are whose, and which of them each agent's actions are.
 
-        An agent's action without demonstrations keeps its row. Where the demonstrations cannot decide, as when no
-        agent's action is shown twice, the model's own order stands.
+        An agent's action without demonstrations keeps its unaligned row. Where the demonstrations cannot decide, as
+        when no agent's action is shown twice, the model's own order stands.
 
         Args:
             latent: The latent actions that the model reads off each demonstration, in its own order.

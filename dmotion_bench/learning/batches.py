@@ -6,6 +6,7 @@ once, and a batch is one indexed read: nothing waits for data.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -15,9 +16,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from dmotion_bench.learning.action_encoding import as_tensor
+from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import TripletBatch
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.triplets import BatchOrder, TripletSet
 
 RESIDENT_SHARE = 0.6  # of the free device memory may be frames
 
@@ -88,3 +90,61 @@ class TripletBatches:
             action=None if self._actions is None else self._actions[rows],
             episode=self._episodes[rows],
         )
+
+
+class DemonstrationBatches:
+    """Turns the numbers of demonstrations into batches of triplets with actions.
+
+    Args:
+        shown: What the numbers point into.
+    """
+
+    def __init__(self, shown: Demonstrations) -> None:
+        self.shown = shown
+
+    def __len__(self) -> int:
+        return len(self.shown)
+
+    def expect(self, step: int, rank: int, world: int) -> None:
+        """Nothing needs to be read beforehand."""
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
+        """The triplets of ``index``."""
+        part = self.shown.subset(torch.from_numpy(index))
+        return TripletBatch(previous=part.previous, current=part.current, next=part.next, action=part.action)
+
+
+class LabelsBeside:
+    """Batches of video, each with a few labelled triplets beside it: which ones, the step alone decides.
+
+    Several processes share the video of a batch, and each has the same labelled triplets.
+
+    Args:
+        video: The batches.
+        labelled: The labelled triplets.
+        order: Of these.
+    """
+
+    def __init__(self, video: Batches, labelled: DemonstrationBatches, order: BatchOrder) -> None:
+        self._video, self._labelled, self._order = video, labelled, order
+        self._step = 0
+
+    def __len__(self) -> int:
+        return len(self._video)
+
+    def expect(self, step: int, rank: int, world: int) -> None:
+        """Remember which step is next."""
+        self._step = step
+        self._video.expect(step, rank, world)
+
+    def close(self) -> None:
+        """Close the video."""
+        self._video.close()
+
+    def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
+        """The video of ``index``, and the step's labelled triplets."""
+        shown = self._labelled.shown.subset(torch.from_numpy(self._order.batch(self._step)))
+        return replace(self._video(index), labelled=shown)

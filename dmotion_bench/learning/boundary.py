@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
@@ -58,10 +57,7 @@ def guarded(method: MethodT, name: str | None = None) -> MethodT:
 
         @functools.wraps(method)
         def with_batch(self: ForwardModel[Any], batch: Any) -> Any:
-            if not self.channels_last:
-                frames = {one: getattr(batch, one).contiguous() for one in ("previous", "current", "next")}
-                batch = replace(batch, **frames)
-            return method(self, batch)
+            return method(self, batch if self.channels_last else batch.contiguous())
 
         return cast(MethodT, with_batch)
     if name not in IMAGES and name not in ACTION:

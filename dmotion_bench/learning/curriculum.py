@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
-from dmotion_bench.learning.action_encoding import as_tensor
-from dmotion_bench.learning.batches import Batches, TripletBatches
-from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.batches import Batches, DemonstrationBatches, LabelsBeside, TripletBatches
+from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.labels import LabelBudget
-from dmotion_bench.learning.model import Demonstrations, Phase, TrainingConfig
+from dmotion_bench.learning.model import Phase, TrainingConfig
+from dmotion_bench.learning.stored_demonstrations import shown_to_models
 from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
 from dmotion_bench.learning.streamed_order import StreamedOrder
 from dmotion_bench.learning.triplets import BatchOrder, TripletSet, steps_of
@@ -46,7 +48,7 @@ class Part:
     stop: int
     batches: Batches
     order: BatchOrder | StreamedOrder
-    validation: TripletBatches
+    validation: Batches
 
 
 def demonstrations_of(data: TrainingData, supervision: Supervision, device: torch.device) -> Demonstrations | None:
@@ -55,38 +57,48 @@ def demonstrations_of(data: TrainingData, supervision: Supervision, device: torc
     Raises:
         LabelsNotAvailable: They are not there.
     """
-    if supervision is not Supervision.NONE or data.budget.request.kind == "none":
+    if supervision is Supervision.ACTIONS or data.budget.request.kind == "none":
         return None
-    given = data.budget.demonstrations(data.train)
-    images = to_model(torch.from_numpy(given.frames)).to(device)
-    return Demonstrations(
-        previous=images[:, 0],
-        current=images[:, 1],
-        next=images[:, 2],
-        action=as_tensor(given.actions, device),
-    )
+    return shown_to_models(data.budget.demonstrations(data.train), device)
 
 
 def parts_of(
-    phases: Sequence[Phase], data: TrainingData, config: TrainingConfig, seed: int, device: torch.device
+    phases: Sequence[Phase],
+    data: TrainingData,
+    config: TrainingConfig,
+    seed: int,
+    device: torch.device,
+    shown: Demonstrations | None = None,
 ) -> tuple[Part, ...]:
     """The phases one after the other; those that need actions see the labelled triplets alone.
+
+    Args:
+        phases, data, config, seed, device: Of the training.
+        shown: The demonstrations that the budget gave a model of ``Supervision.FEW``: these are its labelled triplets,
+            also to validate with, since of few none is held back.
 
     Raises:
         LabelsNotAvailable: A phase needs actions that are not there.
     """
     source_of = _of_streams if isinstance(data.train, StreamedTriplets) else _of_sets
     held = held_for_validation(data)
-    watched = labelled_watched = TripletBatches(held, None, device)
+    watched: Batches = TripletBatches(held, None, device)
+    labelled_watched = watched
     sources = {False: source_of(data, device, False)}
     if any(phase.needs_actions for phase in phases):
-        sources[True] = source_of(data, device, True)
-        paid = data.budget.actions(held, "validation")
-        labelled_watched = TripletBatches(paid.triplets, paid.actions, device)
+        if shown is not None:
+            sources[True] = _of_demonstrations(shown)
+            labelled_watched = DemonstrationBatches(shown.subset(_spread(len(shown), VALIDATION_TRIPLETS)))
+        else:
+            sources[True] = source_of(data, device, True)
+            labelled_watched = _labelled_validation(data, held, device)
     parts: list[Part] = []
     for number, phase in enumerate(phases):
         size = phase.batch_size or config.batch_size
         batches, order = sources[phase.needs_actions](size, seed + number, phase.together)
+        if phase.with_labels and shown is not None:
+            beside = BatchOrder(len(shown), phase.with_labels, seed + number)
+            batches = LabelsBeside(batches, DemonstrationBatches(shown), beside)
         total = steps_of(config.epochs, len(data.train), size)
         start = parts[-1].stop if parts else 0
         parts.append(
@@ -100,6 +112,28 @@ def parts_of(
             )
         )
     return tuple(parts)
+
+
+def _labelled_validation(data: TrainingData, held: TripletSet, device: torch.device) -> TripletBatches:
+    """The labelled triplets to validate with; a budget of one has none of the validation episodes, only its own."""
+    paid = data.budget.actions(held, "validation")
+    if not len(paid.triplets):
+        train = data.train
+        if isinstance(train, StreamedTriplets):
+            alone, _ = data.budget.streamed_actions(train)
+            train = alone.picked(np.arange(len(alone)))
+        paid = data.budget.actions(train, "training")
+    return TripletBatches(paid.triplets, paid.actions, device)
+
+
+def _of_demonstrations(shown: Demonstrations) -> Source:
+    """The triplets of a phase out of demonstrations; their episodes are not told, so none are side by side."""
+    batches = DemonstrationBatches(shown)
+
+    def source(size: int, seed: int, together: int) -> tuple[Batches, BatchOrder]:
+        return batches, BatchOrder(len(batches), size, seed)
+
+    return source
 
 
 def _of_sets(data: TrainingData, device: torch.device, needs_actions: bool) -> Source:
@@ -133,7 +167,7 @@ def _of_streams(data: TrainingData, device: torch.device, needs_actions: bool) -
 
 def steps_before_labels(parts: Sequence[Part]) -> int | None:
     """The number of first steps that do not depend on the label budget; None if that is all steps, or none."""
-    first = next((part.start for part in parts if part.phase.needs_actions), 0)
+    first = next((part.start for part in parts if part.phase.needs_actions or part.phase.with_labels), 0)
     return first or None
 
 
@@ -151,5 +185,10 @@ def _evenly(triplets: TripletSet | StreamedTriplets, most: int) -> TripletSet:
     """At most so many triplets, spread evenly."""
     if isinstance(triplets, TripletSet) and len(triplets) <= most:
         return triplets
-    index = np.linspace(0, len(triplets) - 1, min(most, len(triplets))).round().astype(np.int64)
+    index = _spread(len(triplets), most).numpy()
     return triplets.subset(index) if isinstance(triplets, TripletSet) else triplets.picked(index)
+
+
+def _spread(count: int, most: int) -> Int[Tensor, " m"]:
+    """At most so many of so many places, spread evenly."""
+    return torch.from_numpy(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))

@@ -4,9 +4,10 @@ A run asks for a budget: ``none``, so many labelled transitions (``64``), all of
 (``10%``), or so many demonstrations of each discrete action (``one-shot``, ``5-shot``). Where an action says what
 several agents do (``Discrete.joint``), it may ask for so many of each agent's every action instead
 (``one-shot-per-agent``): one transition shows an action of each, so there are far fewer. Unsupervised models are given
-demonstrations once they are trained; supervised ones the actions of a part of the training episodes. Budgets are
-nested: what a small one gives, a larger one of the same kind gives, too. Whatever is handed out is counted, and the
-count stands in the run, the report and the leaderboard.
+demonstrations once they are trained; those of ``Supervision.FEW`` are given the same demonstrations while they learn
+from video; supervised ones the actions of a part of the training episodes. Budgets are nested: what a small one gives,
+a larger one of the same kind gives, too, and of demonstrations a larger number or share whatever the kind. Whatever is
+handed out is counted, and the count stands in the run, the report and the leaderboard.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete, require_discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
 from dmotion_bench.learning.streamed import StreamedTriplets
 from dmotion_bench.learning.triplets import Triplets, TripletSet
-from dmotion_bench.specs import EpisodeLabels, Supervision
+from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.readable import ReadableDataset
 
 PER_AGENT = "-per-agent"
@@ -34,11 +35,14 @@ ALLOWED = (
 )
 _SHOTS: Final = ("shots", "shots-per-agent")
 MOST_DEMONSTRATIONS = 4096
-"""Demonstrations are in memory as a whole."""
+"""In memory as a whole: of data that are streamed there can be no more."""
 DEMONSTRATIONS = 64
 """Given to models of video by default if the actions are continuous."""
 HELD_BACK = 8
-"""Of so many transitions in a budget, one is of the validation episodes, where a model learns from actions."""
+"""Of so many transitions in a budget, one is of the validation episodes, where a model learns from actions.
+
+A budget of 2 to 15 holds back one. One of 1 has none to spare, so that the training validates with it, too.
+"""
 
 
 @dataclass(frozen=True)
@@ -93,8 +97,7 @@ class LabelRequest:
             actions: Of the data set.
 
         Raises:
-            UsageError: A supervised model without labels, an unsupervised one with a share of them, or demonstrations
-                of each of continuous actions.
+            UsageError: A model that learns from labels without any, or demonstrations of each of continuous actions.
         """
         request = cls.parse(asked) if asked is not None else None
         continuous = isinstance(actions, Continuous)
@@ -104,11 +107,11 @@ class LabelRequest:
                 "counted one by one; give a number of labelled transitions, such as --labels 64."
             )
         if supervision is Supervision.ACTIONS:
-            if request is None or request.kind not in ("share", "count") or request == cls("count", 1):
+            if request is None or request.kind not in ("share", "count"):
                 given = f"not {asked!r}" if asked else "and none was given"
                 raise UsageError(
                     f"{model} learns from the actions of its training episodes, {given}; "
-                    "give it a share of them: --labels 100% or --labels 10%, or a number, 2 or more: --labels 64."
+                    "give it a share of them: --labels 100% or --labels 10%, or a number: --labels 64."
                 )
             return request
         if request is not None and request.kind == "shots-per-agent" and not _is_joint(actions):
@@ -117,10 +120,10 @@ class LabelRequest:
                 f"joint one; give it --labels {str(request).removesuffix(PER_AGENT)}."
             )
         usual = "64 (the default)" if continuous else "one-shot (the default), K-shot"
-        if request is not None and (request.kind == "share" or request.amount > MOST_DEMONSTRATIONS):
+        if supervision is Supervision.FEW and request == cls("none"):
             raise UsageError(
-                f"{model} learns from video alone and takes a few demonstrations afterwards, not {asked!r}; "
-                f"give it --labels {usual}, a number of transitions up to {MOST_DEMONSTRATIONS}, or none."
+                f"{model} learns from video and a few labelled transitions together, and cannot do without; give it "
+                f"--labels {usual}, a number of transitions, a share such as 1%, or all."
             )
         return request or (cls("count", DEMONSTRATIONS) if continuous else cls("shots", 1))
 
@@ -153,14 +156,30 @@ class LabelledTriplets:
 
 @dataclass(frozen=True, kw_only=True)
 class DemonstrationFrames:
-    """Labelled transitions as stored pixels; axis 1 of ``frames`` is previous, current, next."""
+    """Labelled transitions: row i shows ``actions[i]``.
 
-    frames: UInt8[np.ndarray, "n 3 h w 3"]
+    Attributes:
+        triplets, rows: Where their frames are.
+        actions: What was done.
+    """
+
+    triplets: Triplets
+    rows: Int[np.ndarray, " n"]
     actions: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"]
+
+    @property
+    def frames(self) -> UInt8[np.ndarray, "n 3 h w 3"]:
+        """The stored pixels; axis 1 is previous, current, next."""
+        return self.triplets.gather(self.rows)
 
 
 StoredActions = Int[np.ndarray, " s"] | Float[np.ndarray, "s a"]
 """Of an episode, one a step."""
+
+
+def _held_back(amount: int) -> int:
+    """How many of so many transitions are of the validation episodes."""
+    return 0 if amount == 1 else max(1, amount // HELD_BACK)
 
 
 class LabelBudget:
@@ -183,7 +202,8 @@ class LabelBudget:
         """The actions that the budget gives for training or for validation.
 
         Episodes come in an order that is the same for every model and seed: those of 10% are among those of 20%, and
-        64 transitions are the first ones of that order. Of a number of transitions, an eighth is for validation.
+        64 transitions are the first ones of that order. Of a number of transitions, an eighth is for validation, and at
+        least one; of a single one none is (``HELD_BACK``).
 
         Raises:
             LabelsNotAvailable: The request is for demonstrations, or for nothing.
@@ -195,7 +215,7 @@ class LabelBudget:
             chosen = order[: max(1, round(self.request.amount * len(order)))]
             rows = np.flatnonzero(np.isin(triplets.episode, chosen))
         else:
-            held_back = max(1, int(self.request.amount) // HELD_BACK)
+            held_back = _held_back(int(self.request.amount))
             wanted = held_back if purpose == "validation" else int(self.request.amount) - held_back
             rank = np.argsort(order)[np.searchsorted(episodes, triplets.episode)]
             rows = np.sort(np.argsort(rank, kind="stable")[:wanted])
@@ -217,7 +237,7 @@ class LabelBudget:
             chosen = max(1, round(self.request.amount * len(order)))
             paid[order[:chosen]] = counts[:chosen]
         else:
-            wanted = int(self.request.amount) - max(1, int(self.request.amount) // HELD_BACK)
+            wanted = int(self.request.amount) - _held_back(int(self.request.amount))
             paid[order] = np.clip(wanted - (np.cumsum(counts) - counts), 0, counts)
         part = triplets.first(paid)
         self._dataset.states(int(part.episodes[0]))  # what is missing is said before the work
@@ -233,16 +253,19 @@ class LabelBudget:
 
         Of ``K-shot`` there are so many of each action, or an error is raised. Of ``K-shot-per-agent`` a transition is
         taken if it shows an action of an agent that has been shown fewer than K times, and one more if the agents'
-        actions could not be told apart by then. A number of transitions is given as far as there are so many.
+        actions could not be told apart by then. A number of transitions is given as far as there are so many, and a
+        share as if it were that number, rounded. Once all are given in which nothing is pushed, the others follow: so
+        ``all`` is all.
 
         Args:
             triplets: Where they are drawn from: the training's.
             draw: Another number gives another draw, for the spread over draws.
 
         Raises:
-            LabelsNotAvailable: The request is not for demonstrations, or an action does not occur often enough.
+            LabelsNotAvailable: The request is for nothing, an action does not occur often enough, or the triplets are
+                streamed and the demonstrations too many for the memory.
         """
-        if self.request.kind not in (*_SHOTS, "count"):
+        if self.request.kind == "none":
             raise LabelsNotAvailable(f"the budget {self.request} has no demonstrations; ask for --labels one-shot.")
         spec = self._dataset.spec.actions
         if spec is None:
@@ -251,14 +274,24 @@ class LabelBudget:
                 "(--labels none), or import the recording again with '--actions TOPIC'."
             )
         order = triplets.shuffled(np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(draw,))))
-        if self.request.kind == "count":
-            rows, actions = self._first_unpushed(triplets, order)
+        if self.request.kind in ("count", "share"):
+            rows, actions = self._first_unpushed(triplets, order, self._number(len(triplets)))
         else:
             discrete = require_discrete(spec, f"the budget {self.request}")
             per_agent = self.request.kind == "shots-per-agent"
             rows, actions = (self._of_each_agent if per_agent else self._of_each_action)(triplets, order, discrete)
+        if isinstance(triplets, StreamedTriplets) and len(rows) > MOST_DEMONSTRATIONS:
+            raise LabelsNotAvailable(
+                f"{len(rows):,} demonstrations of data that are streamed are too many for the memory; ask for at most "
+                f"--labels {MOST_DEMONSTRATIONS}, or let the training use the frame cache (--no-stream)."
+            )
         self.given["demonstrations"] = self.given.get("demonstrations", 0) + len(rows)
-        return DemonstrationFrames(frames=triplets.gather(rows), actions=actions)
+        return DemonstrationFrames(triplets=triplets, rows=rows, actions=actions)
+
+    def _number(self, there: int) -> int:
+        """The transitions that a number or a share asks for, of so many."""
+        amount = self.request.amount
+        return max(1, round(amount * there)) if self.request.kind == "share" else int(amount)
 
     def _of_each_action(
         self, triplets: Triplets, order: Iterator[int], spec: Discrete
@@ -316,25 +349,39 @@ class LabelBudget:
             )
 
     def _first_unpushed(
-        self, triplets: Triplets, order: Iterator[int]
+        self, triplets: Triplets, order: Iterator[int], wanted: int
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"] | Float[np.ndarray, "m a"]]:
-        found = list(itertools.islice(self._unpushed(triplets, order), int(self.request.amount)))
+        """The first rows in which nothing is pushed; where there are too few, then the first of the others."""
+        found: list[tuple[int, Shaped[np.ndarray, "..."]]] = []
+        others: list[tuple[int, Shaped[np.ndarray, "..."]]] = []
+        for row, action, pushed in self._labelled(triplets, order):
+            (others if pushed else found).append((row, action))
+            if len(found) == wanted:
+                break
         if not found:
             raise LabelsNotAvailable(
                 "something is pushed in every transition of the training episodes, so there is no demonstration; "
                 "record more episodes."
             )
-        rows, actions = zip(*found, strict=True)
+        rows, actions = zip(*(found + others)[:wanted], strict=True)
         return np.asarray(rows), np.stack(actions)
 
     def _unpushed(self, triplets: Triplets, order: Iterator[int]) -> Iterator[tuple[int, Shaped[np.ndarray, "..."]]]:
         """The rows in which nothing is pushed and their actions, one by one; only their episodes are opened."""
-        known: dict[int, EpisodeLabels] = {}
+        return ((row, action) for row, action, pushed in self._labelled(triplets, order) if not pushed)
+
+    def _labelled(
+        self, triplets: Triplets, order: Iterator[int]
+    ) -> Iterator[tuple[int, Shaped[np.ndarray, "..."], bool]]:
+        """The rows, their actions, and whether something is pushed, one by one; only their episodes are opened."""
+        known: dict[int, tuple[Shaped[np.ndarray, "t ..."], Bool[np.ndarray, " t"]]] = {}
         for row in order:
             episode, step = (int(place[0]) for place in triplets.places(np.array([row])))
-            labels = known.get(episode) or known.setdefault(episode, self._dataset.labels(episode))
-            if not labels.pushed[step]:
-                yield row, np.asarray(labels.actions[step])
+            if episode not in known:
+                labels = self._dataset.labels(episode)
+                known[episode] = labels.actions, labels.pushed
+            actions, pushed = known[episode]
+            yield row, np.asarray(actions[step]), bool(pushed[step])
 
     def _of_each(self, triplets: TripletSet) -> Int[np.ndarray, " n"] | Float[np.ndarray, "n a"]:
         spec = self._dataset.spec.actions

@@ -12,7 +12,7 @@ from __future__ import annotations
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from dmotion_bench.actions import ActionSpec
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.boundary import guarded
+from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.values import require_bounds
 
@@ -45,7 +46,9 @@ class TripletBatch:
     """Three consecutive frames; the action that led from the second to the third where it was paid for.
 
     ``action`` is None in the training of unsupervised models, always. ``episode`` says which of them are moments of one
-    recording, for losses that compare moments; it is no label. The training loop always gives it.
+    recording, for losses that compare moments; it is no label. The training loop always gives it. ``labelled`` are the
+    few labelled transitions that stand beside a batch of video in a phase that asks for them (``Phase.with_labels``);
+    in validation there are none.
     """
 
     previous: Float[Tensor, "b c h w"]
@@ -53,16 +56,12 @@ class TripletBatch:
     next: Float[Tensor, "b c h w"]
     action: Actions | None = None
     episode: Int[Tensor, " b"] | None = None
+    labelled: Demonstrations | None = None
 
-
-@dataclass(frozen=True, kw_only=True)
-class Demonstrations:
-    """A few labelled transitions: ``next`` is what ``action`` made of ``current``."""
-
-    previous: Float[Tensor, "n c h w"]
-    current: Float[Tensor, "n c h w"]
-    next: Float[Tensor, "n c h w"]
-    action: Int[Tensor, " n"] | Float[Tensor, "n a"]
+    def contiguous(self) -> TripletBatch:
+        """The same triplets, their images contiguous in memory."""
+        frames = {one: getattr(self, one).contiguous() for one in ("previous", "current", "next")}
+        return replace(self, **frames, labelled=self.labelled and self.labelled.contiguous())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +87,8 @@ class Phase:
         name: Given to ``ForwardModel.enter``.
         fraction: Of the training's triplets.
         needs_actions: Whether only labelled triplets are of use in this phase.
+        with_labels: So many labelled triplets stand beside each batch of video (``TripletBatch.labelled``), or all of
+            them where the budget gives fewer; only of ``Supervision.FEW``.
         batch_size: Triplets a step, where a phase wants another number than the training's.
         together: So many triplets of one episode, any of its moments, stand side by side in a batch.
     """
@@ -95,6 +96,7 @@ class Phase:
     name: str = "train"
     fraction: float = 1.0
     needs_actions: bool = False
+    with_labels: int = 0
     batch_size: int | None = None
     together: int = 1
 
@@ -123,6 +125,10 @@ class TrainingConfig:
         validations: How many times the run is validated and its checkpoint written.
         window: Triplets that are shuffled among each other while they are read from the compressed files; 0 shuffles
             all of them, which takes the frame cache.
+        adaptation: What the demonstrations change in a model of video: ``"averaged"`` its map from actions to latent
+            ones alone (``ForwardModel.align``), ``"finetuned"`` then all of it, end to end (``adaptation.py``).
+        adaptation_steps: At most so many steps of Adam in a fine-tuning.
+        adaptation_rate: Of its learning.
     """
 
     epochs: float
@@ -138,6 +144,9 @@ class TrainingConfig:
     hard_share: float = 0.0
     validations: int = 10
     window: int = 0
+    adaptation: str = "averaged"
+    adaptation_steps: int = 200
+    adaptation_rate: float = 1e-4
 
     def __post_init__(self) -> None:
         from dmotion_bench.errors import InvalidSetting
@@ -146,16 +155,19 @@ class TrainingConfig:
             ("schedule", self.schedule, ("one-cycle", "linear", "cosine", "constant")),
             ("optimizer", self.optimizer, ("adamw", "adam", "muon")),
             ("precision", self.precision, ("auto", "bf16", "float32")),
+            ("adaptation", self.adaptation, ("averaged", "finetuned")),
         ):
             if value not in allowed:
                 raise InvalidSetting(f"{name} is {value!r}; it can be {', '.join(allowed)}.")
         require_bounds(
             self,
-            above_zero=("epochs", "batch_size", "learning_rate", "validations"),
+            above_zero=("epochs", "batch_size", "learning_rate", "validations", "adaptation_steps", "adaptation_rate"),
             from_zero=("weight_decay", "clip_norm", "window"),
             below_one=("hard_share", "ema"),
         )
 
+
+__all__ = ["Demonstrations", "ForwardModel", "Losses", "ModelInputs", "Phase", "TrainingConfig", "TripletBatch"]
 
 ConfigT = TypeVar("ConfigT")
 State = Any
@@ -224,7 +236,7 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
 
     @abstractmethod
     def losses(self, batch: TripletBatch) -> Losses:
-        """The loss of a batch. ``batch.action`` is there only for models of ``Supervision.ACTIONS``."""
+        """The loss of a batch. ``batch.action`` is there only in phases that need actions."""
 
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn which latent action each named action is; supervised models have nothing to learn here.

@@ -65,14 +65,15 @@ class ModelTrial:
         turns = place[:, None] * np.arange(1, spec.width + 1) * GOLDEN
         return as_tensor(spec.denormalise(2 * (turns % 1) - 1))
 
-    def batch(self, count: int, *, actions: bool) -> TripletBatch:
-        """Triplets, with or without their actions."""
+    def batch(self, count: int, *, actions: bool, labelled: int = 0) -> TripletBatch:
+        """Triplets, with or without their actions; perhaps with a few labelled ones beside them."""
         return TripletBatch(
             previous=self.images(count, 1),
             current=self.images(count, 2),
             next=self.images(count, 3),
             action=self.actions(count) if actions else None,
             episode=torch.arange(count) // 2,
+            labelled=self.demonstrations(each=1) if labelled else None,
         )
 
     def demonstrations(self, each: int, shift: int = 0) -> Demonstrations:

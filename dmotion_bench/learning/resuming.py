@@ -141,13 +141,16 @@ class Checkpoints:
         weights = checkpoint.with_prefix("model", self.model.state_dict())
         checkpoint.save(self.run.best, weights, dataclasses.asdict(facts))
 
-    def restore_best(self) -> BestFacts:
+    def restore_best(self, path: Path | None = None) -> BestFacts:
         """Put the best weights into the model.
+
+        Args:
+            path: Where they are, if not in the usual place.
 
         Raises:
             RunMissing, RunCorrupt: They are not there, or cannot be read.
         """
-        tensors, facts = self._load_best()
+        tensors, facts = self._load_best(path)
         self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
         return facts
 
@@ -186,9 +189,10 @@ class Checkpoints:
             self.hardness[name][:] = values.numpy()
         return facts
 
-    def _load_best(self) -> tuple[dict[str, Tensor], BestFacts]:
-        tensors, facts = checkpoint.load(self.run.best, required=self._forms("model"))
-        return tensors, _facts(BestFacts, facts, self.run.best, self.steps)
+    def _load_best(self, path: Path | None = None) -> tuple[dict[str, Tensor], BestFacts]:
+        path = path or self.run.best
+        tensors, facts = checkpoint.load(path, required=self._forms("model"))
+        return tensors, _facts(BestFacts, facts, path, self.steps)
 
     def _forms(self, prefix: str) -> dict[str, Form]:
         return checkpoint.with_prefix(prefix, checkpoint.forms_of(self.model.state_dict()))

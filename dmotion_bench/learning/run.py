@@ -8,6 +8,7 @@
       last.safetensors    all that resuming needs
       best.safetensors    the weights that validated best, with the actions aligned once training is done
       watched.safetensors where the phases that need no labels ended, if others came after them
+      unadapted.safetensors the best weights before they were fine-tuned, if they were
       samples/            pictures of what the model predicted at each validation
       report/             written by ``dmbench score``
 """
@@ -207,6 +208,11 @@ class Run:
         return self.path / "watched.safetensors"
 
     @property
+    def unadapted(self) -> Path:
+        """The weights that validated best, before a fine-tuning changed them; where there was one."""
+        return self.path / "unadapted.safetensors"
+
+    @property
     def metrics(self) -> Path:
         """The training's curves, a JSON object a line."""
         return self.path / "metrics.jsonl"
@@ -227,7 +233,7 @@ class Run:
 
     def begin_anew(self) -> None:
         """Delete the result and everything that the training wrote, so that it starts again."""
-        for file in (self.last, self.best, self.watched, self.metrics):
+        for file in (self.last, self.best, self.watched, self.unadapted, self.metrics):
             file.unlink(missing_ok=True)
         self.manifest["result"] = None
         self.write()

@@ -224,6 +224,7 @@ class RunResult:
         labels, labels_total: Labels handed out by purpose, and their number.
         device, processes: Where the last sitting ran.
         threads, precision: As in ``Conditions``; None in a run of a version that did not record them.
+        adapted_steps: Of the fine-tuning that were kept; None where there was none.
     """
 
     weights: str
@@ -240,6 +241,7 @@ class RunResult:
     processes: int
     threads: int | None = None
     precision: Precision | None = None
+    adapted_steps: int | None = None
 
     def __post_init__(self) -> None:
         if not _SHA256.fullmatch(self.weights):
@@ -257,6 +259,8 @@ class RunResult:
             raise InvalidSetting(f"device is {shown(self.device)}; it must be a name.")
         if self.threads is not None:
             _within("threads", self.threads, range(1, MOST_THREADS + 1))
+        if self.adapted_steps is not None:
+            _within("adapted_steps", self.adapted_steps, _COUNTS)
 
 
 def read_manifest(path: Path) -> dict[str, Any]:

@@ -20,8 +20,9 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image
 from torch import Tensor
 
+from dmotion_bench.learning.demonstrations import READ_AT_ONCE, Demonstrations
 from dmotion_bench.learning.images import to_pixels
-from dmotion_bench.learning.model import Demonstrations, ForwardModel, TripletBatch
+from dmotion_bench.learning.model import ForwardModel, TripletBatch
 from dmotion_bench.storage.atomic import atomic_file
 
 FOLDER: Final = "samples"
@@ -33,9 +34,10 @@ GAP, GREY = 3, 90
 def sample_of_demonstrations(model: ForwardModel[Any], given: Demonstrations) -> UInt8[np.ndarray, "h w 3"]:
     """A picture of predictions of a few demonstrations, by a copy of the model that is aligned with them."""
     aligned = copy.deepcopy(model).eval()
-    aligned.align(given)
-    few = _evenly(len(given.action))
-    return _sheet(aligned, given.previous[few], given.current[few], given.next[few], given.action[few])
+    few = given if len(given) <= READ_AT_ONCE else given.subset(torch.arange(READ_AT_ONCE))
+    aligned.align(few)
+    drawn = given.subset(_evenly(len(given)))
+    return _sheet(aligned, drawn.previous, drawn.current, drawn.next, drawn.action)
 
 
 def sample_of_triplets(model: ForwardModel[Any], batch: TripletBatch) -> UInt8[np.ndarray, "h w 3"]:

@@ -73,7 +73,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         raise UnknownName(f"architecture of {request.model}", arch, kind.architectures)
     labels = LabelRequest.for_model(request.model, kind.supervision, request.labels, dataset.spec.actions)
     if dataset.spec.actions is None:
-        if kind.supervision is Supervision.ACTIONS:
+        if kind.supervision is not Supervision.NONE:
             raise UsageError(f"{dataset.name!r} has no action labels; train a model that needs none, such as dmotion.")
         if request.labels is None:
             labels = LabelRequest("none")
@@ -84,6 +84,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         )
     config, training = with_settings(request.settings, kind.configure(arch), kind.training_defaults(preset, arch))
     training = _streaming(request, training)
+    _require_adaptable(request.model, kind.supervision, labels, training)
     return RunSpec(
         model=request.model,
         arch=arch,
@@ -99,6 +100,26 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         width=dataset.spec.width,
         actions=stored_actions(dataset.spec.actions),
     )
+
+
+def _require_adaptable(model: str, supervision: Supervision, labels: LabelRequest, training: TrainingConfig) -> None:
+    """Refuse a fine-tuning that would have nothing to do.
+
+    Raises:
+        UsageError: The model is trained with actions anyway, or no action is demonstrated.
+    """
+    if training.adaptation != "finetuned":
+        return
+    if supervision is Supervision.ACTIONS:
+        raise UsageError(
+            f"{model} learns from actions all along, so there is nothing to fine-tune; leave out "
+            "'--set adaptation=finetuned'."
+        )
+    if labels.kind == "none":
+        raise UsageError(
+            f"'--set adaptation=finetuned' trains {model} on demonstrations, and '--labels none' gives none; name "
+            "another budget, such as --labels 64."
+        )
 
 
 def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) -> Path:

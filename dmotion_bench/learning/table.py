@@ -34,11 +34,12 @@ from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
-BUDGETS = {Supervision.NONE: ("one-shot", "5-shot", "20-shot"), Supervision.ACTIONS: ("100%", "10%")}
+SHOTS = ("one-shot", "5-shot", "20-shot")
+BUDGETS = {Supervision.NONE: SHOTS, Supervision.FEW: SHOTS, Supervision.ACTIONS: ("100%", "10%")}
 """Label budgets of models that name none of their own."""
 
 TRANSITIONS = ("64", "16", "256")
-"""Label budgets of models of video where the actions are continuous."""
+"""Label budgets of models that take demonstrations where the actions are continuous."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +72,8 @@ class Outcome:
 
 def budgets(kind: type[ForwardModel[Any]], actions: ActionSpec | None) -> tuple[str, ...]:
     """The label budgets that a class of models is ranked under on a data set with such actions."""
-    video = kind.supervision is Supervision.NONE
     if actions is None:
-        return ("none",) if video else ()
+        return ("none",) if kind.supervision is Supervision.NONE else ()
     named = kind.budgets or BUDGETS[kind.supervision]
     if isinstance(actions, Continuous):
         return tuple(name for name in named if not name.endswith("-shot")) or TRANSITIONS

@@ -29,6 +29,7 @@ from torch import Tensor, nn
 from dmotion_bench.errors import RunError, UsageError
 from dmotion_bench.interrupts import stop_between_steps
 from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.adaptation import finetune
 from dmotion_bench.learning.companions import Companions
 from dmotion_bench.learning.conditions import choose_conditions
 from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
@@ -50,7 +51,8 @@ from dmotion_bench.learning.samples import FOLDER as SAMPLES
 from dmotion_bench.learning.step import Stepper
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.tracking import tracked
-from dmotion_bench.storage.atomic import remove_leftovers
+from dmotion_bench.specs import Supervision
+from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.lock import held
 
 CHECKPOINT_SECONDS = 60.0
@@ -176,7 +178,8 @@ class _Trainer:
         self.model = run.spec.build().laid_out()
         # asked for first: what is missing is said before the work
         self.demonstrations = demonstrations_of(data, self.model.supervision, fabric.device)
-        self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device)
+        shown = self.demonstrations if self.model.supervision is Supervision.FEW else None
+        self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device, shown)
         self._require_batches()
         self.steps, self.watched = self.parts[-1].stop, steps_before_labels(self.parts)
         losses, self.optimizer = _set_up(fabric, self.model, make_optimizer(self.model, self.config))
@@ -423,11 +426,18 @@ class _Trainer:
 
     def _finished(self) -> dict[str, Any]:
         """Align the best weights, write them, and record the result of the training."""
-        facts = self.checkpoints.restore_best()
+        tuned = self.config.adaptation == "finetuned"
+        if tuned and not self.run.unadapted.exists():  # a kill from here on begins the fine-tuning anew
+            write_atomically(self.run.unadapted, self.run.best.read_bytes())
+        facts = self.checkpoints.restore_best(self.run.unadapted if tuned else None)
         self.model.eval()
+        adapted: int | None = None
         if self.demonstrations is not None:
             with torch.no_grad():
                 self.model.align(self.demonstrations)
+            if tuned:
+                precision = self.conditions.precision
+                adapted = finetune(self.model, self.demonstrations, self.config, self.run.spec.seed, precision)
         weights = self.model.state_dict()
         clock, budget = self.state.clock, self.data.budget
         seconds = clock.before + clock.sitting
@@ -447,6 +457,7 @@ class _Trainer:
             processes=self.fabric.world_size,
             threads=self.conditions.threads,
             precision=self.conditions.precision,
+            adapted_steps=adapted,
         )
         self.checkpoints.save_best(facts)
         self.run.finish(asdict(result))

@@ -1,14 +1,16 @@
 """Training shared between label budgets: the part that needs no labels is trained once for all of them.
 
 What an unsupervised model learns does not depend on the budget (the tests compare the bits), only the alignment after
-the training does. So the 5-shot run takes over the one-shot run's last checkpoint and is aligned for itself. Of a
-world model the autoencoder comes first and sees video alone: another budget goes on from where it ended.
+the training does. So the 5-shot run takes over the one-shot run's last checkpoint and is aligned for itself, or
+fine-tuned (``adaptation.py``). Of a world model the autoencoder comes first and sees video alone: another budget goes
+on from where it ended.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Final
 
 from dmotion_bench.errors import InvalidSetting, RunError
 from dmotion_bench.learning import checkpoint
@@ -16,6 +18,9 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import write_atomically
+
+AFTERWARDS: Final = ("adaptation", "adaptation_steps", "adaptation_rate")
+"""Of the training's settings those that concern only what comes after the part without labels."""
 
 
 def take_over(run: Run) -> Run | None:
@@ -46,7 +51,8 @@ def _twin(run: Run, folder: Path) -> Run | None:
         other = Run.open(folder)
         if other.spec.model != run.spec.model or other.path == run.path:
             return None
-        wanted = dataclasses.replace(run.spec, labels=other.spec.labels)
+        adapted = {name: getattr(other.spec.training_config, name) for name in AFTERWARDS}
+        wanted = dataclasses.replace(run.spec, labels=other.spec.labels, training={**run.spec.training, **adapted})
         return None if other.differences(wanted, run.threads) else other
     except (RunError, InvalidSetting):
         return None
@@ -58,7 +64,9 @@ def _shared(run: Run) -> dict[str, Path]:
     The checkpoint comes last: with it the other run has begun. What is damaged is not taken over.
     """
     if model_class(run.spec.model).supervision is Supervision.NONE:
-        files = {path.name: path for path in (run.metrics, run.best, run.last)} if run.result is not None else {}
+        best = run.unadapted if run.spec.training_config.adaptation == "finetuned" else run.best
+        files = {run.metrics.name: run.metrics, run.best.name: best, run.last.name: run.last}
+        files = files if run.result is not None else {}
     else:
         files = {run.metrics.name: run.metrics, run.watched.name: run.watched, run.last.name: run.watched}
     try:

@@ -22,6 +22,7 @@ from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.frame_measures import FrameMeasures
 from dmotion_bench.scoring.identification import Identification, LatentActionModel, identify
+from dmotion_bench.scoring.inverse import InverseModel, inverse_figures
 from dmotion_bench.scoring.latent_ranking import Ranks, rank_rollouts
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.references import REFERENCES
@@ -82,6 +83,9 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
         if latent is not None and found is not None:
             here = slice(done, done + len(batch))
             columns |= _by_latent(latent, found, here, previous, current, truth)
+        if isinstance(model, InverseModel):
+            named = model.infer_action(previous, current, to_model(truth))
+            columns |= inverse_figures(named, action, held_out.dataset.spec.actions)
         rows.add(_described(batch) | _numpy(columns))
         done += len(batch)
         how.progress("single steps", done, len(held_out))

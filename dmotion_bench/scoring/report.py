@@ -6,7 +6,8 @@
       protocol       "dmbench-1": what the figures' names mean
       scoring_version  of the code that scores (SCORING_VERSION)
       run, model, arch, preset, seed
-      labels         asked for, and the number handed out by purpose
+      labels         asked for, and the number handed out by purpose; use: where they were not used as is usual
+                     (label_use.py)
       dataset        name, environment, fingerprint (the hash of its content); version: of the environment, where it
                      is not 1; actions: "continuous" or "joint", where they are; trained_on: name and fingerprint of
                      the run's own, where it is scored on another (transfer.py)
@@ -42,6 +43,7 @@ from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
+from dmotion_bench.wording import shown
 
 PROTOCOL = "dmbench-1"
 SCORING_VERSION: Final = 1
@@ -58,6 +60,15 @@ CONTROL_OF_CODE: Final[Mapping[str, int]] = MappingProxyType({"0.1.0+4fa30b762c6
 
 Version = int | str
 """A number; of earlier versions without a number the hash of their code."""
+
+LABEL_USES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "during": "few labels during the training",
+        "finetuned": "fine-tuned on its labels",
+        "during, finetuned": "few labels during the training, fine-tuned on its labels",
+    }
+)
+"""All values of ``labels.use``, and what is written for them."""
 
 REPORT_FOLDER = "report"
 REPORT_FILE = "report.json"
@@ -174,6 +185,8 @@ def _require_fields(report: Fields) -> None:
     labels, dataset, settings = (report.inner(name) for name in ("labels", "dataset", "settings"))
     labels.text("asked")
     labels.whole("total")
+    if "use" in report.pairs("labels") and labels.text("use") not in LABEL_USES:
+        raise ValueError(f"labels.use is {shown(labels.text('use'))}, none of {', '.join(map(repr, LABEL_USES))}")
     settings.whole("horizon")
     settings.texts("metrics")
     for name in ("split", "protocol"):

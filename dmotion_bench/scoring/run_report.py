@@ -9,8 +9,9 @@ from dmotion_bench.actions import kind_of
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.figures import Figures
+from dmotion_bench.scoring.label_use import label_use
 from dmotion_bench.scoring.references import published_for
-from dmotion_bench.scoring.report import PROTOCOL, SCORING_VERSION, Report
+from dmotion_bench.scoring.report import LABEL_USES, PROTOCOL, SCORING_VERSION, Report
 from dmotion_bench.scoring.tiers import refused
 from dmotion_bench.scoring.transfer import training_of, transfer_remark
 from dmotion_bench.specs import VERSION
@@ -71,6 +72,9 @@ def compose_report(
         )
     if not run.model.needs_pixels:
         remarks["prediction"] = f"{run.spec.model} draws no frames; what it is good for shows in control"
+    use = label_use(spec, run.model.supervision)
+    if use:
+        remarks["labels"] = LABEL_USES[use]
     if settings["protocol"] == "paper":
         remarks["split"] = "the paper's split shuffles triplets: most test frames were seen in training (it leaks)"
     return Report(
@@ -83,7 +87,8 @@ def compose_report(
             "asked": run.spec.labels,
             "given": result.get("labels", {}),
             "total": result.get("labels_total", 0),
-        },
+        }
+        | ({"use": use} if use else {}),
         dataset={
             "name": dataset.name,
             "environment": dataset.recipe.environment,

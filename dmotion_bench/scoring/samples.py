@@ -67,6 +67,8 @@ IDENTIFICATION_COLUMNS = (
     "motion_probe_error",
     "mse_true_motion",
     "motion_swap_change",
+    "inverse_accuracy",
+    "inverse_error",
 )
 EACH = "each_"
 """Before the name of a column with a value for each of several agents."""
@@ -108,7 +110,8 @@ MOST_SAMPLES: Final = 1_000_000
 _MOST_LISTED: Final = 2**25  # values in a column of lists
 _EACH_COLUMNS: Final = tuple(name for name in SCHEMA.names if name.startswith(EACH))
 _LISTS: Final = ("distance", "found", "found_truth", "motion", "command", *_EACH_COLUMNS)
-_LEFT_OUT: Final = ("command", "motion_probe_error", *GAIN_COLUMNS, *_EACH_COLUMNS)  # where they say nothing
+_INVERSE_COLUMNS: Final = ("inverse_accuracy", "inverse_error")
+_LEFT_OUT: Final = ("command", "motion_probe_error", *_INVERSE_COLUMNS, *GAIN_COLUMNS, *_EACH_COLUMNS)  # of no value
 _LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _LEFT_OUT
 
 

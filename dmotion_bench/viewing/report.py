@@ -119,6 +119,10 @@ def rollout_curves(report: Report) -> dict[str, Curve]:
     return curves
 
 
+def _use(report: Report) -> str:
+    return f", {report.labels['use']}" if "use" in report.labels else ""
+
+
 def _figures(report: Report) -> str:
     own = "" if report.trained_on is None else f", trained on *{report.trained_on}*"
     beside = [name for name in ("paper", "copy_last") if name in report.reference]
@@ -126,7 +130,7 @@ def _figures(report: Report) -> str:
         f"**{report.run}**",
         "",
         f"*{report.dataset['name']}*{own}, {report.settings['split']} episodes, labels used: "
-        f"**{report.labels['asked']} ({report.labels['total']})**, protocol {report.protocol}.",
+        f"**{report.labels['asked']} ({report.labels['total']}{_use(report)})**, protocol {report.protocol}.",
         "",
         f"| | mean ± std | 95% interval | {' | '.join(map(plain, beside))} |",
         "|---|---|---|" + "---|" * len(beside),

@@ -14,6 +14,8 @@ import torch
 from noise_world import noise_episode, noise_spec
 
 from baselines.layers import UNet
+from dmotion_bench.errors import UsageError
+from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
@@ -30,6 +32,8 @@ pytestmark = pytest.mark.slow
 
 NAMES = sorted(point.name for point in entry_points(group=MODELS) if point.value.startswith("baselines."))
 UNSUPERVISED = [name for name in NAMES if model_class(name).supervision is Supervision.NONE]
+FEW = [name for name in NAMES if model_class(name).supervision is Supervision.FEW]
+SUPERVISED = [name for name in NAMES if model_class(name).supervision is Supervision.ACTIONS]
 FRAMES = 5
 SETTINGS = ("batch_size=4", "epochs=1", "validations=3")
 
@@ -65,11 +69,18 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Callabl
     return run
 
 
-def _train(name: str, data: Path, folder: Path, labels: str | None = None, stop_at: int | None = None) -> Run:
-    if labels is None and name not in UNSUPERVISED:
+def _train(
+    name: str,
+    data: Path,
+    folder: Path,
+    labels: str | None = None,
+    stop_at: int | None = None,
+    more: tuple[str, ...] = (),
+) -> Run:
+    if labels is None and name in SUPERVISED:
         labels = "100%"
     dataset = Dataset.open(data)
-    request = TrainingRequest(model=name, labels=labels, preset=Preset.TINY, settings=SETTINGS)
+    request = TrainingRequest(model=name, labels=labels, preset=Preset.TINY, settings=SETTINGS + more)
     run = open_run(request, dataset, folder, Workspace(folder))
 
     def on_step(report: Report) -> None:
@@ -83,9 +94,10 @@ def _train(name: str, data: Path, folder: Path, labels: str | None = None, stop_
 def test_the_benchmarks_models_are_those_of_its_design() -> None:
     assert set(NAMES) == {
         *("dmotion", "dmotion-no-stn", "wm-ae", "wm-vae", "ed-cnn", "cswm", "clasp"),
-        *("lapo", "lam-vae", "jepa"),
+        *("lapo", "lam-vae", "jepa", "laom", "laom-labels", "idm-ed-cnn"),
     }
-    assert set(UNSUPERVISED) == {"dmotion", "dmotion-no-stn", "clasp", "lapo", "lam-vae"}
+    assert set(UNSUPERVISED) == {"dmotion", "dmotion-no-stn", "clasp", "lapo", "lam-vae", "laom"}
+    assert set(FEW) == {"laom-labels", "idm-ed-cnn"}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -111,9 +123,10 @@ def test_what_draws_with_a_u_net_can_warp(name: str, build, step, video, batch) 
         assert not any(isinstance(part, UNet) for part in build(kind).modules())
         return
     model = build(kind, warp=True)
+    model.enter(model.phases()[-1])
     (drawing,) = (part for part in model.modules() if isinstance(part, UNet))
     before = drawing.flow.weight.clone()
-    step(model, video if kind.supervision is Supervision.NONE else batch, 2)
+    step(model, batch if kind.supervision is Supervision.ACTIONS else video, 2)
     assert not torch.equal(drawing.flow.weight, before)
     assert not any(hasattr(part, "flow") for part in build(kind).modules())
 
@@ -139,6 +152,67 @@ def test_without_the_labels_unsupervised_training_is_the_same_to_the_bit(name, r
     tables = {"table", "table.rows"}
     weights, same = told.model.state_dict(), untold.model.state_dict()
     assert [key for key in weights if not torch.equal(weights[key], same[key])] == [*(tables & {*weights})]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_one_label_is_a_budget_and_one_that_is_counted(name, trained) -> None:
+    run = trained(name, "1")
+    assert run.result["labels_total"] == 1
+    frames = torch.zeros(1, 3, 32, 32)
+    for action in (0, 1):  # one of them was never shown
+        assert run.model.predict(frames, frames, torch.tensor([action])).isfinite().all()
+
+
+@pytest.mark.parametrize("name", [*FEW, "lapo", "ed-cnn"])
+def test_rows_of_a_budget_were_given_equally_many_labels(name, trained) -> None:
+    assert trained(name, "16").result["labels_total"] == 16
+
+
+@pytest.mark.parametrize("name", ["dmotion", "lapo", "lam-vae"])
+def test_a_fine_tuning_shares_the_stage_without_labels(name, recorded, trained, tmp_path) -> None:
+    """Its own bits before the labels are those of a run without any; so are another run's that takes it over."""
+    tuned_by = ("adaptation=finetuned", "adaptation_steps=3")
+    tuned = _train(name, recorded, tmp_path / "runs" / "tuned", labels="3-shot", more=tuned_by)
+    averaged, tables = trained(name, "one-shot"), {"table", "table.rows"}
+    stored, _ = checkpoint.load(tuned.unadapted, required=None)
+    before = checkpoint.without_prefix("model", stored)
+    weights = averaged.model.state_dict()
+    assert all(torch.equal(before[key], weights[key]) for key in {*weights} - tables)
+    assert any(not torch.equal(tuned.model.state_dict()[key], weights[key]) for key in {*weights} - tables)
+    assert tuned.result["labels_total"] == 6
+    assert tuned.result["adapted_steps"] == 3
+
+    dataset, runs = Dataset.open(recorded), Workspace(tmp_path)
+    request = TrainingRequest(model=name, labels="one-shot", preset=Preset.TINY, settings=SETTINGS)
+    after = open_run(request, dataset, None, runs)
+    twin = take_over(after)
+    assert twin is not None
+    assert twin.path == tuned.path
+    train(after, training_data(after, dataset), launch("cpu"), lambda _: None)
+    assert after.result["weights"] == averaged.result["weights"]
+
+    shutil.rmtree(tuned.path)
+    wanted = dataclasses.replace(request, labels="3-shot", settings=SETTINGS + tuned_by)
+    again = open_run(wanted, dataset, None, runs)
+    assert take_over(again) is not None
+    train(again, training_data(again, dataset), launch("cpu"), lambda _: None)
+    assert again.result["weights"] == tuned.result["weights"]
+
+
+def test_no_label_of_another_run_is_left_in_a_table_that_is_taken_over(recorded, trained, tmp_path) -> None:
+    shutil.copytree(trained("lapo", "one-shot").path, tmp_path / "runs" / "both")
+    dataset = Dataset.open(recorded)
+    request = TrainingRequest(model="lapo", labels="1", preset=Preset.TINY, settings=SETTINGS)
+    fewer = open_run(request, dataset, None, Workspace(tmp_path))
+    assert take_over(fewer) is not None
+    train(fewer, training_data(fewer, dataset), launch("cpu"), lambda _: None)
+    assert fewer.result["weights"] == trained("lapo", "1").result["weights"]
+
+
+def test_what_has_no_demonstrations_cannot_be_fine_tuned(recorded, tmp_path) -> None:
+    for name, labels, said in (("ed-cnn", "100%", "learns from actions all along"), ("lapo", "none", "gives none")):
+        with pytest.raises(UsageError, match=said):
+            _train(name, recorded, tmp_path / name, labels=labels, more=("adaptation=finetuned",))
 
 
 @pytest.mark.parametrize("name", ["dmotion", "lapo"])
@@ -190,7 +264,7 @@ def test_what_learns_from_labels_at_once_shares_nothing(name, recorded, trained,
     assert take_over(open_run(request, Dataset.open(recorded), None, Workspace(tmp_path))) is None
 
 
-@pytest.mark.parametrize("name", sorted({*NAMES} - {*UNSUPERVISED}))
+@pytest.mark.parametrize("name", SUPERVISED)
 def test_a_tenth_of_the_labels_is_a_tenth(name, trained) -> None:
     run = trained(name, "10%")
     each = FRAMES - 2  # triplets of an episode: one of eleven, and one to validate with

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dmotion_bench.errors import EntryInvalid
 from leaderboard.board import Board, Row, make_boards
 from leaderboard.curves import assign_styles, legend
 from leaderboard.entry import Entry
@@ -24,13 +25,14 @@ FRAMES = 25
 def result(sound: Entry) -> Callable[..., Entry]:
     """Makes an entry whose error in each episode is given."""
 
-    def make(model: str, errors: np.ndarray, *, seed: int = 0, labels: str = "one-shot", **content: Any) -> Entry:
+    def make(model: str, errors: np.ndarray, *, seed: int = 0, labels: Any = "one-shot", **content: Any) -> Entry:
         made = copy.deepcopy(dict(sound.content))
         figure = {"mean": float(errors.mean()), "std": 1.0, "low": None, "high": None, "n": FRAMES * len(EPISODES)}
         sums = {"episode": EPISODES, "n": [FRAMES] * len(EPISODES), "sum": (errors * FRAMES).tolist()}
-        made |= {"model": model, "seed": seed, "run": f"{model}-{labels}-s{seed}", "weights": f"{seed:064x}"}
+        told = labels if isinstance(labels, dict) else {"asked": labels, "given": {}, "total": 4}
+        made |= {"model": model, "seed": seed, "run": f"{model}-{told['asked']}-s{seed}", "weights": f"{seed:064x}"}
         made |= {"figures": made["figures"] | {"mse": figure}, "by_episode": {"mse": sums}}
-        made["labels"] = {"asked": labels, "given": {}, "total": 4}
+        made["labels"] = told
         return Entry(made | content)
 
     return make
@@ -199,6 +201,22 @@ def test_runs_of_the_same_model_and_budget_are_told_apart_by_their_names(result:
     (board,) = make_boards(entries)
 
     assert {row.variant for row in board.rows if row.kind == "measured"} == {"a-affine", "a-plain"}
+
+
+@pytest.mark.parametrize(
+    ("use", "words"),
+    [(None, ""), ("during", "few labels during the training"), ("finetuned", "fine-tuned on its labels")],
+)
+def test_an_unusual_use_of_labels_stands_on_the_row(result: Callable[..., Entry], use: str | None, words: str) -> None:
+    given = {"asked": "64", "given": {"demonstrations": 64}, "total": 64} | ({"use": use} if use else {})
+    other = result("b", np.ones(40), labels="64")
+
+    (board,) = make_boards([other, result("a", np.ones(40), labels=given)])
+
+    assert _row(board, "a").variant == words
+    assert _row(board, "b").variant == ""
+    with pytest.raises(EntryInvalid, match=r"labels\.use"):
+        result("a", np.ones(40), labels=given | {"use": "never"})
 
 
 def test_a_variant_of_a_model_has_its_own_colour_and_marker(result: Callable[..., Entry]) -> None:

@@ -44,12 +44,12 @@ def test_an_embedding_is_a_linear_map_of_the_encoding() -> None:
         torch.testing.assert_close(embedding(action), encoding(action) @ weight + bias)
 
 
-def test_discrete_actions_have_a_table_of_means_that_keeps_what_was_not_shown() -> None:
+def test_discrete_actions_have_a_table_of_means_and_what_was_not_shown_is_as_before_any_demonstration() -> None:
     table = ActionToLatent(Discrete.numbered(3), 2, unaligned=torch.tensor([0.0, 9.0]))
     table.fit(torch.tensor([[1.0, 2.0], [3.0, 6.0], [7.0, 7.0]]), torch.tensor([0, 0, 2]))
     assert table(torch.tensor([2, 0, 1])).tolist() == [[7, 7], [2, 4], [0, 9]]
     table.fit(torch.tensor([[5.0, 5.0]]), torch.tensor([1]))
-    assert table.rows.tolist() == [[2, 4], [5, 5], [7, 7]]
+    assert table.rows.tolist() == [[0, 9], [5, 5], [0, 9]]  # nothing is left of demonstrations of before
 
 
 def test_a_linear_relation_is_found_exactly_and_kept_by_a_checkpoint() -> None:

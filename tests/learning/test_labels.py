@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -34,10 +35,17 @@ def test_a_supervised_model_says_which_budgets_it_takes() -> None:
     assert str(LabelRequest.for_model("ed-cnn", Supervision.ACTIONS, "10%")) == "10%"
 
 
-def test_an_unsupervised_model_takes_one_demonstration_by_default_and_no_share() -> None:
-    assert str(LabelRequest.for_model("dmotion", Supervision.NONE, None)) == "one-shot"
-    with pytest.raises(UsageError, match="one-shot"):
-        LabelRequest.for_model("dmotion", Supervision.NONE, "100%")
+@pytest.mark.parametrize("supervision", [Supervision.NONE, Supervision.FEW])
+def test_what_takes_demonstrations_has_one_by_default_and_any_number_or_share(supervision) -> None:
+    assert str(LabelRequest.for_model("any", supervision, None)) == "one-shot"
+    for asked, kept in (("1", "1"), ("2", "2"), ("5000", "5000"), ("2.5%", "2.5%"), ("all", "100%")):
+        assert str(LabelRequest.for_model("any", supervision, asked)) == kept
+
+
+def test_what_learns_from_few_labels_cannot_do_without() -> None:
+    assert str(LabelRequest.for_model("dmotion", Supervision.NONE, "none")) == "none"
+    with pytest.raises(UsageError, match="--labels one-shot"):
+        LabelRequest.for_model("laom-labels", Supervision.FEW, "none")
 
 
 def test_demonstrations_are_true_unpushed_and_counted(dataset) -> None:
@@ -112,12 +120,8 @@ def test_continuous_actions_are_counted_by_transitions() -> None:
         with pytest.raises(UsageError, match=r"dx \(-1 to 1 m\).*--labels 64"):
             LabelRequest.for_model("any", supervision, "5-shot", MOVES)
     assert str(LabelRequest.for_model("dmotion", Supervision.NONE, None, MOVES)) == "64"
-    with pytest.raises(UsageError, match=r"--labels 64 \(the default\), a number of transitions up to 4096"):
-        LabelRequest.for_model("dmotion", Supervision.NONE, "all", MOVES)
-    with pytest.raises(UsageError, match="up to 4096"):
-        LabelRequest.for_model("dmotion", Supervision.NONE, "5000", MOVES)
-    with pytest.raises(UsageError, match="2 or more"):
-        LabelRequest.for_model("ed-cnn", Supervision.ACTIONS, "1", MOVES)
+    with pytest.raises(UsageError, match=r"--labels 64 \(the default\)"):
+        LabelRequest.for_model("laom-labels", Supervision.FEW, "none", MOVES)
     assert str(LabelRequest.for_model("ed-cnn", Supervision.ACTIONS, "all", MOVES)) == "100%"
 
 
@@ -146,14 +150,15 @@ def test_numbers_of_transitions_are_nested_true_and_counted(dataset, continuous)
     told = Moving(dataset) if continuous else dataset
     before: set[tuple[int, int]] = set()
     shown = np.zeros((0, 3, 1, 1, 3), np.uint8)
-    for amount in (2, 4, 8, 16):
+    for amount in (1, 2, 4, 8, 16):
         budget = LabelBudget(told, LabelRequest.parse(str(amount)), seed=1)
         paid = budget.actions(triplets, "training")
         held = budget.actions(TripletSet.of_split(dataset, "validation"), "validation")
-        assert (len(paid.triplets), len(held.triplets)) == (amount - max(1, amount // 8), max(1, amount // 8))
+        held_back = max(1, amount // 8) if amount > 1 else 0
+        assert (len(paid.triplets), len(held.triplets)) == (amount - held_back, held_back)
         assert budget.total == amount
         places = set(zip(paid.triplets.episode.tolist(), paid.triplets.step.tolist(), strict=True))
-        assert before < places
+        assert before < places or (amount == 2 and before == places)  # the second is held back
         before = places
         for episode, step, action in zip(paid.triplets.episode, paid.triplets.step, paid.actions, strict=True):
             assert np.array_equal(action, told.labels(int(episode)).actions[step])
@@ -177,11 +182,25 @@ def test_numbers_and_shares_take_the_episodes_in_the_same_order(dataset, amount)
     assert places[0] <= places[1] or places[1] <= places[0]
 
 
-def test_a_number_that_is_not_there_is_given_as_far_as_it_is(dataset) -> None:
+def test_the_whole_curve_is_nested_and_all_is_all(dataset) -> None:
     triplets = TripletSet.of_split(dataset, "train")
-    budget = LabelBudget(dataset, LabelRequest.parse("4096"), seed=1)
-    unpushed = sum(not dataset.pushed[e][s] for e, s in zip(triplets.episode, triplets.step, strict=True))
-    assert len(budget.demonstrations(triplets).actions) == budget.total == unpushed
+    pushed = [dataset.pushed[e][s] for e, s in zip(triplets.episode, triplets.step, strict=True)]
+    drawn: dict[str, list[int]] = {}
+    for text in ("1", "2", "10%", "50%", "4096", "all"):
+        budget = LabelBudget(dataset, LabelRequest.parse(text), seed=1)
+        given = budget.demonstrations(triplets)
+        drawn[text] = given.rows.tolist()
+        assert budget.given == {"demonstrations": len(given.rows)}
+        for row, action in zip(given.rows, given.actions, strict=True):
+            assert dataset.actions[triplets.episode[row]][triplets.step[row]] == action
+        unpushed = len(pushed) - sum(pushed)
+        assert sum(pushed[row] for row in given.rows) == max(0, len(given.rows) - unpushed)  # these come last
+    counts = {text: len(rows) for text, rows in drawn.items()}
+    there = len(triplets)
+    assert counts == {"1": 1, "2": 2, "10%": round(there / 10), "50%": round(there / 2), "4096": there, "all": there}
+    ordered = sorted(drawn.values(), key=len)
+    assert all(more[: len(fewer)] == fewer for fewer, more in itertools.pairwise(ordered))
+    assert sorted(drawn["all"]) == list(range(there))
 
 
 JOINT = Discrete.joint(("up", "down"), ("left", "right", "stay"))

@@ -1,0 +1,1 @@
+"""Published findings about latent actions, reproduced on a CPU: one paper a file, one command each."""

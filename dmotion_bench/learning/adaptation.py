@@ -1,0 +1,91 @@
+"""Fine-tuning: the demonstrations train a model of video end to end, after its table of averaged latent actions.
+
+AdaWorld (Gao et al. 2025, section 3.3) compares two ways to tell a latent-action model what real actions are: the
+average latent action of each one's demonstrations, and the same followed by training on the demonstrations. Here the
+first is ``ForwardModel.align``, and the second begins where the first ends: Adam minimises the squared error of the
+predicted frame over all parameters and the rows of the table, whatever the model.
+
+Few labelled transitions are soon learned by heart. Of 8 or more an eighth is therefore left out of the training and
+says after how many steps the model predicts best; none at all is among the answers. Of fewer than 8 all are trained on
+for the whole number of steps.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.demonstrations import Demonstrations
+from dmotion_bench.learning.labels import HELD_BACK
+from dmotion_bench.learning.model import ForwardModel, TrainingConfig
+from dmotion_bench.learning.optimization import autocast
+from dmotion_bench.learning.precision import Precision
+from dmotion_bench.learning.triplets import BatchOrder
+
+CHECKS: Final = 10
+"""How often the transitions that are left out are predicted."""
+AT_ONCE: Final = 64
+
+
+def finetune(
+    model: ForwardModel[Any], shown: Demonstrations, config: TrainingConfig, seed: int, precision: Precision
+) -> int:
+    """Train an aligned model on demonstrations; it stays in evaluation mode, so that nothing of it is random.
+
+    Args:
+        model: Aligned with these demonstrations.
+        shown: What it learns from.
+        config: How long, how fast, and in which batches.
+        seed: Of the order, and of what is left out.
+        precision: In which matrices are multiplied.
+
+    Returns:
+        The number of steps that were kept.
+    """
+    order = torch.randperm(len(shown), generator=torch.Generator().manual_seed(seed))
+    held, learned = (shown.subset(rows) for rows in order.tensor_split([len(shown) // HELD_BACK]))
+    tables = [module.rows for module in model.modules() if isinstance(module, ActionToLatent)]
+    trained = [*model.parameters(), *tables]
+    for tensor in trained:
+        tensor.requires_grad_(True)
+    optimizer = torch.optim.Adam(trained, config.adaptation_rate)
+    batches = BatchOrder(len(learned), config.batch_size, seed)
+    best, kept, state = _error(model, held), 0, _copied(model)
+    for step in range(1, config.adaptation_steps + 1):
+        batch = learned.subset(torch.from_numpy(batches.batch(step - 1)))
+        with autocast(precision, batch.action.device):
+            error = F.mse_loss(model.predict(batch.previous, batch.current, batch.action), batch.next)
+        optimizer.zero_grad()
+        error.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        is_last = step == config.adaptation_steps
+        if len(held) and (is_last or step % max(1, config.adaptation_steps // CHECKS) == 0):
+            if (now := _error(model, held)) < best:
+                best, kept, state = now, step, _copied(model)
+        elif is_last:
+            kept, state = step, _copied(model)
+    for table in tables:
+        table.requires_grad_(False)
+    model.load_state_dict(state)
+    return kept
+
+
+def _copied(model: ForwardModel[Any]) -> dict[str, Tensor]:
+    return {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
+
+
+@torch.no_grad()
+def _error(model: ForwardModel[Any], shown: Demonstrations) -> float:
+    """The mean squared error of the predicted frames; 0 of none."""
+    if not len(shown):
+        return 0.0
+    errors = []
+    for start in range(0, len(shown), AT_ONCE):
+        some = shown.subset(torch.arange(start, min(start + AT_ONCE, len(shown))))
+        predicted = model.predict(some.previous, some.current, some.action)
+        errors.append((predicted - some.next).square().mean((1, 2, 3)))
+    return float(torch.cat(errors).mean())

@@ -1,0 +1,155 @@
+"""What labels are worth to a model: its label curve, and how many it needs to come close to its own best.
+
+A label curve is a model's error under each of its label budgets, on the same frames. Its figure is *the labels needed*:
+the fewest labels from which on the error stays within 10% of the model's own error with all labels. Between two
+measured budgets the curve is a straight line over the logarithm of the number of labels. Where even the smallest
+measured budget is close enough, the figure is that budget, and says *at most*.
+
+The interval is from a bootstrap: in each draw episodes are drawn anew, the same ones for all budgets, and so are
+trainings where there are several; the figure is found anew on each drawn curve.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from dmotion_bench.scoring.statistics import expanded_tail
+from leaderboard.board import Board, Row
+
+WITHIN: Final = 0.1
+ALL: Final = "100%"
+FEWEST_BUDGETS: Final = 3
+RESAMPLES: Final = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvePoint:
+    """A model's errors under one label budget.
+
+    Attributes:
+        labels: That were handed out.
+        is_all: Whether these are all labels.
+        sums: Of each training the sums over episodes, as ``comparison.sums_by_episode`` gives them of a figure.
+        seeds: Of each training.
+    """
+
+    labels: int
+    is_all: bool
+    sums: Sequence[Mapping[str, Any]]
+    seeds: Sequence[int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelsNeeded:
+    """How many labels a model needs to come within a share of its own error with all labels.
+
+    Attributes:
+        labels: So many.
+        low, high: The 95% interval over episodes and trainings; None where fewer than two episodes were scored.
+        at_most: Whether the smallest budget that was measured is close enough, so that it may be fewer.
+    """
+
+    labels: float
+    low: float | None
+    high: float | None
+    at_most: bool
+
+
+def crossing(labels: Sequence[float], errors: Sequence[float], bound: float) -> float:
+    """The fewest labels from which on a curve stays at or below a bound; all of them if only the last point is.
+
+    Args:
+        labels: Of each point, rising.
+        errors: Of each point; the last one is not above the bound.
+        bound: Which error counts as close enough.
+    """
+    place = len(errors) - 1
+    while place and errors[place - 1] <= bound:
+        place -= 1
+    if place == 0:
+        return float(labels[0])
+    above, below = errors[place - 1], errors[place]
+    share = (above - bound) / (above - below)
+    left, right = math.log2(labels[place - 1]), math.log2(labels[place])
+    return float(2 ** (left + share * (right - left)))
+
+
+def labels_needed(points: Sequence[CurvePoint], within: float = WITHIN, seed: int = 0) -> LabelsNeeded | None:
+    """The figure of a label curve; None if it has no point with all labels, or its points are not of the same frames.
+
+    Args:
+        points: At least two, in any order.
+        within: Share of the error with all labels by which another may be higher.
+        seed: Of the draws.
+    """
+    points = sorted(points, key=lambda point: point.labels)
+    if len(points) < 2 or not points[-1].is_all or any(not point.sums for point in points):
+        return None
+    first = points[0].sums[0]
+    for point in points:
+        if any((one["episode"], one["n"]) != (first["episode"], first["n"]) for one in point.sums):
+            return None
+    counts = np.asarray(first["n"], np.float64)
+    totals = [np.array([one["sum"] for one in point.sums], np.float64) for point in points]
+    labels = [point.labels for point in points]
+
+    def found(errors: Sequence[float]) -> float:
+        return crossing(labels, errors, (1 + within) * errors[-1])
+
+    errors = [float(one.mean(0).sum() / counts.sum()) for one in totals]
+    low = high = None
+    if len(counts) > 1:
+        generator = np.random.default_rng(seed)
+        together = len({tuple(point.seeds) for point in points}) == 1
+        drawn = [found(_drawn(totals, counts, together, generator)) for _ in range(RESAMPLES)]
+        tail = expanded_tail(len(counts))
+        low, high = (float(one) for one in np.quantile(drawn, [tail, 1 - tail]))
+    needed = found(errors)
+    return LabelsNeeded(labels=needed, low=low, high=high, at_most=needed == labels[0])
+
+
+def _drawn(
+    totals: Sequence[Float[np.ndarray, "s e"]],
+    counts: Float[np.ndarray, " e"],
+    together: bool,
+    generator: np.random.Generator,
+) -> list[float]:
+    """The errors of a curve whose episodes and trainings are drawn anew; trainings together if they are the same."""
+    episodes = generator.integers(len(counts), size=len(counts))
+    shared: Int[np.ndarray, " s"] = generator.integers(len(totals[0]), size=len(totals[0]))
+    errors = []
+    for total in totals:
+        trainings = shared if together else generator.integers(len(total), size=len(total))
+        errors.append(float(total[trainings][:, episodes].mean(0).sum() / counts[episodes].sum()))
+    return errors
+
+
+def label_curves(board: Board, figure: str) -> dict[tuple[str, str], list[Row]]:
+    """The rows of each model and variant that were measured under several budgets, the last of them all labels."""
+    groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for row in board.rows:
+        if row.kind == "measured" and row.label_count and figure in row.figures and not row.elsewhere:
+            groups[row.model, row.variant].append(row)
+    curves = {name: sorted(rows, key=lambda row: row.label_count or 0) for name, rows in groups.items()}
+    return {name: rows for name, rows in curves.items() if len(rows) >= FEWEST_BUDGETS and rows[-1].labels == ALL}
+
+
+def needed_of_rows(rows: Sequence[Row], figure: str) -> LabelsNeeded | None:
+    """The labels needed by the model of some rows, one for each of its budgets."""
+    points = [
+        CurvePoint(
+            labels=row.label_count or 0,
+            is_all=row.labels == ALL,
+            sums=[entry.by_episode[figure] for entry in row.entries if figure in entry.by_episode],
+            seeds=[int(entry.content["seed"]) for entry in row.entries if figure in entry.by_episode],
+        )
+        for row in rows
+    ]
+    return labels_needed(points)

@@ -1,0 +1,122 @@
+"""Labels needed: found where a made-up curve has them, with an interval that follows episodes and trainings."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from leaderboard.board import make_boards
+from leaderboard.curves import assign_styles, charts
+from leaderboard.efficiency import CurvePoint, crossing, labels_needed
+from leaderboard.entry import Entry
+
+EPISODES, FRAMES = 30, 10
+
+
+def _point(labels: int, errors: np.ndarray, *, is_all: bool = False, seeds: tuple[int, ...] = (0,)) -> CurvePoint:
+    """``errors``: of each training and episode."""
+    episodes = list(range(errors.shape[1]))
+    sums = [{"episode": episodes, "n": [FRAMES] * len(episodes), "sum": (one * FRAMES).tolist()} for one in errors]
+    return CurvePoint(labels=labels, is_all=is_all, sums=sums, seeds=seeds)
+
+
+def _flat(labels: int, error: float, **more: object) -> CurvePoint:
+    return _point(labels, np.full((1, EPISODES), error), **more)
+
+
+@pytest.mark.parametrize(
+    ("errors", "needed"),
+    [
+        ([8.0, 4.0, 2.0, 1.0], 64 * 2 ** (0.9 * 2)),  # 1.1 lies nine tenths of the way from 2 at 64 to 1 at 256
+        ([8.0, 1.1, 1.05, 1.0], 16.0),
+        ([1.0, 1.0, 1.0, 1.0], 4.0),
+        ([8.0, 1.0, 8.0, 1.0], 64 * 2 ** (6.9 / 7 * 2)),  # coming close once is not staying close
+        ([9.0, 9.0, 9.0, 9.0], 4.0),
+    ],
+)
+def test_the_curve_crosses_where_it_is_drawn(errors, needed) -> None:
+    assert crossing([4, 16, 64, 256], errors, 1.1 * errors[-1]) == pytest.approx(needed)
+
+
+def test_a_curve_without_spread_has_its_own_crossing_as_its_interval() -> None:
+    curve = [_flat(4, 8.0), _flat(16, 4.0), _flat(64, 2.0), _flat(256, 1.0, is_all=True)]
+    found = labels_needed(curve[::-1])
+    assert found is not None
+    assert (found.labels, found.low, found.high) == pytest.approx((64 * 2**1.8,) * 3)
+    assert not found.at_most
+    closer = labels_needed(curve, within=1.0)
+    assert closer is not None
+    assert closer.labels == pytest.approx(64)
+
+
+def test_what_is_close_from_the_start_may_need_fewer() -> None:
+    found = labels_needed([_flat(1, 1.05), _flat(2, 1.0), _flat(400, 1.0, is_all=True)])
+    assert found is not None
+    assert found.at_most
+    assert found.labels == 1
+
+
+def test_the_interval_grows_with_the_spread_over_episodes_and_over_trainings() -> None:
+    generator = np.random.default_rng(0)
+
+    def width(over_episodes: float, over_trainings: float) -> float:
+        points = []
+        for labels, error in ((4, 3.0), (16, 2.0), (64, 1.0)):
+            spread = 1 + over_episodes * generator.standard_normal((1, EPISODES))
+            trainings = 1 + over_trainings * np.array([[-1.0], [0.0], [1.0]])
+            errors = error * spread.clip(0.1) * trainings
+            points.append(_point(labels, errors, is_all=labels == 64, seeds=(labels, labels + 1, labels + 2)))
+        found = labels_needed(points)
+        assert found is not None
+        assert found.low is not None
+        assert found.high is not None
+        assert found.low <= found.labels <= found.high
+        return found.high - found.low
+
+    still = width(0.0, 0.0)
+    assert still == pytest.approx(0, abs=1e-9)
+    assert width(0.3, 0.0) > 1
+    assert width(0.0, 0.3) > 1
+
+
+def test_trainings_that_are_the_same_for_all_budgets_are_drawn_together() -> None:
+    points = [
+        _point(labels, error * np.array([[1.0], [5.0]]) * np.ones((2, EPISODES)), is_all=labels == 64, seeds=(0, 1))
+        for labels, error in ((4, 3.0), (16, 2.0), (64, 1.0))
+    ]
+    found = labels_needed(points)  # a training that is five times worse is so at each budget: the shape is one
+    assert found is not None
+    assert found.low == pytest.approx(found.high)
+
+
+def test_curves_that_do_not_compare_have_no_figure() -> None:
+    whole = _flat(64, 1.0, is_all=True)
+    assert labels_needed([whole]) is None
+    assert labels_needed([_flat(4, 2.0), _flat(64, 1.0)]) is None
+    assert labels_needed([_point(4, np.ones((1, EPISODES - 1))), whole]) is None
+
+
+def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(sound: Entry) -> None:
+    def entry(model: str, labels: str, total: int, error: float) -> Entry:
+        made = copy.deepcopy(dict(sound.content))
+        made |= {
+            "model": model,
+            "run": f"{model}-{labels}-s0",
+            "labels": {"asked": labels, "given": {}, "total": total},
+        }
+        figure = {"mean": error, "std": 1.0, "low": error, "high": error, "n": FRAMES * EPISODES}
+        sums = {"episode": list(range(EPISODES)), "n": [FRAMES] * EPISODES, "sum": [error * FRAMES] * EPISODES}
+        made |= {"figures": made["figures"] | {"mse": figure}, "by_episode": {"mse": sums}}
+        return Entry(made)
+
+    curve = [entry("a", "4", 4, 4.0), entry("a", "16", 16, 2.0), entry("a", "100%", 64, 1.0)]
+    two_points = [entry("b", "10%", 6, 2.0), entry("b", "100%", 64, 1.0)]
+    (board,) = make_boards([*curve, *two_points])
+    drawn = str(charts(board, assign_styles([board])))
+    assert drawn.count("labels to within 10% of its own with all") == 1
+    assert "55.7" in drawn  # 16 * 4 ** 0.9
+    assert "against copying" in drawn
+    (board,) = make_boards(two_points)
+    assert "Worth of labels" not in str(charts(board, assign_styles([board])))

@@ -1,0 +1,80 @@
+"""Fine-tuning: a model that needs only another row of its table finds it, and one that is right is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+
+from dmotion_bench.actions import Discrete
+from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.adaptation import finetune
+from dmotion_bench.learning.demonstrations import Demonstrations
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TrainingConfig
+from dmotion_bench.specs import Supervision
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nothing:
+    """No settings."""
+
+
+class Brighter(ForwardModel[Nothing]):
+    """The next frame is the last one, brighter by what the action's latent says, times a gain."""
+
+    supervision, paper, Config = Supervision.NONE, "test", Nothing
+
+    def __init__(self, config, inputs) -> None:
+        super().__init__(config, inputs)
+        self.gain = torch.nn.Parameter(torch.ones(()))
+        self.table = ActionToLatent(inputs.actions, 1)
+
+    def losses(self, batch):
+        return Losses(total=self.gain)
+
+    def predict(self, previous, current, action):
+        return current * self.gain + self.table(action)[..., None, None]
+
+
+def _shown(count: int, steps: tuple[float, float], gain: float = 1.0) -> Demonstrations:
+    current = torch.rand(count, 3, 4, 4, generator=torch.Generator().manual_seed(0)) - 0.5
+    action = torch.arange(count) % 2
+    brighter = torch.tensor(steps)[action][:, None, None, None]
+    return Demonstrations(previous=current, current=current, next=current * gain + brighter, action=action)
+
+
+def _model() -> Brighter:
+    return Brighter(Nothing(), ModelInputs(height=4, width=4, actions=Discrete.numbered(2)))
+
+
+CONFIG = TrainingConfig(epochs=1, adaptation="finetuned", adaptation_steps=400, adaptation_rate=0.01)
+
+
+@pytest.mark.parametrize("count", [2, 16])
+def test_rows_and_weights_are_found_by_gradient(count) -> None:
+    model, shown = _model(), _shown(count, (0.2, -0.3), gain=0.5)
+    kept = finetune(model, shown, CONFIG, seed=0, precision="float32")
+    assert kept > 0
+    torch.testing.assert_close(model.table.rows, torch.tensor([[0.2], [-0.3]]), atol=0.02, rtol=0)
+    torch.testing.assert_close(model.gain.detach(), torch.tensor(0.5), atol=0.05, rtol=0)
+    assert not model.table.rows.requires_grad
+
+
+def test_what_predicts_the_transitions_left_out_worse_is_not_kept() -> None:
+    model = _model()
+    model.table.fit(torch.tensor([[0.2], [-0.3]]), torch.tensor([0, 1]))
+    shown = _shown(16, (0.2, -0.3))
+    before = model.state_dict()["gain"].clone()
+    assert finetune(model, shown, CONFIG, seed=0, precision="float32") == 0
+    assert torch.equal(model.gain, before)
+
+
+def test_the_same_seed_ends_with_the_same_bits_and_another_does_not() -> None:
+    found = []
+    for seed in (0, 0, 1):
+        model = _model()
+        finetune(model, _shown(16, (0.2, -0.3), gain=0.5), CONFIG, seed=seed, precision="float32")
+        found.append(model.table.rows)
+    assert torch.equal(found[0], found[1])
+    assert not torch.equal(found[0], found[2])

@@ -46,6 +46,7 @@ COMMANDS = (
     "play",
     "view",
     "leaderboard",
+    "reproduce",
     "list_names",
     "bench",
     "info",

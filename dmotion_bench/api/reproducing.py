@@ -388,4 +388,3 @@ def _on_gpu(device: str) -> bool:
 def _is_of(entry: Path, runs: Iterable[Path]) -> bool:
     """Whether an entry's file is of one of these runs, so that it is written anew."""
     return read_json(entry).get("run") in {run.name for run in runs}
-

@@ -1,10 +1,10 @@
 """A simulated cluster: jobs that sleep, under the real schedulers, and the share of the time that is not work.
 
-``python -m dmotion_bench.benchmarks.cluster`` runs 64 workers on this machine: processes of its own, Ray with 64 logical
-processors, and jobs of submitit as it starts them where there is no Slurm. A sleeping job takes no processor, so 64 of
-them run beside each other on any machine, and what is measured is the scheduling, the start of the workers and the way
-of jobs and receipts. Starting 64 processes on a machine of few cores takes as long as these cores need for it; on a
-cluster each machine starts its own. So the time until all workers have been at work is told apart from the rest.
+``python -m dmotion_bench.benchmarks.cluster`` runs 64 workers on this machine: processes, Ray with 64 logical
+processors, and jobs of submitit as it starts them where there is no Slurm. A sleeping job takes no processor, so 64 run
+beside each other on any machine. What is measured is the scheduling, the start of the workers and the way of jobs and
+receipts. Starting 64 processes takes as long as the cores of this machine need for it; on a cluster each machine
+starts its own. So the time until all workers have been at work is told apart from the rest.
 """
 
 from __future__ import annotations

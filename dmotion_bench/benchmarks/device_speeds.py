@@ -114,9 +114,7 @@ def matrix_products_on(device: torch.device, precision: str, operations: float) 
         torch.mm(left, left)
         wait_for(device)
 
-    return Yardstick(
-        name=f"matrix products alone, {device.type}", amount=2.0 * side**3 / operations, work=work
-    )
+    return Yardstick(name=f"matrix products alone, {device.type}", amount=2.0 * side**3 / operations, work=work)
 
 
 def _copied(device: torch.device) -> Yardstick:

@@ -1,7 +1,7 @@
 """What a million hours of video would take, from figures that are measured here.
 
-``python -m dmotion_bench.benchmarks.million_hours`` measures them in about two minutes of one core and prints the tables
-of docs/experiments/scale.md. ``amounts`` is the arithmetic alone.
+``python -m dmotion_bench.benchmarks.million_hours`` measures them in about two minutes of one core and prints what
+docs/experiments/scale.md shows. ``amounts`` is the arithmetic alone.
 
 No recording of a real camera is at hand without a network. Noise with a standard deviation of 2 of 255 is laid over
 the frames of a rendered world to stand for one: without loss such frames are hardly smaller than the noise is.
@@ -149,7 +149,9 @@ def measured(world: str) -> Inputs:
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory(prefix="dmbench-") as place:
         folder = Path(place)
-        few = Dataset.open(record_dataset(folder / "few", recipe_for(world, Preset.SMALL, episodes=_FEW, tasks=0)).dataset)
+        few = Dataset.open(
+            record_dataset(folder / "few", recipe_for(world, Preset.SMALL, episodes=_FEW, tasks=0)).dataset
+        )
         noisy = Dataset.open(_with_noise(few, folder / "noisy"))
         one, more = (scene_dataset(folder / f"scene-{count}", count, 12).path for count in (_FEW, _MORE))
         index, manifest = (_beside(more, name) - _beside(one, name) for name in (None, "dataset.json"))

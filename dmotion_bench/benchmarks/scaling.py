@@ -150,7 +150,9 @@ def _scaled(
         began = time.perf_counter()
         _typed(place, [*words, *more], may_fail=json_rows or name == "check")
         seconds.append(time.perf_counter() - began)
-    return Scaled(command=" ".join(["dmbench", *(word for word in words if "/" not in word)]), one=seconds[0], two=seconds[1])
+    return Scaled(
+        command=" ".join(["dmbench", *(word for word in words if "/" not in word)]), one=seconds[0], two=seconds[1]
+    )
 
 
 def _shared(folder: Path) -> Shared:

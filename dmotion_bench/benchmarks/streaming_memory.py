@@ -62,9 +62,7 @@ def measure_memory(path: Path, window: int, most: int) -> Memory:
             batches.gather(order.batch(step))
     finally:
         batches.close()
-    return Memory(
-        episodes=len(dataset), triplets=steps * _BATCH, before=before, opened=opened, streamed=_peak()
-    )
+    return Memory(episodes=len(dataset), triplets=steps * _BATCH, before=before, opened=opened, streamed=_peak())
 
 
 def _peak() -> float:

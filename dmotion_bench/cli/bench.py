@@ -48,7 +48,6 @@ def bench(
     import torch
 
     from dmotion_bench.api.scoring import compute_device
-
     from dmotion_bench.benchmarks.comparison import changes, read_stored
     from dmotion_bench.benchmarks.machine import graphics, processor
     from dmotion_bench.benchmarks.result import Failure
@@ -66,7 +65,12 @@ def bench(
     changed = [] if stored is None else list(changes(stored, results))
     threads = torch.get_num_threads()
     if as_json:
-        found = {"processor": processor(), "threads": threads, "gpu": graphics(gpu), "results": [one.to_json() for one in results]}
+        found = {
+            "processor": processor(),
+            "threads": threads,
+            "gpu": graphics(gpu),
+            "results": [one.to_json() for one in results],
+        }
         compared = {} if stored is None else {"changes": list(map(asdict, changed))}
         typer.echo(json.dumps(found | {"failures": list(map(asdict, failures))} | compared))
     elif results:

@@ -162,7 +162,9 @@ def _show_cost(cost: Cost) -> None:
     head = ("what", "of", "jobs", "amount", "core-hours", *(("GPU-hours",) if gpu else ()))
     rows = [_row(line, gpu) for line in cost.lines if line.jobs]
     total = ("in all", "", str(sum(line.jobs for line in cost.lines)), "", _hours(cost.core_hours))
-    show_rows(head, [*rows, (*total, *((_hours(cost.gpu_hours),) if gpu else ()))], right=frozenset(head[2:3] + head[4:]))
+    show_rows(
+        head, [*rows, (*total, *((_hours(cost.gpu_hours),) if gpu else ()))], right=frozenset(head[2:3] + head[4:])
+    )
     for assumed in cost.assumptions:
         typer.echo(f"- {assumed}")
     for said in cost.unknown:

@@ -293,9 +293,9 @@ def _trainings(entrant: Entrant, recording: Recording, seed: int, preset: Preset
     kind, actions = model_class(entrant.model), recording.facts.actions
     most = recording.recipe.episodes * (recording.recipe.frames - 1)
     budgets = dict.fromkeys(
-        str(request)
+        str(budget)
         for labels in entrant.labels
-        if (request := _usable(entrant.model, kind.supervision, labels, actions, most)) is not None
+        if (budget := _usable(entrant.model, kind.supervision, labels, actions, most)) is not None
     )
     rows = tuple(Row(model=entrant.model, labels=labels) for labels in budgets)
     request = TrainingRequest(model="", preset=preset, arch=entrant.arch, seed=seed, settings=entrant.settings)

@@ -196,9 +196,7 @@ class Table:
         )
 
 
-def _chosen(
-    kind: str, asked: Sequence[str] | None, given: Sequence[Kept], names: Sequence[str]
-) -> tuple[Kept, ...]:
+def _chosen(kind: str, asked: Sequence[str] | None, given: Sequence[Kept], names: Sequence[str]) -> tuple[Kept, ...]:
     if asked is None:
         return tuple(given)
     for name in asked:

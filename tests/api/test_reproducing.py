@@ -299,7 +299,9 @@ def test_the_papers_table_has_the_rows_that_were_published() -> None:
     published = {(one.environment, one.model, one.labels) for one in published_results()}
     ours = {(w.environment, one.model, labels) for w in table.worlds for one in table.entrants for labels in one.labels}
     assert ours == published
-    with_control = {one.model for one in published_results() if any(name.startswith("control_distance") for name in one.figures)}
+    with_control = {
+        one.model for one in published_results() if any(name.startswith("control_distance") for name in one.figures)
+    }
     assert {*table.columns[1].models} == with_control
 
 

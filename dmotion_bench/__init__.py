@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dmotion_bench.api.demonstration import demo
     from dmotion_bench.api.planning import Planned, plan
     from dmotion_bench.api.recording import record
+    from dmotion_bench.api.reproducing import Reproduced, reproduce
     from dmotion_bench.api.runs import Run, load_run
     from dmotion_bench.api.scoring import score
     from dmotion_bench.api.sharing import share_list, share_pull, share_push
@@ -52,6 +53,7 @@ __all__ = [
     "Planned",
     "Recorded",
     "Report",
+    "Reproduced",
     "Run",
     "Served",
     "TripletDataset",
@@ -66,6 +68,7 @@ __all__ = [
     "record",
     "register_environment",
     "register_model",
+    "reproduce",
     "score",
     "share_list",
     "share_pull",
@@ -81,6 +84,7 @@ _HOMES: Final = {
     "Planned": "api.planning",
     "Recorded": "recording.session",
     "Report": "scoring.report",
+    "Reproduced": "api.reproducing",
     "Run": "api.runs",
     "Served": "api.viewing",
     "TripletDataset": "api.datasets",
@@ -94,6 +98,7 @@ _HOMES: Final = {
     "record": "api.recording",
     "register_environment": "registry",
     "register_model": "registry",
+    "reproduce": "api.reproducing",
     "score": "api.scoring",
     "share_list": "api.sharing",
     "share_pull": "api.sharing",

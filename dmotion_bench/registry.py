@@ -1,4 +1,4 @@
-"""Registered environments, models, objectives, solvers and speeds: names to what they stand for, by entry points.
+"""Registered environments, models, objectives, solvers, speeds and tables: names and what they are, by entry points.
 
 ``FAMILY:MEMBER`` names an environment of a family, which decides itself what its members are.
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dmotion_bench.learning.model import ForwardModel
     from dmotion_bench.planning.objectives.base import Objective
     from dmotion_bench.planning.solvers.base import Solver
+    from dmotion_bench.reproduction.table import Table
 
 ENVIRONMENTS = "dmbench.environments"
 FAMILIES = "dmbench.environment_families"
@@ -28,6 +29,8 @@ MODELS = "dmbench.models"
 OBJECTIVES = "dmbench.objectives"
 SOLVERS = "dmbench.solvers"
 SPEEDS = "dmbench.speeds"
+TABLES = "dmbench.tables"
+LEADERBOARD = "dmbench.leaderboard"
 
 LISTED = {
     ENVIRONMENTS: "dmbench list environments",
@@ -35,6 +38,7 @@ LISTED = {
     MODELS: "dmbench list models",
     OBJECTIVES: "dmbench score --help",
     SOLVERS: "dmbench score --help",
+    TABLES: "dmbench reproduce --help",
 }
 """The commands that list the names of each group."""
 
@@ -260,3 +264,34 @@ def solver_class(name: str) -> type[Solver]:
     """
     loaded: type[Solver] = _load(SOLVERS, "planner", name)
     return loaded
+
+
+def table_names() -> list[str]:
+    """The names of all tables that can be reproduced."""
+    return names(TABLES)
+
+
+def table(name: str) -> Table:
+    """A table that can be reproduced.
+
+    Raises:
+        UnknownName: Nothing is registered under this name.
+    """
+    loaded: Table = _load(TABLES, "table", name)
+    return loaded
+
+
+def leaderboard_part(name: str) -> Callable[..., Any]:
+    """A function of the leaderboard's package, which the core does not know.
+
+    Raises:
+        DmbenchError: No installed package has it.
+    """
+    for point in entry_points(group=LEADERBOARD):
+        if point.name == name:
+            loaded: Callable[..., Any] = point.load()
+            return loaded
+    raise DmbenchError(
+        f"no installed package has the leaderboard's {name!r} (entry points {LEADERBOARD!r}); "
+        "install dmbench again: 'pip install --editable .' in its folder."
+    )

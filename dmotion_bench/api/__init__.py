@@ -9,6 +9,7 @@
     planning.py       plan: one control task
     progress.py       how a caller is told how far the work is
     recording.py      record
+    reproducing.py    reproduce: a whole table of figures
     runs.py           load_run; a trained model that takes frames and the names of actions
     scoring.py        score; references of control
     settings.py       settings as Python writes them

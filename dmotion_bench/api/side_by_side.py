@@ -66,6 +66,11 @@ class Hands:
         return self.executor in (None, "local") and self.at_once(jobs) == 1
 
 
+def gpus_of_a_job(hands: Hands) -> int:
+    """How many GPUs each job asks a cluster for; this machine's processes see all of them."""
+    return int(hands.device == "cuda")
+
+
 def table_rows(dataset: Dataset) -> list[Row]:
     """Every model with each of its label budgets on a data set."""
     return list(rows(dataset))
@@ -111,7 +116,9 @@ def _trained_at_once(
     if not request.stream and not dataset.cache_file.lacking():
         dataset.cache()  # once, and not by every job
     threads, total = request.threads or 1, len(table_rows(dataset))
-    size = JobSize(processors=threads, gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
+    size = JobSize(
+        processors=threads, gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES, gpus=gpus_of_a_job(hands)
+    )
     with jobs_folder(workspace) as folder:
         name = hands.executor or "local"
         executor = make_executor(name, hands.at_once(models), scratch=folder / name, size=size)
@@ -174,7 +181,7 @@ def score_at_once(
     own = {job.run: path for job, path in zip(jobs, paths, strict=True)}
     reports: dict[Path, Report] = {}
     failures: dict[str, str] = {}
-    size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
+    size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES, gpus=gpus_of_a_job(hands))
     with jobs_folder(workspace) as folder:
         executor = make_executor(name, hands.at_once(len(paths)), scratch=folder / name, size=size)
         hands.count(0, len(jobs))

@@ -24,6 +24,11 @@ def processor() -> str:
     return sentence(names[0] if names else platform.processor() or platform.machine() or "an unknown processor")
 
 
+def graphics(device: torch.device | None) -> str:
+    """What a GPU calls itself; empty for none."""
+    return sentence(torch.cuda.get_device_name(device)) if device is not None and device.type == "cuda" else ""
+
+
 def memory_copy(frame_bytes: int) -> Yardstick:
     """Frames a second that one core copies from memory to memory."""
     source = np.random.default_rng(0).integers(0, 256, 64 * 2**20, dtype=np.uint8)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from dmotion_bench.benchmarks import machine
+from dmotion_bench.benchmarks.device_speeds import device_works
 from dmotion_bench.benchmarks.planning_speed import PlanningOneByOne, PlanningTogether
 from dmotion_bench.benchmarks.result import Failure, Result
 from dmotion_bench.benchmarks.rounds import measure_in_rounds
@@ -29,25 +31,32 @@ from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.positions import PositionFinder
+from dmotion_bench.recording.preset import recipe_for
+from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.recording.speed import RecordedFrames
 from dmotion_bench.registry import environment_names, model_class, model_names, speed, speed_names
 from dmotion_bench.specs import Preset
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
 from dmotion_bench.wording import sentence
 
 _FRAME_BYTES: Final = SIZE * SIZE * 3
 _EPISODES, _FRAMES = 100, 30  # of the cache that is loaded from
+_RECORDED: Final = 40  # episodes of an environment that are streamed
 _BATCH: Final = 32
 _IMAGES: Final = 64
 
 
-def measure(only: str, seconds: float, announce: Callable[[str], None]) -> Iterator[Result | Failure]:
+def measure(
+    only: str, seconds: float, announce: Callable[[str], None], device: torch.device | None = None
+) -> Iterator[Result | Failure]:
     """Every speed whose name holds ``only``, one after the other, each measured for about so long.
 
     What somebody's environment or model raises is told, and the next speed is measured.
 
     Args:
         announce: Told the name of what is measured next.
+        device: A GPU, whose speeds are measured, too; None for the CPU alone.
 
     Raises:
         UnknownName: No speed's name holds it.
@@ -57,6 +66,7 @@ def measure(only: str, seconds: float, announce: Callable[[str], None]) -> Itera
         works[f"record[{name}]"] = partial(recording, name, seconds)
     works["load_triplets"] = partial(loading, seconds)
     works["stream_triplets"] = partial(streaming, seconds)
+    works |= {f"stream_triplets[{name}]": partial(streaming, seconds, name) for name in environment_names()}
     for name in model_names():
         works |= {f"train[{name}{arch}]": partial(training, name, arch[1:], seconds) for arch in _architectures(name)}
     for name in model_names():
@@ -65,6 +75,9 @@ def measure(only: str, seconds: float, announce: Callable[[str], None]) -> Itera
     works["find_centres"] = partial(finding, seconds)
     for name in speed_names():
         works[name] = partial(_added, name, seconds)
+    if device is not None:
+        models = {name: tuple(arch[1:] for arch in _architectures(name) if arch) for name in model_names()}
+        works |= device_works(models, seconds, device)
     chosen = {name: work for name, work in works.items() if only in name}
     if not chosen:
         raise UnknownName("speed", only, works)
@@ -119,11 +132,23 @@ def loading(seconds: float) -> Result:
         return measure_in_rounds("load_triplets", "triplets/s", work, seconds, machine.memory_copy(3 * _FRAME_BYTES))
 
 
-def streaming(seconds: float) -> Result:
-    """Triplets a second of processor time, gathered from compressed shards while they are read, on one core."""
+def streaming(seconds: float, environment: str | None = None) -> Result:
+    """Triplets a second of processor time, gathered from compressed shards while they are read, on one core.
+
+    Args:
+        seconds: How long is measured.
+        environment: Whose recording is read; None for the made-up scene.
+    """
     with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
-        dataset = scene_dataset(Path(folder) / "scene", _EPISODES, _FRAMES)
-        triplets = StreamedTriplets.of_split(dataset, "train", window=len(dataset) * _FRAMES // 4)
+        if environment is None:
+            name, dataset = "stream_triplets", scene_dataset(Path(folder) / "scene", _EPISODES, _FRAMES)
+        else:
+            name, recipe = f"stream_triplets[{environment}]", recipe_for(environment, Preset.SMALL, tasks=0)
+            few = replace(recipe, episodes=_RECORDED)
+            dataset = Dataset.open(record_dataset(Path(folder) / "recorded", few).dataset)
+        height, width = dataset.spec.height, dataset.spec.width
+        count = int((dataset.lengths - 2).clip(0).sum())
+        triplets = StreamedTriplets.of_split(dataset, "train", window=count // 4)
         order = triplets.order(_BATCH, seed=0)
         batches, step = StreamedBatches(triplets, order, None, torch.device("cpu")), 0
 
@@ -135,8 +160,8 @@ def streaming(seconds: float) -> Result:
             return _BATCH
 
         try:
-            yardstick = machine.memory_copy(3 * _FRAME_BYTES)
-            return measure_in_rounds("stream_triplets", "triplets/s", work, seconds, yardstick, clock=time.process_time)
+            yardstick = machine.memory_copy(3 * height * width * 3)
+            return measure_in_rounds(name, "triplets/s", work, seconds, yardstick, clock=time.process_time)
         finally:
             batches.close()
 

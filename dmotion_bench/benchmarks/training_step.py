@@ -26,6 +26,7 @@ class TrainingStep:
 
     Args:
         name, arch: Of the model.
+        device: Where it trains; None for the CPU.
         changes: What differs from how the model is trained at preset small, by the fields of ``TrainingConfig``.
 
     Attributes:
@@ -33,19 +34,19 @@ class TrainingStep:
         precision: Its own, or where it asks for ``"auto"``, bf16 where the hardware has it.
     """
 
-    def __init__(self, name: str, arch: str, **changes: Any) -> None:
-        kind = model_class(name)
+    def __init__(self, name: str, arch: str, *, device: torch.device | None = None, **changes: Any) -> None:
+        kind, self._device = model_class(name), device or torch.device("cpu")
         self.config: TrainingConfig = replace(kind.training_defaults(Preset.SMALL, arch), **changes)
-        self.precision: Precision = settled(self.config.precision, 0, torch.device("cpu")) or "bf16"
-        self._model = untrained(name, arch).laid_out(channels_last=self.config.channels_last)
+        self.precision: Precision = settled(self.config.precision, 0, self._device) or "bf16"
+        self._model = untrained(name, arch).to(self._device).laid_out(channels_last=self.config.channels_last)
         self._optimizer = make_optimizer(self._model, self.config)
         self._model.enter(max(self._model.phases(), key=lambda phase: phase.fraction))
         self._model.train()
-        self._batch = _noise(self.config.batch_size, kind.supervision is Supervision.ACTIONS)
+        self._batch = _noise(self.config.batch_size, kind.supervision is Supervision.ACTIONS, self._device)
 
     def __call__(self) -> None:
         """One step: loss, gradient, update."""
-        with autocast(self.precision, torch.device("cpu")):
+        with autocast(self.precision, self._device):
             losses = self._model.losses(self._batch)
         torch.autograd.backward(losses.total)
         self._optimizer.step()
@@ -66,10 +67,10 @@ def untrained(name: str, arch: str) -> ForwardModel[Any]:
         return kind(kind.configure(arch), ModelInputs(height=SIZE, width=SIZE, actions=Discrete.numbered(ACTIONS)))
 
 
-def _noise(size: int, labelled: bool) -> TripletBatch:
+def _noise(size: int, labelled: bool, device: torch.device) -> TripletBatch:
     frames = np.random.default_rng(0).integers(0, 256, (size, 3, SIZE, SIZE, 3), dtype=np.uint8)
-    images = to_model(torch.from_numpy(frames))
+    images = to_model(torch.from_numpy(frames).to(device))
     previous, current, following = (images[:, step].contiguous(memory_format=torch.channels_last) for step in range(3))
-    action = torch.arange(size) % ACTIONS if labelled else None
-    episode = torch.arange(size) // 4
+    action = torch.arange(size, device=device) % ACTIONS if labelled else None
+    episode = torch.arange(size, device=device) // 4
     return TripletBatch(previous=previous, current=current, next=following, action=action, episode=episode)

@@ -47,6 +47,7 @@ COMMANDS = (
     "view",
     "leaderboard",
     "share",
+    "reproduce",
     "list_names",
     "bench",
     "info",

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dmotion_bench.cli.options import AsJson
+from dmotion_bench.api.settings import DEVICES
+from dmotion_bench.cli.options import AsJson, listed
 
 if TYPE_CHECKING:
     from dmotion_bench.benchmarks.comparison import Change, Stored
@@ -34,33 +35,48 @@ def bench(
             help="Say what became slower since this output of 'dmbench bench --json'; exit with 1 if anything did.",
         ),
     ] = None,
+    device: Annotated[
+        str,
+        typer.Option(
+            metavar=listed(DEVICES),
+            help="Measure training, loading and planning on a GPU as well. auto does where there is one.",
+        ),
+    ] = "auto",
     as_json: AsJson = False,
 ) -> None:
     """Measure how fast this machine records, loads, trains and plans, beside its limits."""
     import torch
 
+    from dmotion_bench.api.scoring import compute_device
     from dmotion_bench.benchmarks.comparison import changes, read_stored
-    from dmotion_bench.benchmarks.machine import processor
+    from dmotion_bench.benchmarks.machine import graphics, processor
     from dmotion_bench.benchmarks.result import Failure
     from dmotion_bench.benchmarks.speeds import measure
     from dmotion_bench.cli.progress import progress_bar
 
+    where = compute_device(device)
+    gpu = where if where.type == "cuda" else None
     stored = None if compare is None else read_stored(compare)
     with progress_bar() as bar:
         task = bar.add_task("measuring", total=None, status="")
-        measured = list(measure(only, seconds, lambda name: bar.update(task, status=name)))
+        measured = list(measure(only, seconds, lambda name: bar.update(task, status=name), gpu))
     results = [one for one in measured if not isinstance(one, Failure)]
     failures = [one for one in measured if isinstance(one, Failure)]
     changed = [] if stored is None else list(changes(stored, results))
     threads = torch.get_num_threads()
     if as_json:
-        found = {"processor": processor(), "threads": threads, "results": [one.to_json() for one in results]}
+        found = {
+            "processor": processor(),
+            "threads": threads,
+            "gpu": graphics(gpu),
+            "results": [one.to_json() for one in results],
+        }
         compared = {} if stored is None else {"changes": list(map(asdict, changed))}
         typer.echo(json.dumps(found | {"failures": list(map(asdict, failures))} | compared))
     elif results:
         from dmotion_bench.cli.tables import show_rows
 
-        typer.echo(f"{processor()}, {threads} threads")
+        typer.echo(", ".join(part for part in (processor(), f"{threads} threads", graphics(gpu)) if part))
         head = ("what", "speed", "unit", "of limit", "limit, or the fastest setting")
         show_rows(head, map(_row, results), right=frozenset({"speed", "of limit"}))
     for failure in failures:

@@ -7,7 +7,6 @@ The core knows no leaderboard: what the commands call comes through entry points
 from __future__ import annotations
 
 import json
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 _GIGABYTES: Final = 2.0  # that checking takes beside others
 _CLUSTER_GIGABYTES: Final = 16
 _CLUSTER_MINUTES: Final = 24 * 60
-GROUP = "dmbench.leaderboard"
 FOLDER = "leaderboard"
 
 group = typer.Typer(help="Compare runs, build the leaderboard's page, and check entries.", no_args_is_help=True)
@@ -277,15 +275,9 @@ def serve(
 
 def _part(name: str) -> Any:
     """The function with this name in the leaderboard's package."""
-    from dmotion_bench.errors import DmbenchError
+    from dmotion_bench.registry import leaderboard_part
 
-    for point in entry_points(group=GROUP):
-        if point.name == name:
-            return point.load()
-    raise DmbenchError(
-        f"no installed package has the leaderboard's {name!r} (entry points {GROUP!r}); "
-        "install dmbench again: 'pip install --editable .' in its folder."
-    )
+    return leaderboard_part(name)
 
 
 def _show_verdict(verdict: Any) -> None:

@@ -20,6 +20,7 @@ OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
 EXECUTORS: Final = ("local", "ray", "slurm")
+TABLES: Final = ("control", "labels", "paper")
 
 
 def listed(names: Iterable[str]) -> str:

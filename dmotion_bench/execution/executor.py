@@ -26,12 +26,14 @@ class JobSize:
     Attributes:
         processors: How many.
         gigabytes: Of memory.
+        gpus: How many.
         minutes: After which a job may be ended; Slurm's own variable ``SBATCH_TIMELIMIT`` comes before it.
     """
 
     processors: int = 1
     gigabytes: int = 2
     minutes: int = 60
+    gpus: int = 0
 
 
 @runtime_checkable

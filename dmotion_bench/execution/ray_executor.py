@@ -11,7 +11,7 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
@@ -29,7 +29,7 @@ class RayExecutor:
 
     Args:
         workers: How many at a time; None: as many as there are processors for.
-        size: What is asked for, for each job; of it, Ray is told the processors.
+        size: What is asked for, for each job; of it, Ray is told the processors and the GPUs.
 
     Raises:
         PackageNotInstalled: There is no Ray here.
@@ -44,7 +44,8 @@ class RayExecutor:
         except ImportError as error:
             raise PackageNotInstalled("ray", "--executor ray", "pip install 'dmbench[ray]'") from error
         self._ray: Any = ray
-        self._workers, self._each = workers, (size or JobSize()).processors
+        size = size or JobSize()
+        self._workers, self._each, self._gpus = workers, size.processors, size.gpus
 
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
         """The results, as they are ready."""
@@ -54,12 +55,12 @@ class RayExecutor:
         try:
             if ours:
                 self._start()
-            limit = self._workers or max(1, int(ray.cluster_resources().get("CPU", 1)) // self._each)
+            limit = self._workers or self._most(ray.cluster_resources())
 
             def run(job: Job) -> Result:  # Ray takes functions, not whatever can be called
                 return function(job)
 
-            task = ray.remote(num_cpus=self._each, max_retries=ATTEMPTS - 1)(run)
+            task = ray.remote(num_cpus=self._each, num_gpus=self._gpus, max_retries=ATTEMPTS - 1)(run)
             waiting = iter(jobs)
             while True:
                 for job in waiting:
@@ -79,6 +80,11 @@ class RayExecutor:
                 ray.cancel(one, force=True)
             if ours:
                 ray.shutdown()
+
+    def _most(self, resources: Mapping[str, float]) -> int:
+        """How many jobs the cluster can run at a time."""
+        most = int(resources.get("CPU", 1)) // self._each
+        return max(1, min(most, int(resources.get("GPU", 0)) // self._gpus) if self._gpus else most)
 
     def _start(self) -> None:
         """Start Ray; it would end this process on SIGTERM without tidying up."""

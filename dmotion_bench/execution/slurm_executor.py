@@ -93,6 +93,8 @@ class SlurmExecutor:
         executor.update_parameters(
             name="dmbench", timeout_min=size.minutes, cpus_per_task=size.processors, mem_gb=size.gigabytes
         )
+        if size.gpus:
+            executor.update_parameters(gpus_per_node=size.gpus)
         if self._workers:
             executor.update_parameters(slurm_array_parallelism=self._workers)
         return executor

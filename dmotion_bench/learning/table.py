@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -198,6 +198,11 @@ def train_side_by_side(
         )
         for model, own in itertools.groupby(rows(dataset), key=lambda row: row.model)
     ]
+    yield from train_jobs(jobs, executor)
+
+
+def train_jobs(jobs: Sequence[TableJob], executor: Executor) -> Generator[Outcome]:
+    """Do jobs of several tables, too; the outcomes of all their rows come as they are ready."""
     results = executor.map_unordered(train_rows, jobs)
     with contextlib.closing(results):  # type: ignore[type-var]
         for found in results:

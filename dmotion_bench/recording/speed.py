@@ -14,7 +14,7 @@ from types import TracebackType
 
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import ShardJob, environment_facts, record_shard
-from dmotion_bench.specs import Preset
+from dmotion_bench.specs import DatasetRecipe, Preset
 
 
 class RecordedFrames:
@@ -22,11 +22,13 @@ class RecordedFrames:
 
     Args:
         environment: Registry name.
+        recipe: How it is recorded; None for preset small.
     """
 
-    def __init__(self, environment: str) -> None:
+    def __init__(self, environment: str, recipe: DatasetRecipe | None = None) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="dmbench-")
-        recipe = replace(recipe_for(environment, Preset.SMALL, tasks=0), episodes=10**6)  # more than will be made
+        recipe = recipe or recipe_for(environment, Preset.SMALL, tasks=0)
+        recipe = replace(recipe, episodes=10**6, tasks=0)  # more than will be made
         spec, folder = environment_facts(recipe), Path(self._folder.name)
         self._jobs: Iterator[ShardJob] = (
             ShardJob(dataset=folder, recipe=recipe, spec=spec, index=index) for index in itertools.count()

@@ -1,0 +1,390 @@
+"""A whole table of figures: record its worlds, train its models, score their runs, build its pages."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from dmotion_bench.api.progress import Progress, telling
+from dmotion_bench.api.recording import executor_for, record_recipe
+from dmotion_bench.api.scoring import compute_device
+from dmotion_bench.api.settings import DEVICES, as_preset, require_one_of
+from dmotion_bench.api.side_by_side import Hands, gpus_of_a_job, score_at_once
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.execution.executor import Executor, JobSize
+from dmotion_bench.execution.executors import make_executor
+from dmotion_bench.execution.job_progress import JobProgress, ProgressFile, jobs_folder, watching
+from dmotion_bench.learning.table import Outcome, TableJob, train_jobs
+from dmotion_bench.planning.mpc import ControlProgress
+from dmotion_bench.registry import leaderboard_part
+from dmotion_bench.registry import table as table_named
+from dmotion_bench.reproduction.cost import Cost, control_places, cost_of
+from dmotion_bench.reproduction.plan import Plan, Recording, Training, require_models
+from dmotion_bench.reproduction.settled import state_of
+from dmotion_bench.reproduction.speeds import Speeds
+from dmotion_bench.reproduction.table import Column, Table
+from dmotion_bench.scoring.control import ControlScoring, score_reference
+from dmotion_bench.specs import Preset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.json_file import read_json
+from dmotion_bench.workspace import AnyPath, Workspace
+
+THREADS: Final = 1
+"""Of each training, so that its weights do not depend on how many trainings run beside each other."""
+
+_GIGABYTES, _MINUTES = 16, 24 * 60  # that a cluster is asked for, for each job
+_LOG = logging.getLogger(__name__)
+
+
+def _nobody(*_: object) -> None:
+    """Nobody wants to know."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watch:
+    """Who is told how far a table is.
+
+    Attributes:
+        count: Told of each part how much of how much is done.
+        jobs: Told how far those jobs are that run, by their names.
+        note: Told in a sentence what failed.
+    """
+
+    count: Callable[[str, int, int], None] = field(default=_nobody)
+    jobs: Callable[[Mapping[str, JobProgress]], None] = field(default=_nobody)
+    note: Callable[[str], None] = field(default=_LOG.info)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduced:
+    """What became of a table.
+
+    Attributes:
+        table: Its name.
+        cost: What was left of it before the work began.
+        pages: Its pages, those that were there already, too; empty after a dry run.
+        runs: The folders of its runs.
+        failures: Why a training, a scoring or a page failed, by what it was.
+    """
+
+    table: str
+    cost: Cost
+    pages: tuple[Path, ...] = ()
+    runs: tuple[Path, ...] = ()
+    failures: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """What ``dmbench reproduce --json`` prints."""
+        return {
+            "table": self.table,
+            "left": self.cost.to_json(),
+            "pages": list(map(str, self.pages)),
+            "runs": list(map(str, self.runs)),
+            "failures": dict(self.failures),
+        }
+
+
+def reproduce(
+    table: str | Table,
+    *,
+    preset: Preset | str | None = None,
+    seeds: Sequence[int] | None = None,
+    models: Sequence[str] | None = None,
+    worlds: Sequence[str] | None = None,
+    executor: str = "local",
+    workers: int | None = None,
+    device: str = "auto",
+    speeds: AnyPath | None = None,
+    dry_run: bool = False,
+    workspace: AnyPath | None = None,
+    progress: Progress = None,
+) -> Reproduced:
+    """Record, train, score and build the pages of a table. The same call goes on with one that was interrupted.
+
+    What is done already is left as it is. Trainings compute with one thread each, so that the weights are the same for
+    any number of workers.
+
+    Args:
+        table: A registered name (``"paper"``, ``"control"``, ``"labels"``), or a table of your own.
+        preset: Size of recordings and trainings; the table's by default.
+        seeds, models, worlds: A part of the table.
+        executor: Where jobs run: ``"local"``, ``"ray"`` or ``"slurm"``.
+        workers: Jobs at a time; by default as many as there are processors and memory for. On a GPU of this machine it
+            is one training at a time. More than one need ``if __name__ == "__main__":`` in a script.
+        device: ``"auto"``, ``"cpu"`` or ``"cuda"``.
+        speeds: A file that ``dmbench bench --json`` wrote; the cost is computed from it where it has the speeds.
+        dry_run: Whether to say only what is left and what it costs.
+        workspace: The folder with ``data/``, ``runs/`` and ``reports/``; the current one by default.
+        progress: A function that is told how far each part is, or True for a bar.
+
+    Raises:
+        UnknownName, UsageError: A name or a value that is not allowed.
+        RecipeMismatch: The folder of a data set holds another one.
+
+    Example:
+        >>> told = dm.reproduce("labels", preset="tiny", models=["lapo"], worlds=["planar_push"], dry_run=True)
+        >>> told.cost.jobs("record"), told.cost.jobs("train")
+        (1, 3)
+    """
+    plan = plan_table(table, preset=preset, seeds=seeds, models=models, worlds=worlds, workspace=workspace)
+    with telling(progress) as tell:
+
+        def count(part: str, done: int, total: int) -> None:
+            tell(JobProgress(what=part, done=done, total=total))
+
+        cost = what_it_costs(plan, device, speeds, lambda what: count(f"measuring {what}", 0, 1))
+        if dry_run:
+            return Reproduced(table=plan.name, cost=cost)
+        return make(plan, cost, Hands(executor=executor, workers=workers, device=device), Watch(count=count))
+
+
+def plan_table(
+    table: str | Table,
+    *,
+    preset: Preset | str | None = None,
+    seeds: Sequence[int] | None = None,
+    models: Sequence[str] | None = None,
+    worlds: Sequence[str] | None = None,
+    workspace: AnyPath | None = None,
+) -> Plan:
+    """The jobs of a table, or of a part of it.
+
+    Raises:
+        UnknownName, UsageError: A name that is not registered or not in the table, or nothing is left of it.
+    """
+    name = table if isinstance(table, str) else "own"
+    known = table_named(table) if isinstance(table, str) else table
+    narrowed = known.narrowed(
+        preset=None if preset is None else as_preset(preset), seeds=seeds, models=models, worlds=worlds
+    )
+    require_models(narrowed)
+    return Plan(narrowed, name, Workspace.current() if workspace is None else Workspace(workspace))
+
+
+def what_it_costs(
+    plan: Plan, device: str = "auto", speeds: AnyPath | None = None, announce: Callable[[str], None] = _nobody
+) -> Cost:
+    """What is left of a table, and what that costs; measures the speeds that nobody has measured yet."""
+    require_one_of("device", device, DEVICES)
+    stored = None if speeds is None else Path(speeds)
+    return cost_of(plan, Speeds(device=compute_device(device), announce=announce, stored=stored))
+
+
+def make(plan: Plan, cost: Cost, hands: Hands, watch: Watch | None = None) -> Reproduced:
+    """Do what is left of a table.
+
+    Args:
+        plan: The table.
+        cost: What was left of it; returned as it is.
+        hands: Who does the jobs; of it ``count`` and ``watch`` are not used.
+        watch: Who is told how far it is.
+    """
+    work = _Work(plan, hands, watch or Watch())
+    work.record()
+    work.train()
+    for columns in plan.pages():
+        for column in columns:
+            work.score(column)
+        work.build(columns)
+    runs = dict.fromkeys(path for training in plan.trainings for path in training.runs(plan.workspace))
+    return Reproduced(
+        table=plan.name,
+        cost=cost,
+        pages=tuple(work.pages),
+        runs=tuple(path for path in runs if path.is_dir()),
+        failures=work.failures,
+    )
+
+
+class _Work:
+    """The parts of a table, one after the other; each does what is left.
+
+    Attributes:
+        failures: Why something failed.
+        pages: That were built, or are there.
+    """
+
+    def __init__(self, plan: Plan, hands: Hands, watch: Watch) -> None:
+        self.plan, self.workspace, self.watch = plan, plan.workspace, watch
+        self.hands = replace(hands, workers=_workers(hands))
+        self.failures: dict[str, str] = {}
+        self.pages: list[Path] = []
+
+    def record(self) -> None:
+        """Record every data set that is not there, or not as the table has it."""
+        left = [one for one in self.plan.recordings if not _is_recorded(one)]
+        total, done = sum(one.recipe.episodes for one in left), 0
+        name, workers = self.hands.executor or "local", self.hands.workers
+        for one in left:
+
+            def tell(told: JobProgress, before: int = done) -> None:
+                self.watch.count("recording", before + int(told.done), total)
+
+            record_recipe(one.recipe, one.folder, executor_for(one.recipe, one.folder, name, workers), tell)
+            done += one.recipe.episodes
+            self.watch.count("recording", done, total)
+
+    def train(self) -> None:
+        """Train every run that is not trained; a failing one does not stop the others."""
+        left = [one for one in self.plan.trainings if one.left(self.workspace)[0]]
+        for folder in dict.fromkeys(one.recording.folder for one in left):
+            dataset = Dataset.open(folder)
+            if not dataset.cache_file.lacking():
+                dataset.cache()  # once, and not by every job
+        total = sum(len(one.rows) for one in left)
+        if not left:
+            return
+        with self._executing(len(left)) as (executor, folder):
+            jobs = [self._job(one, folder / f"{number}.json") for number, one in enumerate(left)]
+            outcomes = train_jobs(jobs, executor)
+            self.watch.count("training", 0, total)
+            with watching(folder, self.watch.jobs), contextlib.closing(outcomes):
+                for done, outcome in enumerate(outcomes, start=1):
+                    self.watch.count("training", done, total)
+                    self._note_outcome(outcome)
+
+    def score(self, column: Column) -> None:
+        """Score the runs of a column that lack figures."""
+        state = state_of(self.plan, column)
+        for reference in column.references:
+            places = control_places(state)
+            if places:
+                self._references(reference, [(one.place.folder, one.control) for one in places])
+        part = f"scoring {column.name}"
+        total, done = len(state.to_score), 0
+        for scoring in self.plan.of_column(column):
+            paths = [path for one, _, path in state.to_score if one is scoring]
+            if not paths:
+                continue
+
+            def count(scored: int, _: int, before: int = done) -> None:
+                self.watch.count(part, before + scored, total)
+
+            _, failures = score_at_once(
+                paths,
+                scoring.metrics(),
+                scoring.settings,
+                self.workspace,
+                replace(self.hands, count=count, watch=self.watch.jobs),
+                data=scoring.data,
+                note=self.watch.note,
+            )
+            self.failures |= {f"scoring {name} for {column.name}": why for name, why in failures.items()}
+            done += len(paths)
+
+    def build(self, columns: Sequence[Column]) -> None:
+        """Build the page of some columns, if an entry is missing on it."""
+        states = [state_of(self.plan, column) for column in columns]
+        folder = self.plan.page(columns[0])
+        new = list(dict.fromkeys(path for state in states for path in state.to_enter))
+        if new:
+            part = f"building {folder.name}"
+            standing = [path for state in states for path in state.standing]
+            kept = [path for path in dict.fromkeys(standing) if not _is_of(path, new)]
+
+            def show(_: str, done: int, total: int) -> None:
+                self.watch.count(part, done, total)
+
+            built = leaderboard_part("build")(new, kept, folder, on_progress=show)
+            lacking = {path.name for column in columns for path in state_of(self.plan, column).to_enter}
+            self.failures |= {f"the entry of {run}": built.left_out.get(run, "it is not there") for run in lacking}
+        if (page := folder / "index.html").is_file():
+            self.pages.append(page)
+
+    def _references(self, name: str, places: Sequence[tuple[Path, ControlScoring]]) -> None:
+        with self._executing(len(places)) as (executor, folder):
+            jobs = [
+                ReferenceJob(name=name, data=data.absolute(), scoring=scoring, progress=folder / f"{number}.json")
+                for number, (data, scoring) in enumerate(places)
+            ]
+            self.watch.count(f"control by {name}", 0, len(jobs))
+            results = executor.map_unordered(score_reference_job, jobs)
+            with watching(folder, self.watch.jobs), contextlib.closing(results):  # type: ignore[type-var]
+                for done, failure in enumerate(results, start=1):
+                    self.watch.count(f"control by {name}", done, len(jobs))
+                    if failure:
+                        self.failures[f"control by {name}"] = failure
+                        self.watch.note(f"control by {name}: {failure}")
+
+    @contextlib.contextmanager
+    def _executing(self, jobs: int) -> Iterator[tuple[Executor, Path]]:
+        """An executor for so many jobs, and the folder in which they meet."""
+        name = self.hands.executor or "local"
+        size = JobSize(processors=THREADS, gigabytes=_GIGABYTES, minutes=_MINUTES, gpus=gpus_of_a_job(self.hands))
+        with jobs_folder(self.workspace) as folder:
+            yield make_executor(name, self.hands.at_once(jobs), scratch=folder / name, size=size), folder
+
+    def _job(self, training: Training, progress: Path) -> TableJob:
+        return TableJob(
+            request=training.request,
+            rows=training.rows,
+            dataset=training.recording.folder.absolute(),
+            workspace=self.workspace.root.absolute(),
+            device=self.hands.device,
+            threads=THREADS,
+            progress=progress,
+        )
+
+    def _note_outcome(self, outcome: Outcome) -> None:
+        if outcome.error is not None:
+            what = f"training {outcome.row.model} with {outcome.row.labels}"
+            self.failures[what] = outcome.error
+            self.watch.note(f"{what}: {outcome.error}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceJob:
+    """Control by a reference, as plain values.
+
+    Attributes:
+        name: Of the reference.
+        data: The data set's folder, in whose cache stays what it did.
+        scoring: Which tasks, and how.
+        progress: The file in which it says how far it is.
+    """
+
+    name: str
+    data: Path
+    scoring: ControlScoring
+    progress: Path | None
+
+
+def score_reference_job(job: ReferenceJob) -> str | None:
+    """Do a job in the present process; why it failed, if it did."""
+    told = ProgressFile(job.progress)
+
+    def show(progress: ControlProgress) -> None:
+        told.tell(JobProgress(what=f"control by {job.name}", done=progress.steps, total=progress.total))
+
+    try:
+        score_reference(job.name, Dataset.open(job.data), job.scoring, progress=show)
+    except DmbenchError as error:
+        return str(error)
+    finally:
+        told.end()
+    return None
+
+
+def _is_recorded(recording: Recording) -> bool:
+    dataset = recording.dataset()
+    return dataset is not None and dataset.recipe == recording.recipe
+
+
+def _workers(hands: Hands) -> int | None:
+    """Jobs at a time; on a GPU of this machine one."""
+    return 1 if hands.executor in (None, "local") and _on_gpu(hands.device) else hands.workers
+
+
+def _on_gpu(device: str) -> bool:
+    return device == "cuda" or (device == "auto" and torch.cuda.is_available())
+
+
+def _is_of(entry: Path, runs: Iterable[Path]) -> bool:
+    """Whether an entry's file is of one of these runs, so that it is written anew."""
+    return read_json(entry).get("run") in {run.name for run in runs}

@@ -1,0 +1,132 @@
+"""A simulated cluster: jobs that sleep, under the real schedulers, and the share of the time that is not work.
+
+``python -m dmotion_bench.benchmarks.cluster`` runs 64 workers on this machine: processes, Ray with 64 logical
+processors, and jobs of submitit as it starts them where there is no Slurm. A sleeping job takes no processor, so 64 run
+beside each other on any machine. What is measured is the scheduling, the start of the workers and the way of jobs and
+receipts. Starting 64 processes takes as long as the cores of this machine need for it; on a cluster each machine
+starts its own. So the time until all workers have been at work is told apart from the rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+from dmotion_bench.execution.executor import Executor, JobSize
+from dmotion_bench.execution.local_executor import LocalExecutor
+from dmotion_bench.execution.ray_executor import RayExecutor
+from dmotion_bench.execution.slurm_executor import SlurmExecutor
+
+SECONDS: Final = (2.6, 3.4, 4.1, 5.2, 6.8)
+"""Of jobs, as they were measured: the shards of Robot Push, 20 episodes each, on one core."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nap:
+    """A job that sleeps so long [s]."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slept:
+    """When a job began and ended, by the clock that all processes of a machine share [s]."""
+
+    began: float
+    ended: float
+
+
+def nap(job: Nap) -> Slept:
+    """Sleep."""
+    began = time.monotonic()
+    time.sleep(job.seconds)
+    return Slept(began=began, ended=time.monotonic())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Share:
+    """How much of the time of all workers was not work.
+
+    Attributes:
+        executor: Which one.
+        workers, jobs: How many.
+        work: Seconds that the jobs slept, in all.
+        wall: From the call to the last result.
+        starting: Until as many jobs had begun as there are workers.
+        not_work: 1 - work / (workers x wall).
+        not_work_later: The same from the moment at which all workers were at work until the first one found no job.
+        between_jobs: Seconds between the end of a job and the beginning of the next one of its worker, on average, in
+            that time.
+    """
+
+    executor: str
+    workers: int
+    jobs: int
+    work: float
+    wall: float
+    starting: float
+    not_work: float
+    not_work_later: float
+    between_jobs: float
+
+
+def simulate(name: str, executor: Executor, workers: int, naps: Sequence[Nap]) -> Share:
+    """Run sleeping jobs by an executor, and say what of the time they did not sleep."""
+    called = time.monotonic()
+    slept = list(executor.map_unordered(nap, naps))
+    wall = time.monotonic() - called
+    begins = sorted(one.began for one in slept)
+    all_busy, last_begin = begins[min(workers, len(begins)) - 1], begins[-1]
+    later = max(last_begin - all_busy, 1e-9)
+    within = sum(max(0.0, min(one.ended, last_begin) - max(one.began, all_busy)) for one in slept)
+    idle = max(0.0, workers * later - within)
+    started_later = sum(one.began > all_busy for one in slept)
+    work = sum(one.ended - one.began for one in slept)
+    return Share(
+        executor=name,
+        workers=workers,
+        jobs=len(slept),
+        work=work,
+        wall=wall,
+        starting=all_busy - called,
+        not_work=1 - work / (workers * wall),
+        not_work_later=idle / (workers * later),
+        between_jobs=idle / started_later if started_later else 0.0,
+    )
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run and print a line of JSON for each executor."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--workers", type=int, default=64)
+    parser.add_argument("--jobs", type=int, default=320)
+    parser.add_argument("--executors", nargs="+", default=["local", "ray", "submitit"])
+    parser.add_argument("--times", type=float, default=1.0, help="so many times as long as the measured jobs")
+    asked = parser.parse_args(words)
+    lengths = itertools.islice(itertools.cycle(SECONDS), asked.jobs)
+    naps = [Nap(seconds=asked.times * seconds) for seconds in lengths]
+    for name in asked.executors:
+        with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
+            share = simulate(name, _executor(name, asked.workers, Path(folder)), asked.workers, naps)
+        sys.stdout.write(json.dumps(asdict(share)) + "\n")
+        sys.stdout.flush()
+
+
+def _executor(name: str, workers: int, folder: Path) -> Executor:
+    if name == "local":
+        return LocalExecutor(workers)
+    if name == "ray":
+        return RayExecutor(workers, JobSize(processors=1))
+    return SlurmExecutor(workers, folder / "jobs", cluster="local")
+
+
+if __name__ == "__main__":
+    main()

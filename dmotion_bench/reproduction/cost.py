@@ -1,0 +1,254 @@
+"""What is left of a table, as jobs, and what they cost in hours of a core or of a GPU.
+
+The number of jobs is exact: ``dmotion_bench.api.reproducing`` runs these. Hours are computed from amounts and speeds;
+``ASSUMPTIONS`` says how.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.planning.choices import make_solver
+from dmotion_bench.planning.solvers.base import Solver
+from dmotion_bench.reproduction.plan import Plan, Recording, Scoring, Training, epochs_of
+from dmotion_bench.reproduction.settled import State, state_of
+from dmotion_bench.reproduction.speeds import Speeds
+from dmotion_bench.reproduction.table import Column
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.transitions import STARTS_PER_EPISODE
+from dmotion_bench.storage.split import TEST_SHARE, VALIDATION_SHARE
+
+PREDICTIONS: Final = 3.0
+"""Frames that a model predicts in the time in which it trains on a triplet: the gradient takes twice as long again."""
+
+PAPERS_FRAMES: Final = 50 * 5 * 4
+"""Frames that the paper's planner imagines for a control step, none of them twice."""
+
+ENTRY_S: Final = 2.0
+"""CPU seconds for a run's entry on a page, with its pictures [s]."""
+
+ASSUMPTIONS: Final = (
+    "Trainings see all training triplets of a data set (81% of its episodes) in each epoch, whatever the label budget.",
+    "A predicted frame takes a third of the time of a trained triplet, and control as long as the number of frames "
+    "that its planner imagines says, next to the paper's planner.",
+    "The oracle is charged with the speed of a task's first steps; later ones take less.",
+    "An entry on a page takes 2 s. Validation, checkpoints and starting processes are not counted.",
+    "A training that was begun counts as a whole.",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """Jobs of one kind.
+
+    Attributes:
+        kind: ``record``, ``train``, ``oracle``, ``score`` or ``page``.
+        what: Of which data set, model or column.
+        jobs: How many are left.
+        amount: How much work they are, for people.
+        core_hours, gpu_hours: That they take; None where no speed could be measured.
+    """
+
+    kind: str
+    what: str
+    jobs: int
+    amount: str
+    core_hours: float | None = 0.0
+    gpu_hours: float | None = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """What is left of a table.
+
+    Attributes:
+        lines: One for each kind of job and what it is of; those with nothing left are in it, too.
+        assumptions: How the hours were computed.
+        unknown: Sentences about speeds that could not be measured.
+    """
+
+    lines: tuple[Line, ...]
+    assumptions: tuple[str, ...]
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def core_hours(self) -> float:
+        """Of all jobs."""
+        return sum(line.core_hours or 0.0 for line in self.lines)
+
+    @property
+    def gpu_hours(self) -> float:
+        """Of all jobs."""
+        return sum(line.gpu_hours or 0.0 for line in self.lines)
+
+    def jobs(self, kind: str) -> int:
+        """Of a kind."""
+        return sum(line.jobs for line in self.lines if line.kind == kind)
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it, as JSON's types."""
+        return {
+            "lines": [asdict(line) for line in self.lines],
+            "core_hours": self.core_hours,
+            "gpu_hours": self.gpu_hours,
+            "assumptions": list(self.assumptions),
+            "unknown": list(self.unknown),
+        }
+
+
+def cost_of(plan: Plan, speeds: Speeds) -> Cost:
+    """What is left of a table, and what it costs. Only speeds of what is left are measured.
+
+    Args:
+        plan: The table in its workspace.
+        speeds: Of this machine.
+    """
+    return _Estimate(plan, speeds).cost()
+
+
+class _Estimate:
+    def __init__(self, plan: Plan, speeds: Speeds) -> None:
+        self.plan, self.speeds = plan, speeds
+        self.gpu = speeds.device.type == "cuda"
+        self.lines: list[Line] = []
+        self.unknown: list[str] = []
+
+    def cost(self) -> Cost:
+        for recording in self.plan.recordings:
+            self._record(recording)
+        for model in dict.fromkeys(training.model for training in self.plan.trainings):
+            self._train(model)
+        for column in self.plan.table.columns:
+            state = state_of(self.plan, column)
+            for reference in column.references:
+                self._reference(column, reference, state)
+            self._score(column, state)
+        self._pages()
+        told = f"Speeds are {self.speeds.told}" + ("; trainings and predictions on the GPU." if self.gpu else ".")
+        return Cost(lines=tuple(self.lines), assumptions=(told, *ASSUMPTIONS), unknown=tuple(self.unknown))
+
+    def _add(
+        self, kind: str, what: str, jobs: int, amount: str, seconds: Callable[[], float], *, gpu: bool = False
+    ) -> None:
+        """A line; the speed is asked for where there is anything left."""
+        hours: float | None = 0.0
+        if jobs:
+            try:
+                hours = seconds() / 3600
+            except DmbenchError as error:
+                hours = None
+                self.unknown.append(f"{kind} {what}: {error}")
+        own = {"gpu_hours" if gpu else "core_hours": hours}
+        self.lines.append(Line(kind=kind, what=what, jobs=jobs, amount=amount if jobs else "", **own))
+
+    def _record(self, recording: Recording) -> None:
+        jobs, recipe = recording.shards_left(), recording.recipe
+        episodes = min(recipe.episodes, jobs * recipe.shard_episodes)
+
+        def seconds() -> float:
+            known = self.speeds.episodes(recording)
+            return episodes * known.frames / known.frames_per_s
+
+        self._add("record", recording.world.label, jobs, f"{episodes:,} episodes", seconds)
+
+    def _train(self, model: str) -> None:
+        mine = [training for training in self.plan.trainings if training.model == model]
+        left = [(training, *training.left(self.plan.workspace)) for training in mine]
+        left = [one for one in left if one[1]]
+        runs = sum(count for _, count, _ in left)
+        whole = sum(trainings for _, _, trainings in left)
+
+        def seconds() -> float:
+            total = 0.0
+            for training, _, trainings in left:
+                triplets = epochs_of(training) * trainings * self._triplets(training)
+                total += triplets / self.speeds.triplets_per_s(model, training.request.arch)
+            return total
+
+        amount = f"{runs} runs, {whole:.4g} whole trainings"
+        self._add("train", model, len(left), amount, seconds, gpu=self.gpu)
+
+    def _reference(self, column: Column, reference: str, state: State) -> None:
+        places = control_places(state)
+
+        def seconds() -> float:
+            return sum(
+                one.tasks() * one.control.steps / self.speeds.oracle_steps_per_s(one.place, one.control)
+                for one in places
+            )
+
+        amount = f"{sum(one.tasks() for one in places)} tasks"
+        self._add(reference, column.name, len(places), amount, seconds)
+
+    def _score(self, column: Column, state: State) -> None:
+        runs = list(state.left())
+        groups = sum(groups_of_tasks(scoring) for scoring, _ in runs)
+
+        def seconds() -> float:
+            return sum(self._scoring_seconds(*run) for run in runs)
+
+        amount = f"{len(runs)} runs" + (f", {groups} groups of control tasks" if groups else "")
+        self._add("score", column.name, len(runs) + groups, amount, seconds, gpu=self.gpu)
+
+    def _scoring_seconds(self, scoring: Scoring, training: Training) -> float:
+        recording, metrics, frames = scoring.place, scoring.metrics(), 0.0
+        episodes = TEST_SHARE * recording.recipe.episodes
+        if "prediction" in metrics:
+            frames += episodes * max(0.0, self._length(recording) - 2)
+        if "rollout" in metrics:
+            frames += episodes * STARTS_PER_EPISODE * scoring.settings.horizon
+        if "gain" in metrics:
+            gain = scoring.settings.gain
+            frames += gain.moments * gain.sequences * gain.horizon
+        model, seconds = training.model, 0.0
+        if frames:
+            seconds += frames / (PREDICTIONS * self.speeds.triplets_per_s(model, training.request.arch))
+        if "control" in metrics:
+            steps, share = scoring.tasks() * scoring.control.steps, imagined(scoring.control) / PAPERS_FRAMES
+            seconds += steps * share / self.speeds.control_steps_per_s(model)
+            seconds += steps / self.speeds.episodes(recording).frames_per_s
+        return seconds
+
+    def _pages(self) -> None:
+        left, entries = 0, 0
+        for columns in self.plan.pages():
+            states = [state_of(self.plan, column) for column in columns]
+            known = {path for state in states for _, _, path in state.to_score}
+            known |= {path for state in states for path in state.to_enter}
+            unknown = {id(training): count for state in states for _, training, count in state.to_train}
+            missing = len(known) + sum(unknown.values())
+            left += bool(missing)
+            entries += missing
+        self._add("page", self.plan.name, left, f"{entries} entries", lambda: ENTRY_S * entries)
+
+    def _length(self, recording: Recording) -> float:
+        """Frames in an episode: counted where the data set is there."""
+        dataset = recording.dataset()
+        return float(dataset.lengths.mean()) if dataset is not None else self.speeds.episodes(recording).frames
+
+    def _triplets(self, training: Training) -> float:
+        """Of an epoch."""
+        recording = training.recording
+        share = (1 - TEST_SHARE) * (1 - VALIDATION_SHARE)
+        return share * recording.recipe.episodes * max(0.0, self._length(recording) - 2)
+
+
+def imagined(scoring: ControlScoring) -> float:
+    """Frames that a planner imagines for a control step, none of them twice; the paper's where it does not say."""
+    solver: Solver = make_solver(scoring.planner, scoring.planner_set)
+    parts: Sequence[float] = [getattr(solver, name, 0) for name in ("samples", "horizon", "iterations")]
+    samples, horizon, iterations = parts
+    return samples * horizon * (iterations or 1) or PAPERS_FRAMES
+
+
+def control_places(state: State) -> list[Scoring]:
+    """One scoring of each data set on which runs are still to be scored for control."""
+    return list({one.place.folder: one for one, _ in state.left() if one.tasks()}.values())
+
+
+def groups_of_tasks(scoring: Scoring) -> int:
+    """How many jobs the control of a run is."""
+    return -(-scoring.tasks() // scoring.control.group)

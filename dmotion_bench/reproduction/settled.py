@@ -1,0 +1,147 @@
+"""What of a table's scoring is done: reports that are up to date, and entries that stand on a page already.
+
+A run's report holds the control of one planner at a time. So what a run was scored for in an earlier column stands in
+the entry on that column's page alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from dmotion_bench.errors import DmbenchError, RunError
+from dmotion_bench.learning.run import Run
+from dmotion_bench.reproduction.plan import Plan, Scoring, Training
+from dmotion_bench.reproduction.table import Column
+from dmotion_bench.scoring.earlier_planning import present_settings
+from dmotion_bench.scoring.report import SCORING_VERSION
+from dmotion_bench.scoring.score import OWN_SETTINGS, is_scored
+from dmotion_bench.storage.json_file import JsonUnreadable, read_json
+
+ENTRIES: Final = "entries"
+"""The folder of a page in which its entries are."""
+
+Identity = tuple[str, str, str]
+"""Of what an entry is of: run, weights, fingerprint of the data set that it was scored on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """An entry on a page.
+
+    Attributes:
+        path: Its file.
+        content: What it holds.
+    """
+
+    path: Path
+    content: Mapping[str, Any]
+
+
+class Page:
+    """The entries of a column's page, as they stand.
+
+    Args:
+        folder: Of the page.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._standing: dict[Identity, list[Standing]] = {}
+        for path in sorted((folder / ENTRIES).glob("*.json")):
+            try:
+                content = read_json(path)
+                where = str(content["run"]), str(content["weights"]), str(content["dataset"]["fingerprint"])
+            except (OSError, JsonUnreadable, KeyError, TypeError):
+                continue  # a published result, or no entry
+            self._standing.setdefault(where, []).append(Standing(path=path, content=content))
+
+    def entry(self, scoring: Scoring, run: Run) -> Path | None:
+        """The file of a run's entry, if it has the figures that scoring now would give."""
+        dataset = scoring.place.dataset()
+        if dataset is None or run.result is None:
+            return None
+        for one in self._standing.get((run.name, str(run.result["weights"]), dataset.fingerprint), []):
+            if _has_figures(one.content, scoring):
+                return one.path
+        return None
+
+
+def _has_figures(content: Mapping[str, Any], scoring: Scoring) -> bool:
+    metrics, stored = scoring.metrics(), present_settings(content.get("settings", {}))
+    wanted = scoring.settings.to_json(metrics)
+    mine = {name for name in wanted if name.startswith(tuple(f"{one}_" for one in OWN_SETTINGS))}
+    shared = {"split", "precision"} | ({"horizon"} if "rollout" in metrics else set())
+    version = content.get("scoring_version") == SCORING_VERSION or not {*metrics} - {*OWN_SETTINGS}
+    return (
+        version
+        and {*metrics} <= {*stored.get("metrics", ())}
+        and all(stored.get(name) == wanted[name] for name in mine | shared)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """How far the scoring of a column is.
+
+    Attributes:
+        to_train: How many runs are not trained yet, by scoring and training.
+        to_score: Runs that lack figures, likewise.
+        to_enter: Runs whose report has all figures, and that the page lacks.
+        standing: Files of entries on the page.
+    """
+
+    to_train: Sequence[tuple[Scoring, Training, int]]
+    to_score: Sequence[tuple[Scoring, Training, Path]]
+    to_enter: Sequence[Path]
+    standing: Sequence[Path]
+
+    def left(self) -> Iterator[tuple[Scoring, Training]]:
+        """Each run that is still to be scored."""
+        for scoring, training, _ in self.to_score:
+            yield scoring, training
+        for scoring, training, count in self.to_train:
+            yield from [(scoring, training)] * count
+
+
+def state_of(plan: Plan, column: Column) -> State:
+    """How far a column is."""
+    page = Page(plan.page(column))
+    to_train = [
+        (scoring, training, count)
+        for scoring in plan.of_column(column)
+        for training in scoring.trainings
+        if (count := training.left(plan.workspace)[0])
+    ]
+    to_score: list[tuple[Scoring, Training, Path]] = []
+    to_enter: list[Path] = []
+    standing: list[Path] = []
+    for scoring in plan.of_column(column):
+        for training, path in scoring.runs(plan.workspace):
+            run = _trained(path)
+            if run is None:
+                continue
+            if (entry := page.entry(scoring, run)) is not None:
+                standing.append(entry)
+            elif _is_scored(path, scoring):
+                to_enter.append(path)
+            else:
+                to_score.append((scoring, training, path))
+    return State(to_train=to_train, to_score=to_score, to_enter=to_enter, standing=standing)
+
+
+def _trained(path: Path) -> Run | None:
+    try:
+        run = Run.open(path)
+    except RunError:
+        return None
+    return None if run.result is None else run
+
+
+def _is_scored(path: Path, scoring: Scoring) -> bool:
+    try:
+        return all(is_scored(path, metric, scoring.settings, scoring.data) for metric in scoring.metrics())
+    except DmbenchError:
+        return False

@@ -1,0 +1,213 @@
+"""What a table of figures is made of: worlds, models, label budgets, seeds, and how their runs are scored.
+
+A table is data. ``dmbench reproduce NAME`` makes it: it records the worlds, trains the models, scores their runs and
+builds the page. Tables reach the core through entry points of the group ``dmbench.tables``; a package of your own adds
+one under a name of its own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
+from dmotion_bench.planning.choices import DEFAULT_SOLVER
+from dmotion_bench.planning.mpc import STEPS
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.score import METRICS, Metric
+from dmotion_bench.specs import Preset
+
+Kept = TypeVar("Kept")
+TRIAL_TASKS, TRIAL_STEPS = 2, 4
+"""Of control at preset tiny, which is for trying a table out: no figure of it means anything."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A data set to be recorded: an environment as its preset says it, but for what is given here.
+
+    Attributes:
+        environment: Registry name.
+        name: Sets two data sets of one environment apart; part of the folder's name.
+        episodes, frames, tasks: In place of the preset's.
+        seed: Of the recording.
+        settings: ``KEY=VALUE`` for parameters of the environment.
+        vary: Factors that differ between episodes.
+        policy: Chooses the actions; None for the environment's own.
+        control_on: Another recording whose tasks control is scored on; None for this one.
+    """
+
+    environment: str
+    name: str = ""
+    episodes: int | None = None
+    frames: int | None = None
+    tasks: int | None = None
+    seed: int = 0
+    settings: tuple[str, ...] = ()
+    vary: tuple[str, ...] = ()
+    policy: str | None = None
+    control_on: World | None = None
+
+    def __post_init__(self) -> None:
+        if self.control_on is not None and self.control_on.control_on is not None:
+            raise InvalidSetting("control is scored on a world that names another world; name that one at once.")
+
+    @property
+    def label(self) -> str:
+        """What it is called in output and by ``--worlds``."""
+        return f"{self.environment}-{self.name}" if self.name else self.environment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entrant:
+    """A model with the label budgets that it is trained with.
+
+    Attributes:
+        model: Registry name.
+        labels: Budgets, as ``--labels`` takes them; those that the model or the data set cannot use are left out.
+        arch: None for the model's first.
+        settings: ``KEY=VALUE`` of the model or the training.
+    """
+
+    model: str
+    labels: tuple[str, ...]
+    arch: str | None = None
+    settings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.labels:
+            raise InvalidSetting(f"{self.model} has no label budget in this table; name at least one.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """How the runs of a table are scored, for one of its pages.
+
+    Attributes:
+        name: Of the page; with one column alone the page has the table's name.
+        metrics: Groups of figures; those that a data set cannot have are left out of its runs.
+        planner, planner_set, objective, objective_set: Of control, as ``dmbench score`` takes them.
+        tasks, steps: Of control: how many tasks (None for all), and actions in each.
+        models: The models that are scored; empty for all of the table.
+        worlds: The worlds whose runs are scored, by their labels; empty for all of the table.
+        references: Of control, to stand beside: ``oracle`` (others are scored with the runs).
+    """
+
+    name: str
+    metrics: tuple[Metric, ...]
+    planner: str = DEFAULT_SOLVER
+    planner_set: tuple[str, ...] = ()
+    objective: str | None = None
+    objective_set: tuple[str, ...] = ()
+    tasks: int | None = None
+    steps: int = STEPS
+    models: tuple[str, ...] = ()
+    worlds: tuple[str, ...] = ()
+    references: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if unknown := [metric for metric in self.metrics if metric not in METRICS]:
+            raise UnknownName("group of figures", unknown[0], METRICS)
+
+    def scoring(self, preset: Preset) -> ControlScoring:
+        """The settings of control; few tasks and steps where a table is only tried out."""
+        tasks, steps = self.tasks, self.steps
+        if preset is Preset.TINY:
+            tasks, steps = min(tasks or TRIAL_TASKS, TRIAL_TASKS), min(steps, TRIAL_STEPS)
+        return ControlScoring(
+            tasks=tasks,
+            steps=steps,
+            planner=self.planner,
+            planner_set=self.planner_set,
+            objective=self.objective,
+            objective_set=self.objective_set,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table: every model with each of its budgets and seeds on every world, scored for each column.
+
+    Attributes:
+        title: What it is, in a line.
+        worlds: To be recorded.
+        entrants: To be trained on each of them.
+        columns: How they are scored, in this order. A run's report holds the control of one column at a time, so the
+            last one with control is what stays in the runs' folders; the pages hold all.
+        preset: Size of recordings and trainings.
+        seeds: Of the trainings.
+    """
+
+    title: str
+    worlds: tuple[World, ...]
+    entrants: tuple[Entrant, ...]
+    columns: tuple[Column, ...]
+    preset: Preset = Preset.PAPER
+    seeds: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        for what, given in (("worlds", self.worlds), ("models", self.entrants), ("columns", self.columns)):
+            if not given:
+                raise InvalidSetting(f"a table needs {what}, and this one ({self.title}) has none.")
+        if not self.seeds:
+            raise InvalidSetting(f"a table needs seeds, and this one ({self.title}) has none.")
+        for what, names in (
+            ("world", [world.label for world in self.worlds]),
+            ("column", [column.name for column in self.columns]),
+        ):
+            if len({*names}) < len(names):
+                raise InvalidSetting(f"two {what}s of a table have the same name ({', '.join(names)}).")
+
+    def narrowed(
+        self,
+        *,
+        preset: Preset | None = None,
+        seeds: Sequence[int] | None = None,
+        models: Sequence[str] | None = None,
+        worlds: Sequence[str] | None = None,
+    ) -> Table:
+        """A part of the table, or the table at another size.
+
+        Raises:
+            UnknownName: A model or a world that it does not have.
+            UsageError: Nothing is left of it.
+        """
+        entrants = _chosen("model of this table", models, self.entrants, [one.model for one in self.entrants])
+        kept = _chosen("world of this table", worlds, self.worlds, [one.label for one in self.worlds])
+        names, labels = {one.model for one in entrants}, {one.label for one in kept}
+        columns = tuple(
+            column
+            for column in self.columns
+            if (not column.models or names & {*column.models}) and (not column.worlds or labels & {*column.worlds})
+        )
+        if not columns:
+            raise UsageError("no column of this table has figures of these models in these worlds; name others.")
+        if seeds is not None and not seeds:
+            raise UsageError("no seed is named; name at least one, such as 0.")
+        return dataclasses.replace(
+            self,
+            worlds=kept,
+            entrants=entrants,
+            columns=columns,
+            preset=preset or self.preset,
+            seeds=self.seeds if seeds is None else tuple(dict.fromkeys(seeds)),
+        )
+
+
+def _chosen(kind: str, asked: Sequence[str] | None, given: Sequence[Kept], names: Sequence[str]) -> tuple[Kept, ...]:
+    if asked is None:
+        return tuple(given)
+    for name in asked:
+        if name not in names:
+            raise UnknownName(kind, name, names)
+    return tuple(one for one, name in zip(given, names, strict=True) if name in asked)
+
+
+def powers_of_two(most: int) -> Iterable[str]:
+    """Budgets of so many labelled transitions: 1, 2, 4 and so on."""
+    count = 1
+    while count <= most:
+        yield str(count)
+        count *= 2

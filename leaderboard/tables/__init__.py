@@ -1,0 +1,1 @@
+"""The tables that ``dmbench reproduce`` knows, one a file (``dmotion_bench.reproduction.table``)."""

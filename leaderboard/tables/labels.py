@@ -1,0 +1,29 @@
+"""What labels are worth: every model with 1, 2, 4 ... all labelled transitions, on both pushing worlds.
+
+A model of video is trained once for all of its budgets, so that it has every power of two; a model that learns from
+actions is trained anew for each, and has every power of four.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dmotion_bench.reproduction.table import Column, Entrant, Table, World, powers_of_two
+from dmotion_bench.specs import Preset
+
+_SUPERVISED: Final = ("ed-cnn", "wm-ae", "cswm", "jepa")
+_VIDEO: Final = ("dmotion", "dmotion-no-stn", "lapo", "lam-vae", "clasp")
+_DOUBLED: Final = tuple(powers_of_two(4096))
+_QUADRUPLED: Final = tuple(count for count in _DOUBLED[::2] if count != "1")
+
+TABLE: Final = Table(
+    title="what labels are worth: figures by the number of labelled transitions",
+    worlds=(World(environment="planar_push"), World(environment="robot_push")),
+    entrants=(
+        *(Entrant(model=name, labels=_DOUBLED) for name in _VIDEO),
+        *(Entrant(model=name, labels=(*_QUADRUPLED, "all")) for name in _SUPERVISED),
+    ),
+    columns=(Column(name="labels", metrics=("prediction", "rollout", "gain")),),
+    preset=Preset.SMALL,
+    seeds=(0, 1, 2),
+)

@@ -1,0 +1,400 @@
+"""A table as one command: what a dry run counts is what is done, once; a killed one ends with the same bytes."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import multiprocessing
+import os
+import signal
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from dmbench_command import dmbench
+
+import dmotion_bench as dm
+from dmotion_bench import registry
+from dmotion_bench.api import reproducing
+from dmotion_bench.api.side_by_side import Hands
+from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
+from dmotion_bench.execution.job_progress import JobProgress
+from dmotion_bench.learning import table as learning_table
+from dmotion_bench.learning.run import Run
+from dmotion_bench.recording import session
+from dmotion_bench.reproduction.cost import cost_of
+from dmotion_bench.reproduction.plan import Plan
+from dmotion_bench.reproduction.speeds import Episodes, Speeds
+from dmotion_bench.reproduction.table import Column, Entrant, Table, World, powers_of_two
+from dmotion_bench.scoring import side_by_side
+from dmotion_bench.scoring.references import published_results
+from dmotion_bench.specs import Preset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.workspace import Workspace
+
+SHORT = ("epochs=1", "precision=float32", "batch_size=16")
+TABLE = Table(
+    title="three budgets of a model of video, two of a model of actions",
+    worlds=(World(environment="grid_world", episodes=12, frames=7),),
+    entrants=(
+        Entrant(model="lapo", labels=("one-shot", "1", "8", "all"), settings=SHORT),
+        Entrant(model="ed-cnn", labels=("2", "100%"), settings=SHORT),
+    ),
+    columns=(Column(name="prediction", metrics=("prediction",)),),
+    preset=Preset.TINY,
+)
+FEW = ("samples=3", "horizon=2", "iterations=1", "elites=2")
+CONTROL = Table(
+    title="control in two columns",
+    worlds=(World(environment="planar_push", episodes=12, frames=30, tasks=3),),
+    entrants=(Entrant(model="ed-cnn", labels=("100%",), settings=("epochs=0.2", "precision=float32")),),
+    columns=(
+        Column(name="first", metrics=("control",), objective="centres", planner_set=FEW, references=("oracle",)),
+        Column(name="second", metrics=("prediction", "control"), objective="tracked", planner_set=FEW),
+    ),
+    preset=Preset.TINY,
+)
+
+
+class Stopped(Exception):
+    """Raised in the middle of a table."""
+
+
+class Known(Speeds):
+    """Speeds that nobody measures."""
+
+    def __init__(self) -> None:
+        super().__init__(device=torch.device("cpu"))
+
+    def episodes(self, recording: Any) -> Episodes:
+        return Episodes(frames_per_s=100.0, frames=7.0)
+
+    def triplets_per_s(self, model: str, arch: str | None) -> float:
+        return {"lapo": 50.0, "ed-cnn": 20.0}[model]
+
+    def control_steps_per_s(self, model: str) -> float:
+        return 0.5
+
+    def oracle_steps_per_s(self, recording: Any, scoring: Any) -> float:
+        return 4.0
+
+
+@pytest.fixture(autouse=True)
+def _no_probes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reproducing, "Speeds", lambda **_: Known())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The table, made without an interruption."""
+    root = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reproducing, "Speeds", lambda **_: Known())
+        dm.reproduce(TABLE, workspace=root, workers=1)
+    return root
+
+
+@pytest.fixture
+def done(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How many jobs of each kind were done in this process."""
+    counted: Counter[str] = Counter()
+
+    def counting(kind: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def called(*given: Any, **named: Any) -> Any:
+            counted[kind] += 1
+            return function(*given, **named)
+
+        return called
+
+    places: list[tuple[Any, str, str]] = [
+        (session, "record_shard", "record"),
+        (learning_table, "train_rows", "train"),
+        (learning_table, "train", "whole trainings"),
+        (side_by_side, "score_job", "score"),
+        (reproducing, "score_reference_job", "oracle"),
+    ]
+    for module, name, kind in places:
+        monkeypatch.setattr(module, name, counting(kind, getattr(module, name)))
+    part = reproducing.leaderboard_part
+    monkeypatch.setattr(reproducing, "leaderboard_part", lambda name: counting("page", part(name)))
+    return counted
+
+
+def content(root: Path) -> dict[str, object]:
+    """What the table is made of: bytes of recordings and samples, hashes of weights, figures of entries."""
+    found: dict[str, object] = {}
+    for path in sorted(root.glob("data/*/video/*.mcap")) + sorted(root.glob("runs/*/report/samples.parquet")):
+        found[str(path.relative_to(root))] = path.read_bytes()
+    for path in sorted(root.glob("runs/*")):
+        result = Run.open(path).result or {}
+        found[path.name] = result.get("weights"), result.get("labels_total")
+    for path in sorted(root.glob("reports/**/entries/*.json")):
+        found[path.name] = json.loads(path.read_bytes())["figures"]
+    return found
+
+
+def test_a_dry_run_counts_what_is_done_and_nothing_is_done_twice(tmp_path: Path, done: Counter[str]) -> None:
+    told = dm.reproduce(TABLE, workspace=tmp_path, dry_run=True).cost
+    assert not list(tmp_path.iterdir())
+    assert {line.what: line.amount for line in told.lines if line.kind == "train"} == {
+        "lapo": "3 runs, 1 whole trainings",  # 'all' is for models of actions
+        "ed-cnn": "2 runs, 2 whole trainings",
+    }
+    made = dm.reproduce(TABLE, workspace=tmp_path, workers=1)
+    assert not made.failures
+    for kind in ("record", "train", "score", "page"):
+        assert told.jobs(kind) == done[kind] > 0, kind
+    assert [path.name for path in made.pages] == ["index.html"]
+    assert len(made.runs) == 5
+    labels = {path.name: (Run.open(path).result or {})["labels_total"] for path in made.runs}
+    assert sorted(labels.values())[:4] == [1, 2, 4, 8]
+    shared = [path for path in made.runs if Run.open(path).manifest.get("trained_as")]
+    assert [Run.open(path).spec.model for path in shared] == ["lapo", "lapo"]
+
+    before = Counter(done)
+    again = dm.reproduce(TABLE, workspace=tmp_path, workers=1)
+    assert done == before
+    assert (again.pages, again.runs) == (made.pages, made.runs)
+    assert not any(line.jobs for line in again.cost.lines)
+
+
+def test_one_that_is_stopped_in_each_part_goes_on_and_ends_the_same(whole: Path, tmp_path: Path) -> None:
+    for part in ("recording", "training", "scoring prediction", "building own"):
+        seen: list[str] = []
+
+        def stop(told: JobProgress, part: str = part, seen: list[str] = seen) -> None:
+            seen.append(told.what)
+            if told.what == part and told.done >= 1:
+                raise Stopped
+
+        with pytest.raises(Stopped):
+            dm.reproduce(TABLE, workspace=tmp_path, workers=1, progress=stop)
+        assert seen[-1] == part
+    dm.reproduce(TABLE, workspace=tmp_path, workers=1)
+    assert content(tmp_path) == content(whole)
+    assert not list(tmp_path.glob(".jobs-*"))
+
+
+def _until(part: str, at: float, root: Path) -> None:
+    """Kill this process in the middle of a part of the table."""
+
+    def kill(told: JobProgress) -> None:
+        if told.what == part and told.done >= at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    reproducing.Speeds = lambda **_: Known()  # type: ignore[assignment, misc]
+    dm.reproduce(TABLE, workspace=root, workers=2, progress=kill)
+
+
+@pytest.mark.slow
+def test_one_that_is_killed_three_times_ends_with_the_same_bytes(whole: Path, tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    for part, at in (("training", 0), ("training", 2), ("scoring prediction", 1)):
+        process = context.Process(target=_until, args=(part, at, tmp_path))
+        process.start()
+        process.join(180)
+        assert process.exitcode == -signal.SIGKILL
+    dm.reproduce(TABLE, workspace=tmp_path, workers=2)
+    assert content(tmp_path) == content(whole)
+
+
+def test_each_column_of_control_keeps_its_page(tmp_path: Path, done: Counter[str]) -> None:
+    told = dm.reproduce(CONTROL, workspace=tmp_path, dry_run=True).cost
+
+    def stop(part: JobProgress) -> None:
+        if part.what == "scoring second":
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        dm.reproduce(CONTROL, workspace=tmp_path, workers=1, progress=stop)
+    made = dm.reproduce(CONTROL, workspace=tmp_path, workers=1)
+    assert not made.failures
+    assert [told.jobs(kind) for kind in ("oracle", "page")] == [done["oracle"], done["page"]] == [1, 2]
+    objectives, references = [], []
+    for page in made.pages:
+        entries = [json.loads(path.read_bytes()) for path in (page.parent / "entries").glob("ed-cnn*.json")]
+        (entry,) = [one for one in entries if one["kind"] == "measured"]
+        objectives.append(entry["settings"]["control_objective"])
+        assert (entry["settings"]["control_tasks"], entry["settings"]["control_steps"]) == (2, 4)
+        assert entry["figures"]["control_distance[4]"]["n"] == 2
+        references.append({"oracle", "idle"} & {*entry["reference"]})
+    assert objectives == ["centres", "tracked"]
+    assert references == [{"oracle", "idle"}, {"idle"}]
+    before = Counter(done)
+    again = dm.reproduce(CONTROL, workspace=tmp_path, workers=1)
+    assert done == before
+    assert not any(line.jobs for line in again.cost.lines)
+
+
+def test_hours_are_amounts_over_speeds(tmp_path: Path) -> None:
+    lines = {(line.kind, line.what): line for line in cost_of(Plan(TABLE, "own", Workspace(tmp_path)), Known()).lines}
+    triplets = 0.81 * 12 * (7 - 2)
+    assert lines["record", "grid_world"].core_hours == pytest.approx(12 * 7 / 100 / 3600)
+    assert lines["train", "lapo"].core_hours == pytest.approx(triplets / 50 / 3600)
+    assert lines["train", "ed-cnn"].core_hours == pytest.approx(2 * triplets / 20 / 3600)
+    tested = 0.1 * 12 * (7 - 2)
+    scored = tested * (3 / (3 * 50) + 2 / (3 * 20))
+    assert lines["score", "prediction"].core_hours == pytest.approx(scored / 3600)
+
+    control = Plan(CONTROL, "own", Workspace(tmp_path))
+    lines = {(line.kind, line.what): line for line in cost_of(control, Known()).lines}
+    steps = 2 * 4  # tasks, and steps of each
+    assert lines["oracle", "first"].core_hours == pytest.approx(steps / 4 / 3600)
+    imagined = 3 * 2 / 1000  # of the frames of the paper's planner
+    assert lines["score", "first"].core_hours == pytest.approx((steps * imagined / 0.5 + steps / 100) / 3600)
+    assert lines["score", "first"].jobs == 2  # a group of tasks, and the run
+
+
+def test_what_cannot_be_measured_is_told_and_not_in_the_sum(tmp_path: Path) -> None:
+    class Lame(Known):
+        def triplets_per_s(self, model: str, arch: str | None) -> float:
+            raise UsageError(f"{model} has no speed.")
+
+    cost = cost_of(Plan(TABLE, "own", Workspace(tmp_path)), Lame())
+    assert any("train lapo: lapo has no speed" in said for said in cost.unknown)
+    assert cost.core_hours == pytest.approx((12 * 7 / 100 + 5 * 2.0) / 3600)  # recording, and five entries
+
+
+def test_models_that_draw_nothing_are_controlled_by_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry.model_class("jepa"), "needs_pixels", False)
+    table = dataclasses.replace(CONTROL, entrants=(Entrant(model="jepa", labels=("100%",)), *CONTROL.entrants))
+    scorings = Plan(table, "own", Workspace(tmp_path)).of_column(table.columns[1])
+    assert {one.trainings[0].model: one.control.objective for one in scorings} == {
+        "jepa": "feature",
+        "ed-cnn": "tracked",
+    }
+    assert {one.trainings[0].model: one.metrics() for one in scorings}["jepa"] == ("control",)
+
+
+def test_another_recording_can_hold_the_tasks(tmp_path: Path) -> None:
+    world = dataclasses.replace(
+        CONTROL.worlds[0], tasks=0, control_on=World(environment="planar_push", name="test", seed=7, episodes=10)
+    )
+    plan = Plan(dataclasses.replace(CONTROL, worlds=(world,)), "own", Workspace(tmp_path))
+    assert [one.folder.name for one in plan.recordings] == ["planar_push-tiny", "planar_push-test-tiny"]
+    assert {one.data for one in plan.scorings} == {tmp_path / "data" / "planar_push-test-tiny"}
+
+
+def test_a_part_of_a_table_is_chosen_by_names() -> None:
+    part = registry.table("paper").narrowed(models=["dmotion"], worlds=["robot_push"], seeds=[3, 3], preset=Preset.TINY)
+    assert [one.model for one in part.entrants] == ["dmotion"]
+    assert (part.seeds, part.preset, len(part.columns)) == ((3,), Preset.TINY, 2)
+    assert len(registry.table("paper").narrowed(worlds=["grid_world"]).columns) == 1  # control is of the robot
+    for wrong, kind, says in (
+        ({"models": ["dmotoin"]}, UnknownName, "did you mean 'dmotion'"),
+        ({"worlds": ["push_t"]}, UnknownName, "no world of this table named 'push_t'"),
+        ({"seeds": []}, UsageError, "no seed is named"),
+    ):
+        with pytest.raises(kind, match=says):
+            registry.table("paper").narrowed(**wrong)
+    with pytest.raises(InvalidSetting, match="two columns of a table have the same name"):
+        dataclasses.replace(TABLE, columns=TABLE.columns * 2)
+
+
+def test_the_papers_table_has_the_rows_that_were_published() -> None:
+    table = registry.table("paper")
+    published = {(one.environment, one.model, one.labels) for one in published_results()}
+    ours = {(w.environment, one.model, labels) for w in table.worlds for one in table.entrants for labels in one.labels}
+    assert ours == published
+    with_control = {
+        one.model for one in published_results() if any(name.startswith("control_distance") for name in one.figures)
+    }
+    assert {*table.columns[1].models} == with_control
+
+
+@pytest.mark.parametrize("name", registry.table_names())
+def test_every_table_can_be_planned(name: str, tmp_path: Path) -> None:
+    plan = reproducing.plan_table(name, workspace=tmp_path, preset="tiny")
+    assert {training.model for training in plan.trainings} == {one.model for one in plan.table.entrants}
+    assert all(scoring.control for scoring in plan.scorings)
+    last = [column for column in plan.table.columns if "control" in column.metrics][-1:]
+    assert not last or last[0] is plan.table.columns[-1]
+
+
+def test_budgets_of_the_label_curve_end_with_all_labels(tmp_path: Path) -> None:
+    assert list(powers_of_two(9)) == ["1", "2", "4", "8"]
+    plan = reproducing.plan_table("labels", workspace=tmp_path, seeds=[0], worlds=["planar_push"])
+    rows = {training.model: [] for training in plan.trainings}
+    for training in plan.trainings:
+        rows[training.model] += [row.labels for row in training.rows]
+    assert rows["dmotion"] == [str(2**power) for power in range(13)]
+    assert rows["ed-cnn"] == [*(str(4**power) for power in range(1, 7)), "100%"]
+    assert len([training for training in plan.trainings if training.model == "dmotion"]) == 1
+    assert len([training for training in plan.trainings if training.model == "ed-cnn"]) == 7
+    assert len([training for training in plan.trainings if training.model == "wm-ae"]) == 1  # its autoencoder is shared
+
+
+def test_on_a_gpu_one_training_runs_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert reproducing._workers(Hands(workers=3, device="cpu")) == 3
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert reproducing._workers(Hands(workers=3)) == 1
+    assert reproducing._workers(Hands(workers=3, executor="ray")) == 3  # each asks Ray for a GPU
+
+
+def test_speeds_are_measured_once_or_read_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    measured: list[str] = []
+    monkeypatch.setattr(Speeds, "_training", lambda self, model, arch: measured.append(model) or 7.0)
+    speeds = Speeds(device=torch.device("cpu"))
+    assert [speeds.triplets_per_s("lapo", None) for _ in range(2)] == [7.0, 7.0]
+    result = {"name": "train[lapo-compact]", "unit": "triplets/s", "rounds": [90, 100, 110], "limits": []}
+    result |= {"limit_name": "", "setting": ""}
+    (tmp_path / "bench.json").write_text(json.dumps({"processor": "P", "threads": 4, "results": [result]}))
+    stored = Speeds(device=torch.device("cpu"), stored=tmp_path / "bench.json")
+    assert stored.triplets_per_s("lapo", None) == 25.0  # of one core
+    assert stored.triplets_per_s("clasp", None) == 7.0
+    assert measured == ["lapo", "clasp"]
+    assert "P, 4 threads" in stored.told
+    with pytest.raises(UsageError, match="make such a file with 'dmbench bench --json > FILE'"):
+        Speeds(device=torch.device("cpu"), stored=tmp_path / "none.json")
+
+
+def test_the_command_says_the_cost_and_what_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr(registry, "_ADDED", {(registry.TABLES, "mine"): TABLE})
+
+    def ran(*words: str) -> Any:
+        return dmbench(["reproduce", *words], capsys, monkeypatch)
+
+    out = ran("mine", "--dry-run").out
+    assert "grid_world" in out
+    assert "3 runs, 1 whole trainings" in out
+    assert "CPU seconds of one core" in out
+    left: Mapping[str, Any] = json.loads(ran("mine", "--dry-run", "--json").out)["left"]
+    assert sum(line["jobs"] for line in left["lines"]) == 1 + 3 + 5 + 1
+    assert not list(tmp_path.iterdir())
+    for words, says in (
+        (("papr",), "no table named 'papr'; did you mean 'paper'?"),
+        (("mine", "--seeds", "0,x"), "--seeds holds 'x'; give whole numbers"),
+        (("mine", "--models", "cswm"), "no model of this table named 'cswm'"),
+        (("mine", "--executor", "sge"), "no executor named 'sge'"),
+    ):
+        outcome = ran(*words)
+        assert outcome.code == 2
+        assert says in outcome.sentence()
+
+
+def test_ctrl_c_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    monkeypatch.setattr(registry, "_ADDED", {(registry.TABLES, "mine"): TABLE})
+    monkeypatch.setattr(reproducing, "record_recipe", interrupted)
+    outcome = dmbench(["reproduce", "mine"], capsys, monkeypatch)
+    assert outcome.code == 130
+    assert "run the same command again to go on where it stopped, with '--dry-run' to see what is left" in outcome.err
+
+
+def test_a_data_set_of_another_recipe_is_not_taken(tmp_path: Path) -> None:
+    other = dm.record("grid_world", "tiny", episodes=12, frames=6, seed=1, out=tmp_path / "data" / "grid_world-tiny")
+    with pytest.raises(dm.DmbenchError, match="another"):
+        dm.reproduce(TABLE, workspace=tmp_path, workers=1)
+    assert Dataset.open(other.dataset).recipe.seed == 1

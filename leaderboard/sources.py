@@ -24,7 +24,10 @@ from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.workspace import Workspace
 from leaderboard.verdict import Findings
 
-ELSEWHERE: Final = "if it is in another workspace, go there or name it with DMBENCH_WORKSPACE"
+ELSEWHERE: Final = (
+    "if it is in another workspace, go there or name it with DMBENCH_WORKSPACE; if it was published, fetch it with "
+    "'--from PLACE'"
+)
 
 
 def find_run(check: Findings, workspace: Workspace) -> Run | None:

@@ -17,26 +17,25 @@ from dmotion_bench.storage.atomic import remove_leftovers, sync_folder
 from dmotion_bench.storage.lock import FolderLock
 from dmotion_bench.storage.shard import FileFacts, file_facts
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import Workspace
 
-ARRIVING: Final = "arriving"
+ARRIVING: Final = ".arriving"
 _GIB: Final = 2**30
 Files = Mapping[str, tuple[str, FileFacts]]
 """By their paths in the folder here: their names in the place, and what they are."""
 
 
 @contextlib.contextmanager
-def arriving(workspace: Workspace, name: str) -> Iterator[Path]:
-    """A folder of this workspace that nobody else writes into meanwhile.
+def arriving(beside: Path, name: str) -> Iterator[Path]:
+    """A folder that nobody else writes into meanwhile.
 
     Args:
-        workspace: In its ``arriving/``, on the disk where the data will be.
+        beside: The folder of all runs, or of all data sets: what arrives is on its disk, wherever that is.
         name: Tells what arrives.
 
     Raises:
         FolderInUse: Another process fetches the same.
     """
-    folder = workspace.root / ARRIVING / name
+    folder = beside / ARRIVING / name
     if folder.is_symlink() or folder.parent.is_symlink():
         raise UsageError(f"{shown(str(folder))} is a link; delete it.")
     folder.mkdir(parents=True, exist_ok=True)

@@ -112,7 +112,7 @@ def pull_run(
     if target.exists() or target.is_symlink():
         _require_same(target, files)
         return pulled
-    with arriving(workspace, f"run-{weights[:16]}-{meant.digest[:8]}") as folder:
+    with arriving(workspace.runs, f"run-{weights[:16]}-{meant.digest[:8]}") as folder:
         fetched = take(place, files, folder, lambda done, total: tell(meant.name, done, total))
         with refused(folder, address):
             _verify_run(folder, meant)
@@ -227,7 +227,7 @@ def pull_dataset(
         fetched = take(place, lacking, target, told)
         here = all(shard_path(target, LABELS, index).is_file() for index in range(len(manifest.shards)))
         return _with(replace(pulled, labels=here), fetched)
-    with arriving(workspace, f"dataset-{fingerprint[:16]}") as folder:
+    with arriving(workspace.data, f"dataset-{fingerprint[:16]}") as folder:
         fetched = take(place, files, folder, told)
         with refused(folder, address):
             manifest.write(folder)

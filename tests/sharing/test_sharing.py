@@ -55,7 +55,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def nothing_in(workspace: Workspace) -> bool:
     """Whether no run and no data set has appeared, nor a file that is not what it should be."""
-    return not (workspace.root / "runs").exists() and not (workspace.root / "data").exists()
+    there = [one.name for folder in (workspace.runs, workspace.data) for one in folder.glob("*")]
+    return set(there) <= {".arriving"} and not workspace.all_runs() and not workspace.datasets()
 
 
 def entry_of(workspace: Workspace, path: Path, **changes: Any) -> Path:
@@ -88,7 +89,7 @@ def test_an_outsider_gets_the_same_bytes_from_every_kind_of_place(
     assert contents(outsider.runs / "known") == {name: known[name] for name in PUBLISHED}
     assert sum(one.files for one in pushed) == len(there) == sum(one.sent for one in pushed)
     assert Dataset.open(outsider.data / "noise").labels(3).actions.tolist() is not None
-    assert not (outsider.root / "arriving").exists()
+    assert not list(outsider.root.rglob(".arriving"))
 
 
 def test_a_folder_of_entries_stands_for_those_that_were_measured(
@@ -475,7 +476,7 @@ def test_links_in_the_workspace_are_not_written_through(
         with pytest.raises(UsageError, match="is there already"):
             dm.share_pull(wanted(workspace), folder.address, workspace=outsider.root)
         path.unlink()
-    (outsider.root / "arriving").symlink_to(tmp_path)
+    (outsider.runs / ".arriving").symlink_to(tmp_path)
     with pytest.raises(UsageError, match="is a link; delete it"):
         dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
     assert not (tmp_path / "anywhere").exists()

@@ -29,7 +29,7 @@ from object_storage import object_storage
 from pretend_slurm import install_slurm
 from storage.foreign import foxglove_file, steady, video
 from test_documentation import PAGES, ROOT, _commands, _is_example
-from walk import assert_printed, run_python, save, steps
+from walk import BLOCK, assert_printed, run_python, save, steps
 
 from dmotion_bench import registry
 from dmotion_bench.api import demonstration
@@ -255,3 +255,11 @@ def test_a_tutorial_can_be_followed_from_an_empty_folder(
         for name in set(sys.modules) - modules:  # the page's own, which the next page must not find
             if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
                 del sys.modules[name]
+
+
+@pytest.mark.parametrize("name", ["installation.md", "api/index.md"])
+def test_python_of_a_page_runs(name: str) -> None:
+    blocks = [text for kind, _, text in BLOCK.findall((ROOT / "docs" / name).read_text()) if kind == "python"]
+    assert blocks
+    for block in blocks:
+        exec(block, {})

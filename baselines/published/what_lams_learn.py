@@ -51,7 +51,7 @@ MOVES: Final = ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0))
 FOLLOWS: Final = 0.95
 LABELLED: Final = 0.01
 TRANSITIONS: Final = 10_000
-BATCH, STEPS, PROBE_STEPS, WIDTH, RATE = 128, 1200, 600, 64, 2e-3
+BATCH, STEPS, PROBE_STEPS, WIDTH, RATE = 128, 800, 500, 64, 2e-3
 CODES, LENGTH = 8, 16
 PUBLISHED: Final = {"without remedies": (0.781, 0.739), "with 1% of the labels": (0.295, 0.986)}
 """Controllable and stochastic loss as published."""
@@ -291,32 +291,31 @@ def conditions() -> list[Condition]:
 
 
 def measured(seeds: int, steps: int, probe_steps: int) -> dict[Condition, list[tuple[float, float]]]:
-    """Both losses of every condition under each seed.
-
-    What is trained alike, all noises, policies and seeds, is trained beside each other.
-    """
-    found = {}
+    """Both losses of every condition under each seed."""
+    found: dict[Condition, list[tuple[float, float]]] = {}
     for augmented, labelled in itertools.product((False, True), repeat=2):
-        alike = [one for one in conditions() if (one.augmented, one.labelled) == (augmented, labelled)]
-        runs = [(condition, seed) for condition in alike for seed in range(seeds)]
-        with torch.random.fork_rng():
-            torch.manual_seed(0)
-            data = beside(
-                [
-                    recorded(TRANSITIONS, one.noise, one.correlated, torch.Generator().manual_seed(seed))
-                    for one, seed in runs
-                ]
-            )
-            models = trained(data, augmented=augmented, labelled=labelled, steps=steps)
-            losses = losses_of(
-                lambda pairs, models=models: models.infer(pairs)[0],  # type: ignore[misc]
-                [one.noise for one, _ in runs],
-                [seed for _, seed in runs],
-                probe_steps,
-            )
-        for place, condition in enumerate(alike):
-            found[condition] = losses[place * seeds : (place + 1) * seeds]
+        found |= measured_alike(augmented, labelled, seeds, steps, probe_steps)
     return {condition: found[condition] for condition in conditions()}
+
+
+def measured_alike(
+    augmented: bool, labelled: bool, seeds: int, steps: int, probe_steps: int
+) -> dict[Condition, list[tuple[float, float]]]:
+    """The same of the conditions that are trained alike: all noises, policies and seeds, beside each other."""
+    alike = [one for one in conditions() if (one.augmented, one.labelled) == (augmented, labelled)]
+    runs = [(condition, seed) for condition in alike for seed in range(seeds)]
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        data = beside(
+            [
+                recorded(TRANSITIONS, one.noise, one.correlated, torch.Generator().manual_seed(seed))
+                for one, seed in runs
+            ]
+        )
+        models = trained(data, augmented=augmented, labelled=labelled, steps=steps)
+        noises, own = [one.noise for one, _ in runs], [seed for _, seed in runs]
+        losses = losses_of(lambda pairs: models.infer(pairs)[0], noises, own, probe_steps)
+    return {condition: losses[place * seeds : (place + 1) * seeds] for place, condition in enumerate(alike)}
 
 
 def half_width(values: Sequence[float]) -> float:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
 import torch
 
-from dmotion_bench.learning.curriculum import TrainingData, parts_of
+from dmotion_bench.learning.curriculum import TrainingData, demonstrations_of, parts_of, steps_before_labels
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.model import Phase, TrainingConfig
 from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.specs import Supervision
 
 
 def test_each_phase_has_its_share_of_the_triplets_whatever_its_batches(dataset) -> None:
@@ -28,3 +31,72 @@ def test_each_phase_has_its_share_of_the_triplets_whatever_its_batches(dataset) 
     assert (small.stop - small.start) * 2 == 0.75 * 8 * triplets
     assert large.batches(large.order.batch(0)).action is not None
     assert small.batches(small.order.batch(0)).action is None
+
+
+CPU = torch.device("cpu")
+CONFIG = TrainingConfig(epochs=2.0, batch_size=4)
+
+
+def _data(dataset, labels: str) -> TrainingData:
+    return TrainingData(
+        train=TripletSet.of_split(dataset, "train"),
+        validation=TripletSet.of_split(dataset, "validation"),
+        budget=LabelBudget(dataset, LabelRequest.parse(labels), seed=0),
+    )
+
+
+def test_few_labels_stand_beside_each_batch_of_video_and_the_step_decides_which(dataset) -> None:
+    data = _data(dataset, "5")
+    shown = demonstrations_of(data, Supervision.FEW, CPU)
+    assert shown is not None
+    phases = (Phase(name="video", fraction=0.5, with_labels=2), Phase(name="rest", fraction=0.5))
+    parts = parts_of(phases, data, CONFIG, 0, CPU, shown)
+    again = parts_of(phases, data, CONFIG, 0, CPU, shown)
+
+    seen = []
+    for step in (0, 1, 2, 1):
+        batches = []
+        for part in (parts[0], again[0]):
+            part.batches.expect(step, 0, 1)
+            batches.append(part.batches(part.order.batch(step)))
+        first, second = batches
+        assert first.action is None
+        assert first.labelled is not None
+        assert second.labelled is not None
+        assert torch.equal(first.labelled.current, second.labelled.current)
+        assert len(first.labelled) == 2
+        seen.append(first.labelled)
+    assert torch.equal(seen[1].current, seen[3].current)
+    assert not torch.equal(seen[0].current, seen[1].current)
+    for some in seen:
+        for image, action in zip(some.current, some.action, strict=True):
+            (row,) = (shown.current == image).all(dim=(1, 2, 3)).nonzero()[:, 0].tolist()
+            assert shown.action[row] == action
+    assert parts[1].batches(np.array([0])).labelled is None
+    assert parts[0].validation(np.array([0])).labelled is None
+    assert data.budget.given == {"demonstrations": 5}
+    assert steps_before_labels(parts) is None
+
+
+def test_a_phase_of_few_labels_alone_sees_the_demonstrations_alone(dataset) -> None:
+    data = _data(dataset, "3")
+    shown = demonstrations_of(data, Supervision.FEW, CPU)
+    assert shown is not None
+    phases = (Phase(name="named", fraction=0.5, needs_actions=True), Phase(name="video", fraction=0.5))
+    named, video = parts_of(phases, data, CONFIG, 0, CPU, shown)
+    batch = named.batches(named.order.batch(0))
+    assert sorted(batch.action.tolist()) == sorted(shown.action.tolist())
+    assert len(named.batches) == len(named.validation) == 3
+    assert video.batches(video.order.batch(0)).action is None
+    assert data.budget.given == {"demonstrations": 3}
+
+
+@pytest.mark.parametrize(("labels", "train", "held"), [("1", 1, 1), ("2", 1, 1), ("16", 14, 2)])
+def test_one_label_trains_and_validates_and_is_counted_once(dataset, labels, train, held) -> None:
+    data = _data(dataset, labels)
+    (part,) = parts_of((Phase(needs_actions=True),), data, CONFIG, 0, CPU)
+    assert (len(part.batches), len(part.validation)) == (train, held)
+    assert data.budget.total == int(labels)
+    if labels == "1":
+        own, also = part.batches(np.array([0])), part.validation(np.array([0]))
+        assert torch.equal(own.current, also.current)

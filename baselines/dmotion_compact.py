@@ -56,11 +56,8 @@ class ImageEncoder(nn.Module):
         """The maps; only the first ``count`` of them, if that is given."""
         features = self.stem(packed)
         features = features + self.context(features)
-        if count is None:
-            return from_patches(self.head(features), 2)
-        last = self.head[1]
-        weight, bias = (values[: 4 * count] for values in (last.weight, last.bias))
-        return from_patches(F.conv2d(self.head[0](features), weight, bias), 2)
+        packed = self.head(features)
+        return from_patches(packed if count is None else packed[:, : 4 * count], 2)
 
 
 class MotionEncoder(MotionTrunk):

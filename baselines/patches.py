@@ -10,7 +10,7 @@ from typing import Final
 
 import torch
 from einops import rearrange
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 PATCH: Final = 4
@@ -51,7 +51,7 @@ def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp
     return together
 
 
-def from_patches(packed: Float[Tensor, "b p hp wp"], side: int) -> Float[Tensor, "b c h w"]:
+def from_patches(packed: Shaped[Tensor, "b p hp wp"], side: int) -> Shaped[Tensor, "b c h w"]:
     """Turn channels into patches; the result is contiguous."""
     image: Tensor = _FromPatches.apply(packed, side)  # type: ignore[no-untyped-call]
     return image

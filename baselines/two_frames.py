@@ -19,8 +19,8 @@ from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.model import ForwardModel
 
 ConfigT = TypeVar("ConfigT")
-Packed = tuple[Float[Tensor, "b p hp wp"], Float[Tensor, "b p hp wp"]]
-"""x_{t-1} and x_t."""
+Packed = tuple[Float[Tensor, "m p hp wp"], Float[Tensor, "m p hp wp"]]
+"""x_{t-1} and x_t of some states."""
 
 _FRAMES_AT_ONCE = 4  # so that what becomes pixels stays in a processor's cache
 
@@ -49,7 +49,7 @@ class TwoFrameModel(ForwardModel[ConfigT]):
         """The state one action later."""
         return self.branch(state, None, action)
 
-    def branch(self, state: Packed, parent: Int[Tensor, " n"] | None, action: Actions) -> Packed:
+    def branch(self, state: Packed, parent: Int[Tensor, " b"] | None, action: Actions) -> tuple[Tensor, Tensor]:
         """The states that actions lead to; what the actions at one state have in common is computed once.
 
         Args:
@@ -59,16 +59,18 @@ class TwoFrameModel(ForwardModel[ConfigT]):
         """
         return self.branch_with_latent(state, parent, self._latent_of(action))
 
-    def branch_with_latent(self, state: Packed, parent: Int[Tensor, " n"] | None, latent: Float[Tensor, "n d"]) -> Packed:
+    def branch_with_latent(
+        self, state: Packed, parent: Int[Tensor, " b"] | None, latent: Float[Tensor, "b d"]
+    ) -> tuple[Tensor, Tensor]:
         """As ``branch``, of latent actions."""
         previous, current = (in_autocast(frames) for frames in state)
         return self._drawn(previous, current, parent, latent)
 
-    def frame(self, state: Packed) -> Float[Tensor, "b c h w"]:
+    def frame(self, state: Packed) -> Float[Tensor, "m c h w"]:
         """x_t, unpacked."""
         return self.unpack(state[1]).float()
 
-    def pixels(self, state: Packed) -> UInt8[Tensor, "b h w 3"]:
+    def pixels(self, state: Packed) -> UInt8[Tensor, "m h w 3"]:
         """x_t as whole pixel values, one colour after the other in memory; those of ``to_pixels(frame(state))``."""
         if self.pack is not pack:
             return to_pixels(self.frame(state))

@@ -70,6 +70,10 @@ class TwoFrameModel(ForwardModel[ConfigT]):
         """x_t, unpacked."""
         return self.unpack(state[1]).float()
 
+    def features(self, state: Packed) -> Float[Tensor, "m d"]:
+        """Both frames, pixel by pixel in the order of a frame."""
+        return torch.cat([self.unpack(frames).float().flatten(1) for frames in state], dim=1)
+
     def pixels(self, state: Packed) -> UInt8[Tensor, "m h w 3"]:
         """x_t as whole pixel values, one colour after the other in memory; those of ``to_pixels(frame(state))``."""
         if self.pack is not pack:

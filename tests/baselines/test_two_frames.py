@@ -69,6 +69,14 @@ def test_pixels_are_those_of_the_frame(bf16: bool) -> None:
         assert torch.equal(model.pixels(state), to_pixels(model.frame(state)))
 
 
+@pytest.mark.parametrize("name", MODELS)
+def test_features_are_the_frames(name: str) -> None:
+    model, first, second = built(name), images(0), images(1)
+    with torch.inference_mode():
+        wanted = torch.cat([first.flatten(1), second.flatten(1)], dim=1)
+        assert torch.equal(model.features(model.begin(first, second)), wanted)
+
+
 def test_several_agents_share_the_encoder_as_well() -> None:
     spec = Discrete(tuple(f"{one}/{other}" for one in ("up", "down") for other in ("up", "down")))
     model = built("dmotion", actions=spec, agents=2)

@@ -34,13 +34,14 @@ from torch import Tensor, nn
 from baselines import dmotion_compact, dmotion_paper
 from baselines.layers import check_gate_floor, squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift
+from baselines.patches import rows_of
 from baselines.recipe import compact_recipe
+from baselines.two_frames import Packed, TwoFrameModel
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.action_to_latent import ActionToLatent, JointActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
-    ForwardModel,
     Losses,
     ModelInputs,
     TrainingConfig,
@@ -107,7 +108,7 @@ class DMotionConfig:
         check_gate_floor(self.gate_floor)
 
 
-class DMotion(ForwardModel[DMotionConfig]):
+class DMotion(TwoFrameModel[DMotionConfig]):
     """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
     supervision: ClassVar[Supervision] = Supervision.NONE
@@ -205,30 +206,21 @@ class DMotion(ForwardModel[DMotionConfig]):
         motions = demonstrations.read(lambda _, current, following: self._motions(current, following))
         self.table.fit(motions if self.config.agents > 1 else motions[:, 0], demonstrations.action)
 
-    def predict(
-        self,
-        previous: Float[Tensor, "b c h w"],
-        current: Float[Tensor, "b c h w"],
-        action: Actions,
-    ) -> Float[Tensor, "b c h w"]:
-        """Predict x''_{t+1} with the action's phi^0."""
-        return self.predict_with_latent(previous, current, self.table(action).flatten(1))
-
-    def predict_with_latent(
-        self,
-        previous: Float[Tensor, "b c h w"],
-        current: Float[Tensor, "b c h w"],
-        latent: Float[Tensor, "b d"],
-    ) -> Float[Tensor, "b c h w"]:
+    def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
         """Predict x''_{t+1} with ``latent`` as the agent's motion, or the agents' motions one after the other."""
-        previous, current = self.pack(previous), self.pack(current)
         count = self.config.agents
         motions = self.agent_motions(latent)
         if count > 1:
             motions = motions[:, self._order().argsort()]  # as the maps are
-        agents = self.transform(self.image_encoder(current)[:, :count], motions)
-        predicted: Tensor = self.unpack(self._interact(previous, current, agents))
-        return predicted.float()
+        agents = self.transform(rows_of(self.image_encoder(current, count), parent), motions)
+        last = rows_of(current, parent)
+        if self.config.arch == "paper":
+            return last, self._interact(rows_of(previous, parent), last, agents)
+        frames = self._frames(previous, current)
+        return last, self.interaction_learner(frames, agents, parent=parent, current=last)
+
+    def _latent_of(self, action: Actions) -> Float[Tensor, "b d"]:
+        return self.table(action).flatten(1)
 
     def motion(self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d"]:
         """phi^0: how the agent moves between two frames; of several agents one after the other."""
@@ -293,9 +285,11 @@ class DMotion(ForwardModel[DMotionConfig]):
         return shift
 
     def _interact(self, previous: Tensor, current: Tensor, agent: Tensor) -> Float[Tensor, "b c h w"]:
-        frames = [previous, current] if self.config.second_frame else [current]
-        predicted: Tensor = self.interaction_learner(torch.cat(frames, dim=1), agent)
+        predicted: Tensor = self.interaction_learner(self._frames(previous, current), agent)
         return predicted
+
+    def _frames(self, previous: Tensor, current: Tensor) -> Float[Tensor, "b p hp wp"]:
+        return torch.cat([previous, current] if self.config.second_frame else [current], dim=1)
 
     def _with_noise(self, motion: Float[Tensor, "b k d"], size: int) -> Float[Tensor, "b k d"]:
         if not self.training or not self.jitter or not isinstance(self.transform, Translation):

@@ -18,7 +18,7 @@ from __future__ import annotations
 import torch
 import torch.nn.functional as F
 from einops import rearrange
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from baselines.layers import (
@@ -52,10 +52,12 @@ class ImageEncoder(nn.Module):
         self.context = nn.Sequential(block(c, w, stride=2, edges=False), block(w, w, edges=False), up(w, c))
         self.head = nn.Sequential(block(c, c, edges=False), conv(c, 4 * maps, 1, gain=OUTPUT_GAIN))
 
-    def forward(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b k hm wm"]:
+    def forward(self, packed: Float[Tensor, "b p hp wp"], count: int | None = None) -> Float[Tensor, "b k hm wm"]:
+        """The maps; only the first ``count`` of them, if that is given."""
         features = self.stem(packed)
         features = features + self.context(features)
-        return from_patches(self.head(features), 2)
+        packed = self.head(features)
+        return from_patches(packed if count is None else packed[:, : 4 * count], 2)
 
 
 class MotionEncoder(MotionTrunk):
@@ -132,9 +134,13 @@ class InteractionLearner(UNet):
             self.agent_1, self.agent_2 = conv(4 * agents, w, stride=2), conv(4 * agents, d, 1)
 
     def forward(
-        self, packed: Float[Tensor, "b p hp wp"], agent: Float[Tensor, "b a hm wm"]
+        self,
+        packed: Float[Tensor, "m p hp wp"],
+        agent: Float[Tensor, "b a hm wm"],
+        *,
+        parent: Int[Tensor, " b"] | None = None,
+        current: Float[Tensor, "b q hp wp"] | None = None,
     ) -> Float[Tensor, "b q hp wp"]:
         agent = patches(agent, 2)
-        if self.agent_entries == 1:
-            return self.next_frame(packed, self.agent_in(agent))
-        return self.next_frame(packed, self.agent_in(agent), self.agent_1(agent), self.agent_2(F.avg_pool2d(agent, 4)))
+        deeper = () if self.agent_entries == 1 else (self.agent_1(agent), self.agent_2(F.avg_pool2d(agent, 4)))
+        return self.next_frame(packed, self.agent_in(agent), *deeper, parent=parent, current=current)

@@ -66,9 +66,10 @@ class ImageEncoder(nn.Module):
             nn.Conv2d(32, maps, 5, padding=2),
         )
 
-    def forward(self, image: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b k hm wm"]:
+    def forward(self, image: Float[Tensor, "b 3 h w"], count: int | None = None) -> Float[Tensor, "b k hm wm"]:
+        """The maps; only the first ``count`` of them, if that is given."""
         maps: Tensor = self.layers(image)
-        return maps
+        return maps[:, :count]
 
 
 class MotionEncoder(nn.Module):

@@ -15,10 +15,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.layers import CodedUNet, check_gate_floor, check_size, squared_error
-from baselines.patches import pack, unpack
+from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
+from baselines.two_frames import Packed, TwoFrameModel
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
-from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TrainingConfig, TripletBatch
+from dmotion_bench.learning.model import Losses, ModelInputs, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision
 
 
@@ -40,7 +41,7 @@ class EncoderDecoderConfig:
         check_gate_floor(self.gate_floor)
 
 
-class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
+class EncoderDecoder(TwoFrameModel[EncoderDecoderConfig]):
     """Predicts pixels from pixels and the action."""
 
     supervision: ClassVar[Supervision] = Supervision.ACTIONS
@@ -69,22 +70,15 @@ class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
     def losses(self, batch: TripletBatch) -> Losses:
         """Squared error in [-1, 1] units, averaged over pixels and channels."""
         assert batch.action is not None, "the loop gives labelled triplets to models of Supervision.ACTIONS"
-        predicted = self._next(batch.previous, batch.current, batch.action)
+        _, predicted = self.branch((pack(batch.previous), pack(batch.current)), None, batch.action)
         each = squared_error(predicted, pack(batch.next))
         prediction = each.mean()
         return Losses(total=prediction, terms={"prediction": prediction.detach()}, per_triplet=each.detach())
 
-    def predict(
-        self,
-        previous: Float[Tensor, "b c h w"],
-        current: Float[Tensor, "b c h w"],
-        action: Actions,
-    ) -> Float[Tensor, "b c h w"]:
-        """The network's output."""
-        return unpack(self._next(previous, current, action)).float()
+    def _latent_of(self, action: Actions) -> Float[Tensor, "b d"]:
+        return self.encoding(action)
 
-    def _next(self, previous: Tensor, current: Tensor, action: Actions) -> Float[Tensor, "b p hp wp"]:
-        frames = [pack(previous), pack(current)] if self.config.second_frame else [pack(current)]
-        code = self.encoding(action).to(frames[0].dtype)
-        predicted: Tensor = self.network(torch.cat(frames, dim=1), code)
-        return predicted
+    def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
+        frames, last = [previous, current] if self.config.second_frame else [current], rows_of(current, parent)
+        code = latent.to(current.dtype)
+        return last, self.network(torch.cat(frames, dim=1), code, parent=parent, current=last)

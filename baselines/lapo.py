@@ -22,14 +22,13 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
-from baselines.patches import pack, unpack
+from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
+from baselines.two_frames import Packed, TwoFrameModel
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
-    ForwardModel,
     Losses,
     ModelInputs,
     TrainingConfig,
@@ -120,7 +119,7 @@ class VectorQuantizer(nn.Module):
         self.codes.copy_(self.sums / self.counts[..., None])
 
 
-class Lapo(ForwardModel[LapoConfig]):
+class Lapo(TwoFrameModel[LapoConfig]):
     """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
     supervision: ClassVar[Supervision] = Supervision.NONE
@@ -169,25 +168,10 @@ class Lapo(ForwardModel[LapoConfig]):
         shown = demonstrations
         self.table.fit(shown.read(self.latent_action), shown.action)
 
-    def predict(
-        self,
-        previous: Float[Tensor, "b c h w"],
-        current: Float[Tensor, "b c h w"],
-        action: Actions,
-    ) -> Float[Tensor, "b c h w"]:
-        """The forward model under the codes nearest to the action's z_t."""
-        return self.predict_with_latent(previous, current, self.table(action))
-
-    def predict_with_latent(
-        self,
-        previous: Float[Tensor, "b c h w"],
-        current: Float[Tensor, "b c h w"],
-        latent: Float[Tensor, "b d"],
-    ) -> Float[Tensor, "b c h w"]:
-        """The forward model under the codes nearest to a latent action."""
-        frames = torch.cat([pack(previous), pack(current)], dim=1)
+    def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
+        frames, last = torch.cat([previous, current], dim=1), rows_of(current, parent)
         code, _ = self.quantizer(latent)
-        return unpack(self.forward_model(frames, code.to(frames.dtype))).float()
+        return last, self.forward_model(frames, code.to(frames.dtype), parent=parent, current=last)
 
     def _infer(self, previous: Tensor, current: Tensor, following: Tensor) -> Float[Tensor, "b d"]:
         latent: Tensor = self.latent(self.trunk.summarise(torch.cat([previous, current, following], dim=1)))

@@ -21,14 +21,13 @@ from torch import Tensor
 
 from baselines.gaussian import Gaussian
 from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
-from baselines.patches import pack, unpack
+from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
+from baselines.two_frames import Packed, TwoFrameModel
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import (
     Demonstrations,
-    ForwardModel,
     Losses,
     ModelInputs,
     TrainingConfig,
@@ -56,7 +55,7 @@ class LatentActionConfig:
             raise InvalidSetting("length must be 1 or more, beta 0 or more.")
 
 
-class LatentActionVAE(ForwardModel[LatentActionConfig]):
+class LatentActionVAE(TwoFrameModel[LatentActionConfig]):
     """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
     supervision: ClassVar[Supervision] = Supervision.NONE
@@ -107,24 +106,9 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         shown = demonstrations
         self.table.fit(shown.read(self.latent_action), shown.action)
 
-    def predict(
-        self,
-        previous: Float[Tensor, "b c h w"],
-        current: Float[Tensor, "b c h w"],
-        action: Actions,
-    ) -> Float[Tensor, "b c h w"]:
-        """The decoder under the action's latent action."""
-        return self.predict_with_latent(previous, current, self.table(action))
-
-    def predict_with_latent(
-        self,
-        previous: Float[Tensor, "b c h w"],
-        current: Float[Tensor, "b c h w"],
-        latent: Float[Tensor, "b d"],
-    ) -> Float[Tensor, "b c h w"]:
-        """The decoder under a latent action."""
-        frames = torch.cat([pack(previous), pack(current)], dim=1)
-        return unpack(self.decoder(frames, latent.to(frames.dtype))).float()
+    def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
+        frames, last = torch.cat([previous, current], dim=1), rows_of(current, parent)
+        return last, self.decoder(frames, latent.to(frames.dtype), parent=parent, current=last)
 
     def _infer(self, current: Tensor, following: Tensor) -> Gaussian:
         return Gaussian.of(self.moments(self.trunk.summarise(torch.cat([current, following], dim=1))))

@@ -14,10 +14,10 @@ import math
 import torch
 import torch.nn.functional as F
 from einops import rearrange
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from baselines.patches import CHANNELS, PATCH, patches, unpack
+from baselines.patches import CHANNELS, PATCH, patches, rows_of, unpack
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import Losses, ModelInputs
 
@@ -238,20 +238,31 @@ class UNet(nn.Module):
 
     def next_frame(
         self,
-        packed: Float[Tensor, "b p hp wp"],
+        packed: Float[Tensor, "m p hp wp"],
         full: Float[Tensor, "b c h0 w0"],
         half: Float[Tensor, "b w h1 w1"] | float = 0.0,
         quarter: Float[Tensor, "b d h2 w2"] | float = 0.0,
+        *,
+        parent: Int[Tensor, " b"] | None = None,
+        current: Float[Tensor, "b q hp wp"] | None = None,
     ) -> Float[Tensor, "b q hp wp"]:
-        """Args: ``full``, ``half``, ``quarter``: what is added to the features of that size; broadcast if 1 x 1."""
-        level0 = self.level0(F.leaky_relu(self.frames_in(packed) + full, SLOPE))
+        """The next frame.
+
+        Args:
+            packed: The last frames.
+            full, half, quarter: What is added to the features of that size; broadcast if 1 x 1.
+            parent: The row of ``packed`` that each row is of; None: its own.
+            current: x_t of each row; None: as in ``packed``.
+        """
+        level0 = self.level0(F.leaky_relu(rows_of(self.frames_in(packed), parent) + full, SLOPE))
         level1 = self.level1(F.leaky_relu(self.down1(level0) + half, SLOPE))
         level2 = self.down2(level1) + quarter
         for inner in self.middle:
             level2 = level2 + inner(level2)
         level1 = level1 + self.merge1(level1 + self.up1(level2))
         level0 = self.merge0(level0 + self.up0(level1))
-        current = packed[:, -CHANNELS:].contiguous(memory_format=torch.channels_last)  # strides make blending slow
+        if current is None:
+            current = packed[:, -CHANNELS:].contiguous(memory_format=torch.channels_last)  # strides make blending slow
         if self.warps:
             current = self._carried(current, level0)
         return torch.lerp(current, self.painting(level0), _share(self.gate, level0, OPENNESS, self.gate_floor))
@@ -316,11 +327,18 @@ class CodedUNet(UNet):
         super().__init__(frames, warps=warps, gate_floor=gate_floor)
         self.code_in, self.code_1, self.code_2 = (linear(code, width) for width in WIDTHS)
 
-    def forward(self, packed: Float[Tensor, "b p hp wp"], code: Float[Tensor, "b d"]) -> Float[Tensor, "b q hp wp"]:
+    def forward(
+        self,
+        packed: Float[Tensor, "m p hp wp"],
+        code: Float[Tensor, "b d"],
+        *,
+        parent: Int[Tensor, " b"] | None = None,
+        current: Float[Tensor, "b q hp wp"] | None = None,
+    ) -> Float[Tensor, "b q hp wp"]:
         full, half, quarter = (
             rearrange(layer(code), "b c -> b c 1 1") for layer in (self.code_in, self.code_1, self.code_2)
         )
-        return self.next_frame(packed, full, half, quarter)
+        return self.next_frame(packed, full, half, quarter, parent=parent, current=current)
 
 
 class FrameEncoder(nn.Module):

@@ -10,7 +10,7 @@ from typing import Final
 
 import torch
 from einops import rearrange
-from jaxtyping import Float
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 PATCH: Final = 4
@@ -21,9 +21,23 @@ WIDE: Final = {4: torch.int32, 8: torch.int64, 16: torch.complex128}
 
 def pack(image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b p hp wp"]:
     """4 x 4 patches as channels, channels-last in memory; in autocast's type within autocast."""
-    if torch.is_autocast_enabled(image.device.type):
-        image = image.to(torch.get_autocast_dtype(image.device.type))
-    return patches(image, PATCH)
+    return patches(in_autocast(image), PATCH)
+
+
+def in_autocast(values: Float[Tensor, "*d"]) -> Float[Tensor, "*d"]:
+    """The values in autocast's type, within autocast."""
+    if torch.is_autocast_enabled(values.device.type):
+        return values.to(torch.get_autocast_dtype(values.device.type))
+    return values
+
+
+def rows_of(maps: Float[Tensor, "m c h w"], rows: Int[Tensor, " n"] | None) -> Float[Tensor, "n c h w"]:
+    """Some rows of a batch, in the batch's memory format; all if None."""
+    if rows is None:
+        return maps
+    if maps.is_contiguous():
+        return maps.index_select(0, rows)
+    return maps.permute(0, 2, 3, 1).index_select(0, rows).permute(0, 3, 1, 2)
 
 
 def unpack(packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b c h w"]:
@@ -37,7 +51,7 @@ def patches(image: Float[Tensor, "b c h w"], side: int) -> Float[Tensor, "b p hp
     return together
 
 
-def from_patches(packed: Float[Tensor, "b p hp wp"], side: int) -> Float[Tensor, "b c h w"]:
+def from_patches(packed: Shaped[Tensor, "b p hp wp"], side: int) -> Shaped[Tensor, "b c h w"]:
     """Turn channels into patches; the result is contiguous."""
     image: Tensor = _FromPatches.apply(packed, side)  # type: ignore[no-untyped-call]
     return image

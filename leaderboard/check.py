@@ -36,12 +36,12 @@ from dmotion_bench.learning.threads import not_allowed, using_threads
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.prediction import MODEL, Execution, Progress, silent
+from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import REFERENCES, published_results
 from dmotion_bench.scoring.report import SAMPLES_FILE, SCORING_VERSION
 from dmotion_bench.scoring.samples import CONTROL, FIGURE_COLUMNS, GAIN, GAIN_COLUMNS, column, read_samples
 from dmotion_bench.scoring.score import (
     METRICS,
-    ReferenceScores,
     Scores,
     ScoreSettings,
     score_model,
@@ -70,7 +70,7 @@ SAMPLE_ROUNDING: Final = 1e-2
 
 PICTURE_ROUNDING: Final = 3  # pixel values
 MOST_RESAMPLES: Final = 100_000
-_REFERENCES: Final = ReferenceScores()
+_REFERENCES: Final = ReferenceScores(on_disk=False)  # what is checked is computed here
 """Of the present process: it computes them once for all entries of a data set that it checks."""
 _KEY: Final = ("episode", "step", "ahead")
 

@@ -21,8 +21,9 @@ from dmotion_bench.scoring.control import ControlScoring, control_samples
 from dmotion_bench.scoring.control import score_reference as control_of_reference
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import Execution, Precision
+from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.report import Report, read_report_samples
-from dmotion_bench.scoring.score import METRICS, Metric, ReferenceScores, ScoreSettings, score_run
+from dmotion_bench.scoring.score import METRICS, Metric, ScoreSettings, score_run
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import AnyPath, Workspace

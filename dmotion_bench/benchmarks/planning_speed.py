@@ -1,6 +1,6 @@
 """How many control steps a second a model allows, with everything this package does for speed and without.
 
-Two ways of doing the same work, one control step of the paper's CEM with the same candidates:
+Two ways of doing the same work, one control step of the planner of the control table's first column (``HEADLINE``):
 
 - *together*: a tree of predictions, tasks side by side, one batch of frames after the other;
 - *one by one*: every candidate of every iteration predicted by itself, frame after frame, nothing shared.
@@ -17,18 +17,15 @@ from jaxtyping import Int, UInt8
 
 from dmotion_bench.actions import require_discrete
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.agents import Decision, ModelAgent
+from dmotion_bench.planning.agents import ModelAgent
+from dmotion_bench.planning.choices import HEADLINE
 from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.mpc import GROUP
-from dmotion_bench.planning.objectives.base import Evaluator, Objective
-from dmotion_bench.planning.objectives.centres import Centres
-from dmotion_bench.planning.objectives.feature import Feature
-from dmotion_bench.planning.solvers.base import PlanContext
+from dmotion_bench.planning.objectives.base import Evaluator
+from dmotion_bench.planning.solvers.base import Plan, PlanContext, Sequences
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.specs import EnvSpec
-
-PAPERS = CrossEntropy()
 
 
 class PlanningTogether:
@@ -54,21 +51,26 @@ class PlanningTogether:
         tasks: int = GROUP,
         device: torch.device | None = None,
     ) -> None:
-        self._agent = ModelAgent(model, spec, PAPERS, _objective(model), device=device)
+        solver, objective = HEADLINE.made(needs_pixels=model.needs_pixels)
+        self._agent = ModelAgent(model, spec, solver, objective, device=device)
+        self._memory: Sequences | None = None
         self._seen, self._tasks, self._number = _observation(images, tasks), tasks, 0
         self._actions = len(require_discrete(spec.actions, "planning"))
         self._agent.reset(self._seen.current, self._seen.goals)
-        plan = self._act().plan
-        self.frames_per_step = plan.frames / tasks if plan else 0.0
+        self._act()  # remembers nothing yet, as only the first of a task's steps does
+        self.frames_per_step = self._act().frames / tasks
 
     def __call__(self) -> float:
         """Take the step; how many it was, one of each task."""
         self._act()
         return self._tasks
 
-    def _act(self) -> Decision:
+    def _act(self) -> Plan:
         self._number += 1
-        return self._agent.act(_context(self._seen, self._actions, self._number))
+        plan = self._agent.act(_context(self._seen, self._actions, self._number, self._memory)).plan
+        assert plan is not None, "an agent that has a model plans"
+        self._memory = plan.memory
+        return plan
 
 
 class PlanningOneByOne:
@@ -84,16 +86,18 @@ class PlanningOneByOne:
     ) -> None:
         self._dynamics = ModelDynamics(model.to(device or torch.device("cpu")).eval(), device=device)
         self._seen = _observation(images, 1)
-        self._evaluator = _objective(model).reset(spec, self._seen.current, self._seen.goals)
+        solver, objective = HEADLINE.made(needs_pixels=model.needs_pixels)
+        assert isinstance(solver, CrossEntropy), "whose candidates are counted here"
+        self._evaluator = objective.reset(spec, self._seen.current, self._seen.goals)
         actions = len(require_discrete(spec.actions, "planning"))
-        drawn = np.random.default_rng(0).integers(0, actions, (1000, PAPERS.horizon))
-        self._candidates = itertools.cycle(drawn)
-        self.frames_per_step = float(PAPERS.samples * PAPERS.iterations * PAPERS.horizon)
+        drawn = np.random.default_rng(0).integers(0, actions, (1000, solver.horizon))
+        self._candidates, self._count = itertools.cycle(drawn), solver.samples * solver.iterations
+        self.frames_per_step = float(self._count * solver.horizon)
 
     def __call__(self) -> float:
         """Imagine the next candidate; the part of a control step that it is."""
         rollout_costs(self._dynamics, self._evaluator, self._seen, next(self._candidates))
-        return 1 / (PAPERS.samples * PAPERS.iterations)
+        return 1 / self._count
 
 
 def rollout_costs(
@@ -113,20 +117,17 @@ def rollout_costs(
     return costs
 
 
-def _objective(model: ForwardModel[Any]) -> Objective:
-    return Centres() if model.needs_pixels else Feature()
-
-
 def _observation(images: UInt8[np.ndarray, "n h w 3"], tasks: int) -> Observation:
     order = np.arange(tasks)
     starts, goals = images[order % len(images)], images[(order + 1) % len(images)]
     return Observation(previous=starts, current=starts, goals=goals)
 
 
-def _context(seen: Observation, actions: int, number: int) -> PlanContext:
+def _context(seen: Observation, actions: int, number: int, memory: Sequences | None) -> PlanContext:
     tasks = len(seen.current)
     return PlanContext(
         observation=seen,
         generators=tuple(np.random.default_rng([number, task]) for task in range(tasks)),
         blocked=np.zeros((tasks, actions), np.bool_),
+        memory=memory,
     )

@@ -181,7 +181,7 @@ def training(name: str, arch: str, seconds: float) -> Result:
 
 
 def planning(name: str, seconds: float, *, together: bool) -> Result:
-    """Control steps a second of the paper's planner: as the control loop takes them, or candidate by candidate."""
+    """Control steps a second of the first column's planner: as the loop takes them, or candidate by candidate."""
     kind, images = model_class(name), scene_frames(_IMAGES)
     arch = kind.architectures[0]
     channels_last = kind.training_defaults(Preset.SMALL, arch).channels_last

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import ctypes
 import logging
 import warnings
 
@@ -14,19 +13,7 @@ from lightning_fabric.plugins.environments.torchelastic import TorchElasticEnvir
 
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.processes import place
-
-M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -3, -1  # malloc.h of the GNU C library
-
-
-def keep_freed_memory() -> None:
-    """Let the C library keep what a training step frees for the next one.
-
-    Page faults on fresh memory cost a fifth of a step. Only the GNU C library can do this.
-    """
-    with contextlib.suppress(AttributeError, OSError):
-        library = ctypes.CDLL(None)
-        library.mallopt(M_MMAP_THRESHOLD, 1 << 30)
-        library.mallopt(M_TRIM_THRESHOLD, (1 << 31) - 1)
+from dmotion_bench.learning.memory import keep_freed_memory
 
 
 def _part() -> None:

@@ -6,14 +6,14 @@ A rollout begins with the true frames (x_{t-1}, x_t), follows the recorded actio
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
 import torch
-from jaxtyping import Float, Shaped, UInt8
+from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from dmotion_bench.errors import ModelContractBroken
@@ -30,6 +30,21 @@ from dmotion_bench.scoring.samples import EACH, SampleRows, action_column
 from dmotion_bench.scoring.transitions import HeldOut, RolloutBatch, TransitionBatch
 
 MODEL = "model"
+
+
+@runtime_checkable
+class LatentBranchingModel(Protocol):
+    """A model that computes only once what several latent actions at one state have in common."""
+
+    def begin(self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]) -> Any:
+        """See ``ForwardModel``; so is ``frame``."""
+
+    def branch_with_latent(self, state: Any, parent: Int[Tensor, " n"], latent: Float[Tensor, "n d"]) -> Any:
+        """The states after latent actions, row i at the state of row ``parent[i]``."""
+
+    def frame(self, state: Any) -> Float[Tensor, "n c h w"]: ...
+
+
 Precision = Literal["float32", "bf16"]
 Progress = Callable[[str, int, int], None]
 """Told what is being done, how much of it is done, and how much there is."""
@@ -181,10 +196,8 @@ def _by_latent(
 ) -> dict[str, Tensor]:
     """What the model predicts when it is given a latent action instead of a named one."""
     partner = found.partner[here]
-    own, other = (
-        to_pixels(model.predict_with_latent(previous, current, torch.from_numpy(found.motion[rows]).to(current.device)))
-        for rows in (np.arange(here.start, here.stop), partner)
-    )
+    latents = (torch.from_numpy(found.motion[rows]).to(current.device) for rows in (here, partner))
+    own, other = _with_latents(model, previous, current, list(latents))
     change = mean_squared_error(own, other).cpu()
     each = {} if found.each is None else vars(found.each)
     return {
@@ -197,6 +210,20 @@ def _by_latent(
         "mse_true_motion": mean_squared_error(own, truth).cpu(),
         "motion_swap_change": change.where(torch.from_numpy(partner >= 0), torch.nan),
     }
+
+
+def _with_latents(
+    model: LatentActionModel,
+    previous: Float[Tensor, "b c h w"],
+    current: Float[Tensor, "b c h w"],
+    latents: Sequence[Float[Tensor, "b d"]],
+) -> list[UInt8[Tensor, "b h w 3"]]:
+    """What a model predicts under some latent actions; what they have in common is computed once, if it can do so."""
+    if not isinstance(model, LatentBranchingModel):
+        return [to_pixels(model.predict_with_latent(previous, current, latent)) for latent in latents]
+    parent = torch.arange(len(current), device=current.device).repeat(len(latents))
+    after = model.branch_with_latent(model.begin(previous, current), parent, torch.cat(list(latents)))
+    return list(to_pixels(model.frame(after)).chunk(len(latents)))
 
 
 def _pixels(

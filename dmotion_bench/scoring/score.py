@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 import torch
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing
+from dmotion_bench.learning.memory import keep_freed_memory
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.run import Run
@@ -33,6 +34,7 @@ from dmotion_bench.scoring.prediction import (
     score_rollouts,
     score_steps,
 )
+from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
     SCORING_VERSION,
@@ -50,7 +52,7 @@ from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
-from dmotion_bench.workspace import AnyPath
+from dmotion_bench.workspace import AnyPath, cache_folder
 
 Metric = Literal["prediction", "rollout", "gain", "control"]
 METRICS: tuple[Metric, ...] = get_args(Metric)
@@ -115,19 +117,6 @@ class Scores:
     reference: Mapping[str, Figures]
 
 
-class ReferenceScores:
-    """The samples of references, which depend on the data alone, so that all runs of a process share them."""
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[object, ...], pa.Table] = {}
-
-    def get(self, key: tuple[object, ...], score: Callable[[], pa.Table]) -> pa.Table:
-        """The samples stored under a key; computed by ``score`` the first time."""
-        if key not in self._known:
-            self._known[key] = score()
-        return self._known[key]
-
-
 def score_model(
     model: ForwardModel[Any],
     dataset: Dataset,
@@ -154,22 +143,29 @@ def score_model(
     settings, how = settings or ScoreSettings(), how or Execution()
     references = references or ReferenceScores()
     model = model.to(how.device).laid_out().eval()
+    keep_freed_memory()
     if dataset.spec.actions is None:
         with predicting(how.device, settings.precision):
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
         metrics = tuple(metric for metric in metrics if metric in OWN_SETTINGS)
-    identity = (dataset.fingerprint, dataset.spec.actions, settings.split, settings.protocol, torch.get_num_threads())
-    tables = [] if earlier is None else [earlier]
+    identity = {
+        "dataset": dataset.fingerprint,
+        "actions": str(dataset.spec.actions),
+        "split": settings.split,
+        "protocol": settings.protocol,
+        "batch_size": how.batch_size,  # decides the order of the rows
+        "device": how.device.type,
+        "threads": torch.get_num_threads(),
+    }
+    tables, cache = [] if earlier is None else [earlier], cache_folder(dataset.path)
     with predicting(how.device):
         if "prediction" in metrics:
-            tables.append(references.get(identity, lambda: score_reference_steps(held_out, how)))
+            tables.append(references.get(identity, lambda: score_reference_steps(held_out, how), cache))
         if "rollout" in metrics:
-            key = (*identity, settings.horizon)
-            tables.append(
-                references.get(key, lambda: score_reference_rollouts(held_out, how, horizon=settings.horizon))
-            )
+            key, horizon = identity | {"horizon": settings.horizon}, settings.horizon
+            tables.append(references.get(key, lambda: score_reference_rollouts(held_out, how, horizon=horizon), cache))
     with predicting(how.device, settings.precision):
         if "prediction" in metrics:
             tables.append(score_steps(model, held_out, how))

@@ -23,10 +23,10 @@ from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.scoring.control import score_control, share_of
 from dmotion_bench.scoring.prediction import Execution
+from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.score import (
     CONTROL_JOURNAL,
     Metric,
-    ReferenceScores,
     ScoreSettings,
     is_scored,
     score_run,

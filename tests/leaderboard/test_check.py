@@ -15,9 +15,10 @@ from known_model import Known
 
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.run import Conditions, Run
+from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import write_report
-from dmotion_bench.scoring.score import ReferenceScores, score_run
+from dmotion_bench.scoring.score import score_run
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry, check_paths

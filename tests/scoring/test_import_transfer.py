@@ -17,8 +17,9 @@ from torch import Tensor
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DatasetMissing, LabelsNotAvailable, RunMismatch, UsageError
 from dmotion_bench.learning.run import Run
+from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.report import Report, read_report_samples
-from dmotion_bench.scoring.score import ReferenceScores, ScoreSettings, score_model, score_run
+from dmotion_bench.scoring.score import ScoreSettings, score_model, score_run
 from dmotion_bench.scoring.transfer import transferable
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import export_lerobot

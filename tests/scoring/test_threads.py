@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -13,7 +15,8 @@ from torch import Tensor
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.run import Conditions, Run
 from dmotion_bench.learning.threads import scoring_shortage
-from dmotion_bench.scoring.score import ReferenceScores, ScoreSettings, score_run
+from dmotion_bench.scoring.reference_samples import ReferenceScores
+from dmotion_bench.scoring.score import ScoreSettings, score_run
 
 MakeRun = Callable[..., Run]
 QUICK = ScoreSettings(horizon=3, resamples=100)
@@ -59,9 +62,9 @@ def test_the_references_of_another_number_are_scored_again(
     references, asked = ReferenceScores(), []
     get = references.get
 
-    def noted(key: tuple[object, ...], score: Callable[[], object]) -> object:
-        asked.append(key)
-        return get(key, score)  # type: ignore[arg-type]
+    def noted(key: Mapping[str, object], *rest: Any) -> object:
+        asked.append(json.dumps(key, sort_keys=True))
+        return get(key, *rest)
 
     monkeypatch.setattr(references, "get", noted)
     for threads in (2, 3, 2):

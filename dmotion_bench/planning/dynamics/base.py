@@ -12,6 +12,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec
+from dmotion_bench.learning.images import to_pixels
 
 State = tuple[Tensor, ...]
 """Tensors whose first axis is the batch."""
@@ -77,3 +78,31 @@ class Dynamics(Protocol):
 
     def features(self, state: State) -> Float[Tensor, "n d"]:
         """Each state as a vector; the distance between two vectors measures how different the states are."""
+
+
+@runtime_checkable
+class Branching(Protocol):
+    """A dynamics that predicts several actions at one state for less than as many states with one action each."""
+
+    def branch(self, state: State, parent: Int[Tensor, " n"], action: Actions) -> State:
+        """The states after actions, row i at the state of row ``parent[i]``: ``step`` of those rows."""
+
+
+@runtime_checkable
+class Pixels(Protocol):
+    """A dynamics that gives its frames as pixels by itself."""
+
+    def pixels(self, state: State) -> UInt8[Tensor, "n h w 3"]:
+        """The frames that the states look like, as whole pixel values, in any memory order."""
+
+
+def branched(dynamics: Dynamics, state: State, parent: Int[Tensor, " n"], action: Actions) -> State:
+    """The states after actions, each at one of some states; see ``Branching``."""
+    if isinstance(dynamics, Branching):
+        return dynamics.branch(state, parent, action)
+    return dynamics.step(tuple(part[parent.to(part.device)] for part in state), action)
+
+
+def pixels_of(dynamics: Dynamics, state: State) -> UInt8[Tensor, "n h w 3"]:
+    """The frames that states look like, as whole pixel values; see ``Pixels``."""
+    return dynamics.pixels(state) if isinstance(dynamics, Pixels) else to_pixels(dynamics.frames(state))

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import ModelContractBroken
-from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.planning.dynamics.base import Actions, Observation, State
@@ -27,6 +27,22 @@ class FeatureModel(Protocol):
 
     def features(self, state: Any) -> Float[Tensor, "b d"]:
         """Feature vectors; the distance between two vectors measures how different the states are."""
+
+
+@runtime_checkable
+class BranchingModel(Protocol):
+    """A model that computes only once what several actions at one state have in common."""
+
+    def branch(self, state: Any, parent: Int[Tensor, " n"] | None, action: Any) -> Any:
+        """The states after actions, row i at the state of row ``parent[i]``: ``advance`` of those rows."""
+
+
+@runtime_checkable
+class PixelModel(Protocol):
+    """A model that turns its states into whole pixel values faster than by way of ``frame``."""
+
+    def pixels(self, state: Any) -> UInt8[Tensor, "b h w 3"]:
+        """``to_pixels(frame(state))``, in any memory order."""
 
 
 class ModelDynamics:
@@ -73,9 +89,22 @@ class ModelDynamics:
         """The states that the model predicts."""
         return as_tuple(self._model.advance(state, in_units(self.actions, action.to(self.device))))
 
+    def branch(self, state: State, parent: Int[Tensor, " n"], action: Actions) -> State:
+        """The states that the model predicts; what they have in common is computed once, if the model can do so."""
+        parent, taken = parent.to(self.device), in_units(self.actions, action.to(self.device))
+        if isinstance(self._model, BranchingModel):
+            return as_tuple(self._model.branch(state, parent, taken))
+        return as_tuple(self._model.advance(tuple(part[parent] for part in state), taken))
+
     def frames(self, state: State) -> Float[Tensor, "n c h w"]:
         """The frames that the model draws of the states."""
         return self._model.frame(state)
+
+    def pixels(self, state: State) -> UInt8[Tensor, "n h w 3"]:
+        """The same frames as whole pixel values, in the memory order that costs the model least."""
+        if isinstance(self._model, PixelModel):
+            return self._model.pixels(state)
+        return to_pixels(self._model.frame(state))
 
     def features(self, state: State) -> Float[Tensor, "n d"]:
         """The model's features; a model without any has its states compared number by number."""

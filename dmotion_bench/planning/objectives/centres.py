@@ -15,8 +15,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.learning.images import to_pixels
-from dmotion_bench.planning.dynamics.base import Dynamics, State
+from dmotion_bench.planning.dynamics.base import Dynamics, State, pixels_of
 from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec
@@ -75,7 +74,7 @@ class CentresEvaluator(Memoryless):
         self, dynamics: Dynamics, state: State, task: Int[Tensor, " n"], action: Tensor, cost_state: CostState
     ) -> tuple[StepCost, CostState]:
         """The cost of the frames that the states look like."""
-        return StepCost.of(self.of_frames(to_pixels(dynamics.frames(state)), task)), ()
+        return StepCost.of(self.of_frames(pixels_of(dynamics, state), task)), ()
 
 
 def require_objects(spec: EnvSpec) -> None:

@@ -10,8 +10,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.learning.images import to_pixels
-from dmotion_bench.planning.dynamics.base import Dynamics, State
+from dmotion_bench.planning.dynamics.base import Dynamics, State, pixels_of
 from dmotion_bench.planning.objectives.base import CostState, StepCost, Taken
 from dmotion_bench.planning.objectives.centres import require_objects
 from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
@@ -90,4 +89,4 @@ class TrackedEvaluator:
         self, dynamics: Dynamics, state: State, task: Int[Tensor, " n"], action: Tensor, cost_state: CostState
     ) -> tuple[StepCost, CostState]:
         """The cost of the frames that the states look like."""
-        return StepCost.of(self.of_boxes(self._tracker.look(to_pixels(dynamics.frames(state))), task)), ()
+        return StepCost.of(self.of_boxes(self._tracker.look(pixels_of(dynamics, state)), task)), ()

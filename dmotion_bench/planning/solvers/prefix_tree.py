@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from dmotion_bench.actions import require_discrete
-from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State
+from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State, branched
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
 from dmotion_bench.planning.solvers.search import Search
 
@@ -95,14 +95,15 @@ class PrefixTree(Search):
             raise ValueError(f"sequences of {sequences.shape[2]} actions in a tree made for {self.horizon}")
         node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])
         costs = np.empty((*sequences.shape, 1 + len(PARTS)))
-        for depth in range(sequences.shape[2]):
-            wanted, place = np.unique(node * self.actions + sequences[:, :, depth], return_inverse=True)
-            level = self._levels[depth + 1]
-            unknown = wanted[level.nodes_of(wanted) < 0]
-            if len(unknown):
-                self._predict(depth, unknown)
-            node = level.nodes_of(wanted)[place].reshape(sequences.shape[:2])
-            costs[:, :, depth] = level.cost[node]
+        with self.dynamics.computing():  # once for all, so that autocast keeps the weights that it has rounded
+            for depth in range(sequences.shape[2]):
+                wanted, place = np.unique(node * self.actions + sequences[:, :, depth], return_inverse=True)
+                level = self._levels[depth + 1]
+                unknown = wanted[level.nodes_of(wanted) < 0]
+                if len(unknown):
+                    self._predict(depth, unknown)
+                node = level.nodes_of(wanted)[place].reshape(sequences.shape[:2])
+                costs[:, :, depth] = level.cost[node]
         return costs
 
     def _predict(self, depth: int, keys: Int[np.ndarray, " n"]) -> None:
@@ -112,8 +113,9 @@ class PrefixTree(Search):
         task, costs = above.task[parent], []
         for start in range(0, len(keys), self.dynamics.at_once):
             part = slice(start, start + self.dynamics.at_once)
+            nodes, place = np.unique(parent[part], return_inverse=True)
             states, cost = self._expand(
-                above.gather(parent[part]), torch.from_numpy(task[part]), torch.from_numpy(action[part])
+                above.gather(nodes), *(torch.from_numpy(one) for one in (place, task[part], action[part]))
             )
             costs.append(cost.double().numpy())
             if depth + 1 < self.horizon:
@@ -125,12 +127,12 @@ class PrefixTree(Search):
         self.frames += len(keys)
 
     def _expand(
-        self, states: State, task: Int[Tensor, " n"], action: Int[Tensor, " n"]
+        self, states: State, place: Int[Tensor, " n"], task: Int[Tensor, " n"], action: Int[Tensor, " n"]
     ) -> tuple[State, Float[Tensor, "n 4"]]:
-        """Each state after one more action, and its cost."""
+        """The states after actions, each at the state of row ``place``, and their costs."""
         dynamics, split = self.dynamics, len(states) - self._carried
-        with dynamics.computing():
-            task, action = task.to(dynamics.device), action.to(dynamics.device)
-            after = dynamics.step(states[:split], action)
-            cost, carried = self._evaluator.step(dynamics, after, task, action, states[split:])
-            return (*after, *carried), cost.stacked().cpu()
+        place, task, action = (rows.to(dynamics.device) for rows in (place, task, action))
+        after = branched(dynamics, states[:split], place, action)
+        before = tuple(part[place] for part in states[split:])
+        cost, carried = self._evaluator.step(dynamics, after, task, action, before)
+        return (*after, *carried), cost.stacked().cpu()

@@ -72,9 +72,10 @@ def reduced(frames: UInt8[Tensor, "n h w 3"], side: int) -> Float[Tensor, "n d"]
     The last rows and columns are left out where the cells do not fill the image.
     """
     count, height, width = frames.shape[0], frames.shape[1] // side, frames.shape[2] // side
-    cells = frames[:, : height * side, : width * side].reshape(count, side, height, side * width * 3)[:, :, ::2]
-    rows = cells.sum(dim=2, dtype=torch.int32).reshape(count, side, side, width, 3)
-    return rows.sum(dim=3).flatten(1).float() / (255 * cells.shape[2] * width)
+    planes = frames.movedim(-1, 1)[:, :, : height * side, : width * side]
+    cells = planes.reshape(count, 3, side, height, side * width)[:, :, :, ::2]
+    sums = cells.sum(dim=3, dtype=torch.int32).reshape(count, 3, side, side, width).sum(dim=4)
+    return sums.movedim(1, -1).flatten(1).float() / (255 * cells.shape[3] * width)
 
 
 def misplaced(

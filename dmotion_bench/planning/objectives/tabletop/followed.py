@@ -87,7 +87,8 @@ class FollowedObjects:
         centre = self._tracker.believed(before, now).centre
         moved = (centre - start.centre).norm(dim=-1, keepdim=True) >= still
         first = risk.isnan()
-        risk = torch.where(first, self._risk(frames, task, start, now, first), risk)
+        if begins := bool(first.any()):
+            risk = torch.where(first, self._risk(frames, task, start, now, first), risk)
         apart, feared = self._apart(torch.where(moved, centre, start.centre), wanted), self._lost * risk
         total, present = (apart + feared).sum(-1), self._now[task]
         way = torch.where(moved, (centre - start.centre).norm(dim=-1, keepdim=True), 0.0).sum(dim=(1, 2))
@@ -95,8 +96,9 @@ class FollowedObjects:
         total = torch.where(idle, present + touched, total)
         bonus = torch.where(idle, -touched, 0.0)
         if self._exploration is not None:
-            tired = self._exploration.penalty(frames, task, action)[:, None]
-            penalty = torch.where(first, tired, penalty)
+            if begins:
+                tired = self._exploration.penalty(frames, task, action)[:, None]
+                penalty = torch.where(first, tired, penalty)
             reluctance = self._least * (penalty[:, 0] - self._exploration.bonus(frames, task))
             total, bonus = total + reluctance, bonus - reluctance
         cost = StepCost(

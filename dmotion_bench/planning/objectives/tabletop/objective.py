@@ -16,8 +16,7 @@ from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import Continuous, Discrete
-from dmotion_bench.learning.images import to_pixels
-from dmotion_bench.planning.dynamics.base import Actions, Dynamics, State
+from dmotion_bench.planning.dynamics.base import Actions, Dynamics, State, pixels_of
 from dmotion_bench.planning.objectives.base import CostState, StepCost, Taken
 from dmotion_bench.planning.objectives.centres import require_objects
 from dmotion_bench.planning.objectives.tabletop.exploration import Exploration, History, misplaced
@@ -113,5 +112,5 @@ class TabletopEvaluator:
     ) -> tuple[StepCost, CostState]:
         """The cost of the frames that the states look like."""
         assert self._objects is not None, "begin comes first"
-        cost, known = self._objects.of_frames(to_pixels(dynamics.frames(state)), task, action, cost_state[0])
+        cost, known = self._objects.of_frames(pixels_of(dynamics, state), task, action, cost_state[0])
         return cost, (known,)

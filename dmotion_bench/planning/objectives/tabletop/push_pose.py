@@ -11,6 +11,8 @@ ground is the agent, and it stands where that reaches lowest: the tip of its too
 
 from __future__ import annotations
 
+import math
+
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
@@ -47,7 +49,9 @@ class PushPoseBonus:
         rows = inside.any(dim=2).any(dim=0).nonzero()[:, 0]
         self._top, self._end = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)
         self._inside, self._width = inside[:, self._top : self._end], inside.shape[2]
-        self._color = occlusion.color.nan_to_num(0.0).to(torch.int16)
+        color, reach = occlusion.color.nan_to_num(0.0).to(torch.int16), math.ceil(settings.ground_tolerance) - 1
+        dark, bright = (color - reach).clamp(min=0), (color + reach).clamp(max=255)
+        self._dark, self._spread = dark.to(torch.uint8), (bright - dark).to(torch.uint8)
         off = (wanted.centre - known.centre).nan_to_num(0.0)
         half, clearance, far = (known.low + known.high) / 2, settings.clearance * self._width, off.abs()
         self._along, self._aside = half + clearance, half.flip(-1) + clearance
@@ -77,9 +81,12 @@ class PushPoseBonus:
         """Where the agent stands, (x, y) [px]; NaN where none is seen."""
         frames = frames[:, self._top : self._end]
         agent = self._inside[task] & ~self._tracker.show_objects(frames)
-        color, tolerance = self._color[task, :, None, None], self._settings.ground_tolerance
-        apart = ((frames[..., one].to(torch.int16) - color[:, one]).abs() for one in range(frames.shape[-1]))
-        agent &= torch.stack([one >= tolerance for one in apart]).any(dim=0)
+        if self._settings.ground_tolerance > 0:
+            dark, spread = self._dark[task, :, None, None], self._spread[task, :, None, None]
+            ground = frames[..., 0] - dark[:, 0] <= spread[:, 0]  # 8 bits go round at 256: darker ones become bright
+            for one in range(1, frames.shape[-1]):
+                ground &= frames[..., one] - dark[:, one] <= spread[:, one]
+            agent &= ~ground
         solid = agent[:, :, 1:-1] & agent[:, :, :-2] & agent[:, :, 2:]  # no blurred edges
         solid = solid[:, 1:-1] & solid[:, :-2] & solid[:, 2:]
         some = solid.any(dim=2)

@@ -1,0 +1,80 @@
+"""The samples of the references, kept in the data set's cache: they depend on the data alone, so all runs share them.
+
+A file is used only if it says that it is of the same data, settings and version, and if its bytes are those that were
+written; anything else is computed again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+import torch
+
+from dmotion_bench.errors import RunCorrupt
+from dmotion_bench.scoring.report import SCORING_VERSION
+from dmotion_bench.scoring.samples import read_samples, write_samples
+from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.json_file import JsonUnreadable, read_json
+
+FORMAT: Final = 1
+
+
+class ReferenceScores:
+    """The samples of references: of this process in memory, of all in the cache of their data set.
+
+    Args:
+        on_disk: Whether the cache is read and written.
+    """
+
+    def __init__(self, *, on_disk: bool = True) -> None:
+        self._on_disk = on_disk
+        self._known: dict[str, pa.Table] = {}
+
+    def get(self, key: Mapping[str, Any], score: Callable[[], pa.Table], folder: Path | None = None) -> pa.Table:
+        """The samples that a key decides; computed by ``score`` if nobody has done so yet.
+
+        Args:
+            key: What decides them, as JSON's types.
+            score: Computes them.
+            folder: Where they are kept; None: only in memory.
+        """
+        full = dict(key) | {"version": SCORING_VERSION, "torch": torch.__version__}
+        name = hashlib.sha256(json.dumps(full, sort_keys=True).encode()).hexdigest()[:12]
+        if name not in self._known:
+            place = folder if self._on_disk else None
+            found = None if place is None else _kept(place, name, full)
+            self._known[name] = score() if found is None else found
+            if found is None and place is not None:
+                _keep(place, name, full, self._known[name])
+        return self._known[name]
+
+
+def _files(folder: Path, name: str) -> tuple[Path, Path]:
+    return folder / f"references-{name}.json", folder / f"references-{name}.parquet"
+
+
+def _keep(folder: Path, name: str, key: Mapping[str, Any], samples: pa.Table) -> None:
+    about, table = _files(folder, name)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_samples(table, samples)
+    digest = hashlib.sha256(table.read_bytes()).hexdigest()
+    content = {"format": FORMAT, "key": key, "rows": len(samples), "sha256": digest}
+    write_atomically(about, json.dumps(content).encode())
+
+
+def _kept(folder: Path, name: str, key: Mapping[str, Any]) -> pa.Table | None:
+    """What the cache knows; None where that is nothing, damaged, or of something else."""
+    about, table = _files(folder, name)
+    try:
+        content = read_json(about)
+        same = content["format"] == FORMAT and content["key"] == json.loads(json.dumps(key))
+        if not same or content["sha256"] != hashlib.sha256(table.read_bytes()).hexdigest():
+            return None
+        return read_samples(table, content["rows"])
+    except (OSError, JsonUnreadable, RunCorrupt, KeyError, TypeError, ValueError):
+        return None

@@ -294,7 +294,7 @@ class DMotion(ForwardModel[DMotionConfig]):
 
     def _interact(self, previous: Tensor, current: Tensor, agent: Tensor) -> Float[Tensor, "b c h w"]:
         frames = [previous, current] if self.config.second_frame else [current]
-        predicted: Tensor = self.interaction_learner(torch.cat(frames, dim=1), agent)
+        predicted: Tensor = self.interaction_learner(frames, agent)
         return predicted
 
     def _with_noise(self, motion: Float[Tensor, "b k d"], size: int) -> Float[Tensor, "b k d"]:

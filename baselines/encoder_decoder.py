@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -86,5 +85,5 @@ class EncoderDecoder(ForwardModel[EncoderDecoderConfig]):
     def _next(self, previous: Tensor, current: Tensor, action: Actions) -> Float[Tensor, "b p hp wp"]:
         frames = [pack(previous), pack(current)] if self.config.second_frame else [pack(current)]
         code = self.encoding(action).to(frames[0].dtype)
-        predicted: Tensor = self.network(torch.cat(frames, dim=1), code)
+        predicted: Tensor = self.network(frames, code)
         return predicted

@@ -145,7 +145,7 @@ class Lapo(ForwardModel[LapoConfig]):
         """Squared error of x_{t+1} in [-1, 1] units, and the commitment."""
         previous, current, following = pack(batch.previous), pack(batch.current), pack(batch.next)
         code, commitment = self.quantizer(self._infer(previous, current, following))
-        predicted = self.forward_model(torch.cat([previous, current], dim=1), code.to(current.dtype))
+        predicted = self.forward_model([previous, current], code.to(current.dtype))
         each = squared_error(predicted, following)
         prediction = each.mean()
         return Losses(
@@ -185,10 +185,10 @@ class Lapo(ForwardModel[LapoConfig]):
         latent: Float[Tensor, "b d"],
     ) -> Float[Tensor, "b c h w"]:
         """The forward model under the codes nearest to a latent action."""
-        frames = torch.cat([pack(previous), pack(current)], dim=1)
+        frames = [pack(previous), pack(current)]
         code, _ = self.quantizer(latent)
-        return unpack(self.forward_model(frames, code.to(frames.dtype))).float()
+        return unpack(self.forward_model(frames, code.to(frames[0].dtype))).float()
 
     def _infer(self, previous: Tensor, current: Tensor, following: Tensor) -> Float[Tensor, "b d"]:
-        latent: Tensor = self.latent(self.trunk.summarise(torch.cat([previous, current, following], dim=1)))
+        latent: Tensor = self.latent(self.trunk.summarise([previous, current, following]))
         return latent

@@ -83,7 +83,7 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         previous, current, following = pack(batch.previous), pack(batch.current), pack(batch.next)
         latent = self._infer(current, following)
         drawn = latent.sample() if self.training else latent.mean
-        predicted = self.decoder(torch.cat([previous, current], dim=1), drawn.to(current.dtype))
+        predicted = self.decoder([previous, current], drawn.to(current.dtype))
         each = squared_error(predicted, following)
         prediction, divergence = each.mean(), latent.divergence()
         return Losses(
@@ -123,8 +123,8 @@ class LatentActionVAE(ForwardModel[LatentActionConfig]):
         latent: Float[Tensor, "b d"],
     ) -> Float[Tensor, "b c h w"]:
         """The decoder under a latent action."""
-        frames = torch.cat([pack(previous), pack(current)], dim=1)
-        return unpack(self.decoder(frames, latent.to(frames.dtype))).float()
+        frames = [pack(previous), pack(current)]
+        return unpack(self.decoder(frames, latent.to(frames[0].dtype))).float()
 
     def _infer(self, current: Tensor, following: Tensor) -> Gaussian:
-        return Gaussian.of(self.moments(self.trunk.summarise(torch.cat([current, following], dim=1))))
+        return Gaussian.of(self.moments(self.trunk.summarise([current, following])))

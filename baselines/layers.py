@@ -141,7 +141,7 @@ def over_frames(layer: nn.Conv2d, frames: Sequence[Float[Tensor, "b _ y x"]]) ->
 
     So nothing is copied to put them there, and the gradient of the weights takes less time than of wide inputs.
     """
-    shares = layer.weight.split([frame.shape[1] for frame in frames], dim=1)
+    shares = torch.split(layer.weight, [frame.shape[1] for frame in frames], dim=1)
     total = F.conv2d(frames[0], shares[0], layer.bias)
     for frame, share in zip(frames[1:], shares[1:], strict=True):
         total += F.conv2d(frame, share)
@@ -435,10 +435,10 @@ class MotionTrunk(nn.Module):
 
     def summarise(self, frames: Sequence[Float[Tensor, "b p hp wp"]]) -> Float[Tensor, "b d"]:
         """The vector that tells what moved between packed frames, and how."""
-        (entry, activation), *others = self.convolutions
-        features = activation(over_frames(entry, frames))
-        for layer in others:
-            features = layer(features)
+        entry, others = self.convolutions[0], self.convolutions[1:]
+        assert isinstance(entry, nn.Sequential)
+        assert isinstance(entry[0], nn.Conv2d)
+        features: Tensor = others(entry[1](over_frames(entry[0], frames)))
         summed = features.sum((2, 3), keepdim=True) * 0.1
         summary: Tensor = self.hidden(summed).flatten(1)
         return summary

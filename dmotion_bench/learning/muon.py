@@ -48,7 +48,8 @@ def _newton_schulz(wide: Tensor, products: torch.dtype) -> Tensor:
     for _ in range(ITERATIONS):
         square = work @ work.mT
         work = torch.baddbmm(work, torch.baddbmm(square, square, square, beta=third, alpha=fifth), work, beta=first)
-    return work.float()
+    found: Tensor = work.float()
+    return found
 
 
 def _by_gram_matrices(wide: Tensor) -> Tensor:
@@ -69,7 +70,8 @@ def _by_gram_matrices(wide: Tensor) -> Tensor:
         if iteration + 1 < ITERATIONS:
             gram = factor @ gram @ factor
     assert polynomial is not None, "there is at least one iteration"
-    return (polynomial / size) @ wide
+    found: Tensor = (polynomial / size) @ wide
+    return found
 
 
 class Muon(torch.optim.Optimizer):
@@ -116,10 +118,11 @@ class Muon(torch.optim.Optimizer):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the state; counts stay on the CPU, where reading them waits for nothing."""
-        super().load_state_dict(state_dict)
-        for state in self.state.values():
-            if "count" in state:
-                state["count"] = state["count"].cpu()
+        super().load_state_dict(state_dict)  # brings all to where the parameters are
+        for own, given in zip(self.param_groups, state_dict["param_groups"], strict=True):
+            for parameter, number in zip(own["params"], given["params"], strict=True):
+                if "count" in (state := state_dict["state"].get(number, {})):
+                    self.state[parameter]["count"] = state["count"].cpu().clone()
 
     def _state(self, parameter: Tensor, name: str) -> Tensor:
         state: dict[str, Tensor] = self.state[parameter]

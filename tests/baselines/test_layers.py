@@ -15,12 +15,28 @@ from baselines.layers import (
     RoundConv2d,
     UNet,
     check_gate_floor,
+    conv,
+    over_frames,
     squared_error,
     up,
     warped,
 )
 from baselines.patches import CHANNELS, PATCH, from_patches, pack, patches, unpack
 from dmotion_bench.errors import InvalidSetting
+
+
+def test_frames_enter_a_convolution_one_by_one_as_if_side_by_side() -> None:
+    generator = torch.Generator().manual_seed(0)
+    layer = conv(3 * CHANNELS, 8, 1).double()
+    assert layer.bias is not None
+    torch.nn.init.normal_(layer.bias, generator=generator)
+    frames = [torch.randn(2, CHANNELS, 4, 6, generator=generator, dtype=torch.float64) for _ in range(3)]
+    found, expected = over_frames(layer, frames), layer(torch.cat(frames, dim=1))
+    torch.testing.assert_close(found, expected)
+    weight = torch.randn(found.shape, generator=generator, dtype=torch.float64)
+    parameters = [*layer.parameters()]
+    of_found, of_expected = (torch.autograd.grad((one * weight).sum(), parameters) for one in (found, expected))
+    torch.testing.assert_close(of_found, of_expected)
 
 
 def test_a_round_convolution_is_circular_padding_in_value_and_gradient() -> None:

@@ -20,7 +20,7 @@ from dmotion_bench.specs import Preset, Supervision
 NAMES = sorted(point.name for point in entry_points(group=MODELS) if point.value.startswith("baselines."))
 SIDE, BATCH, ACTIONS = 32, 8, 4
 NOWHERE = torch.device("meta")
-"""A device that computes no numbers: whoever reads one from it, as ''float(loss)'' does, gets an error."""
+"""A device that computes no numbers: whoever reads one from it, as ``float(loss)`` does, gets an error."""
 
 
 def _batch(labelled: bool) -> TripletBatch:

@@ -99,9 +99,10 @@ class Clasp(ForwardModel[ClaspConfig]):
         first, second = self._infer(previous, current), self._infer(current, following)
         drawn = [latent.sample() if self.training else latent.mean for latent in (first, second)]
         merged = self.compose(*drawn)
-        memory = self._remember(previous, drawn[0], None)
-        stepwise, _ = self._step(current, drawn[1], memory)
-        composed, _ = self._step(previous, merged.sample() if self.training else merged.mean, None)
+        seen = self.scene(previous)
+        memory = self._remember(seen, drawn[0], None)
+        stepwise, _ = self._step(current, self.scene(current), drawn[1], memory)
+        composed, _ = self._step(previous, seen, merged.sample() if self.training else merged.mean, None)
         each = squared_error(stepwise, following)
         prediction, composition = each.mean(), squared_error(composed, following).mean()
         divergence = first.divergence() + second.divergence() + merged.divergence()
@@ -136,7 +137,8 @@ class Clasp(ForwardModel[ClaspConfig]):
     ) -> Float[Tensor, "b c h w"]:
         """One step of the predictor under a latent action."""
         frame, hidden, cell = self.begin(previous, current)
-        predicted, _ = self._step(pack(frame), latent, (hidden, cell))
+        packed = pack(frame)
+        predicted, _ = self._step(packed, self.scene(packed), latent, (hidden, cell))
         return unpack(predicted).float()
 
     @torch.no_grad()
@@ -150,7 +152,7 @@ class Clasp(ForwardModel[ClaspConfig]):
     ) -> tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]]:
         """The state: x_t, and the memory of the recurrent predictor."""
         latent = self._infer(pack(previous), pack(current)).mean
-        return (current, *self._remember(pack(previous), latent, None))
+        return (current, *self._remember(self.scene(pack(previous)), latent, None))
 
     def advance(
         self,
@@ -159,7 +161,8 @@ class Clasp(ForwardModel[ClaspConfig]):
     ) -> tuple[Float[Tensor, "b c h w"], Float[Tensor, "b m"], Float[Tensor, "b m"]]:
         """One step of the predictor under the action's z."""
         current, hidden, cell = state
-        predicted, (hidden, cell) = self._step(pack(current), self.table(action), (hidden, cell))
+        packed = pack(current)
+        predicted, (hidden, cell) = self._step(packed, self.scene(packed), self.table(action), (hidden, cell))
         return unpack(predicted).float(), hidden, cell
 
     def frame(
@@ -169,15 +172,16 @@ class Clasp(ForwardModel[ClaspConfig]):
         return state[0]
 
     def _infer(self, current: Tensor, following: Tensor) -> Gaussian:
-        return Gaussian.of(self.moments(self.trunk.summarise(torch.cat([current, following], dim=1))))
+        return Gaussian.of(self.moments(self.trunk.summarise([current, following])))
 
-    def _remember(self, frame: Tensor, latent: Float[Tensor, "b d"], memory: Memory | None) -> Memory:
-        """One step of the recurrent predictor."""
-        seen = torch.cat([self.scene(frame), latent.to(frame.dtype)], dim=1)
-        hidden, cell = self.predictor(seen, memory)
+    def _remember(self, seen: Float[Tensor, "b m"], latent: Float[Tensor, "b d"], memory: Memory | None) -> Memory:
+        """One step of the recurrent predictor, which is told what ``scene`` sees in a frame."""
+        hidden, cell = self.predictor(torch.cat([seen, latent.to(seen.dtype)], dim=1), memory)
         return hidden.float(), cell.float()
 
-    def _step(self, frame: Tensor, latent: Float[Tensor, "b d"], memory: Memory | None) -> tuple[Tensor, Memory]:
-        memory = self._remember(frame, latent, memory)
+    def _step(
+        self, frame: Tensor, seen: Float[Tensor, "b m"], latent: Float[Tensor, "b d"], memory: Memory | None
+    ) -> tuple[Tensor, Memory]:
+        memory = self._remember(seen, latent, memory)
         code = torch.cat([memory[0], latent.float()], dim=1)
-        return self.decoder(frame, code.to(frame.dtype)), memory
+        return self.decoder([frame], code.to(frame.dtype)), memory

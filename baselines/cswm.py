@@ -117,7 +117,9 @@ class GraphTransition(nn.Module):
 
     def forward(self, state: Float[Tensor, "b k d"], action: Actions) -> Float[Tensor, "b k d"]:
         slots = state.shape[1]
-        receiver, sender = (~torch.eye(slots, dtype=torch.bool, device=state.device)).nonzero().unbind(1)
+        place = torch.arange(slots * (slots - 1), device=state.device)  # of each pair, by receiver and sender
+        receiver, other = place // (slots - 1), place % (slots - 1)
+        sender = other + (other >= receiver)
         messages = self.edge(torch.cat([state[:, receiver], state[:, sender]], dim=-1))
         received = rearrange(messages, "b (k s) d -> b k s d", k=slots).sum(2)
         chosen = repeat(self.encoding(action).to(state.dtype), "b a -> b k a", k=slots)

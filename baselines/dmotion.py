@@ -216,11 +216,14 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         last = rows_of(current, parent)
         if self.config.arch == "paper":
             return last, self._interact(rows_of(previous, parent), last, agents)
-        frames = self._frames(previous, current)
-        return last, self.interaction_learner(frames, agents, parent=parent, current=last)
+        predicted: Tensor = self.interaction_learner(
+            self._frames(previous, current), agents, parent=parent, current=last
+        )
+        return last, predicted
 
     def _latent_of(self, action: Actions) -> Float[Tensor, "b d"]:
-        return self.table(action).flatten(1)
+        latent: Tensor = self.table(action).flatten(1)
+        return latent
 
     def motion(self, current: Float[Tensor, "b c h w"], following: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d"]:
         """phi^0: how the agent moves between two frames; of several agents one after the other."""
@@ -288,8 +291,8 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         predicted: Tensor = self.interaction_learner(self._frames(previous, current), agent)
         return predicted
 
-    def _frames(self, previous: Tensor, current: Tensor) -> Float[Tensor, "b p hp wp"]:
-        return torch.cat([previous, current] if self.config.second_frame else [current], dim=1)
+    def _frames(self, previous: Tensor, current: Tensor) -> list[Tensor]:
+        return [previous, current] if self.config.second_frame else [current]
 
     def _with_noise(self, motion: Float[Tensor, "b k d"], size: int) -> Float[Tensor, "b k d"]:
         if not self.training or not self.jitter or not isinstance(self.transform, Translation):

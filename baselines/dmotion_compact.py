@@ -15,6 +15,8 @@ Frames are *packed*: ``Float[b 48 h/4 w/4]``, channels-last in memory.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from einops import rearrange
@@ -82,11 +84,10 @@ class MotionEncoder(MotionTrunk):
     def forward(
         self, current: Float[Tensor, "b p hp wp"], following: Float[Tensor, "b p hp wp"]
     ) -> Float[Tensor, "b k d"]:
-        there = torch.cat([current, following], dim=1)
         if not self.reversible:
-            return self.identity + self._each_map(self.summarise(there).float())
-        back = torch.cat([following, current], dim=1)
-        going, returning = self.summarise(torch.cat([there, back])).float().chunk(2)
+            return self.identity + self._each_map(self.summarise([current, following]).float())
+        there_and_back = torch.cat([current, following]), torch.cat([following, current])
+        going, returning = self.summarise(there_and_back).float().chunk(2)
         return self.identity + LARGEST_SHIFT * torch.tanh(self._each_map(going - returning))
 
     def _each_map(self, features: Float[Tensor, "b f"]) -> Float[Tensor, "b k d"]:
@@ -135,12 +136,12 @@ class InteractionLearner(UNet):
 
     def forward(
         self,
-        packed: Float[Tensor, "m p hp wp"],
+        frames: Sequence[Float[Tensor, "m p hp wp"]],
         agent: Float[Tensor, "b a hm wm"],
         *,
         parent: Int[Tensor, " b"] | None = None,
-        current: Float[Tensor, "b q hp wp"] | None = None,
-    ) -> Float[Tensor, "b q hp wp"]:
+        current: Float[Tensor, "b p hp wp"] | None = None,
+    ) -> Float[Tensor, "b p hp wp"]:
         agent = patches(agent, 2)
         deeper = () if self.agent_entries == 1 else (self.agent_1(agent), self.agent_2(F.avg_pool2d(agent, 4)))
-        return self.next_frame(packed, self.agent_in(agent), *deeper, parent=parent, current=current)
+        return self.next_frame(frames, self.agent_in(agent), *deeper, parent=parent, current=current)

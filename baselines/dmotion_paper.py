@@ -10,6 +10,7 @@ of the agent's map.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
@@ -159,8 +160,10 @@ class InteractionLearner(nn.Module):
         )
         self.last = nn.Sequential(nn.Conv2d(32, 3, 3, padding=1), nn.Tanh())
 
-    def forward(self, frames: Float[Tensor, "b c h w"], agent: Float[Tensor, "b a hm wm"]) -> Float[Tensor, "b 3 h w"]:
-        features = self.first(self._with(frames, agent, always=True))
+    def forward(
+        self, frames: Sequence[Float[Tensor, "b 3 h w"]], agent: Float[Tensor, "b a hm wm"]
+    ) -> Float[Tensor, "b 3 h w"]:
+        features = self.first(self._with(torch.cat(list(frames), dim=1), agent, always=True))
         features = self.encoder(self._with(features, agent))
         image: Tensor = self.last(self.decoder(self._with(features, agent)))
         return image

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -76,9 +75,10 @@ class EncoderDecoder(TwoFrameModel[EncoderDecoderConfig]):
         return Losses(total=prediction, terms={"prediction": prediction.detach()}, per_triplet=each.detach())
 
     def _latent_of(self, action: Actions) -> Float[Tensor, "b d"]:
-        return self.encoding(action)
+        code: Tensor = self.encoding(action)
+        return code
 
     def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
         frames, last = [previous, current] if self.config.second_frame else [current], rows_of(current, parent)
         code = latent.to(current.dtype)
-        return last, self.network(torch.cat(frames, dim=1), code, parent=parent, current=last)
+        return last, self.network(frames, code, parent=parent, current=last)

@@ -144,7 +144,7 @@ class Lapo(TwoFrameModel[LapoConfig]):
         """Squared error of x_{t+1} in [-1, 1] units, and the commitment."""
         previous, current, following = pack(batch.previous), pack(batch.current), pack(batch.next)
         code, commitment = self.quantizer(self._infer(previous, current, following))
-        predicted = self.forward_model(torch.cat([previous, current], dim=1), code.to(current.dtype))
+        predicted = self.forward_model([previous, current], code.to(current.dtype))
         each = squared_error(predicted, following)
         prediction = each.mean()
         return Losses(
@@ -169,10 +169,10 @@ class Lapo(TwoFrameModel[LapoConfig]):
         self.table.fit(shown.read(self.latent_action), shown.action)
 
     def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
-        frames, last = torch.cat([previous, current], dim=1), rows_of(current, parent)
+        frames, last = [previous, current], rows_of(current, parent)
         code, _ = self.quantizer(latent)
-        return last, self.forward_model(frames, code.to(frames.dtype), parent=parent, current=last)
+        return last, self.forward_model(frames, code.to(current.dtype), parent=parent, current=last)
 
     def _infer(self, previous: Tensor, current: Tensor, following: Tensor) -> Float[Tensor, "b d"]:
-        latent: Tensor = self.latent(self.trunk.summarise(torch.cat([previous, current, following], dim=1)))
+        latent: Tensor = self.latent(self.trunk.summarise([previous, current, following]))
         return latent

@@ -82,7 +82,7 @@ class LatentActionVAE(TwoFrameModel[LatentActionConfig]):
         previous, current, following = pack(batch.previous), pack(batch.current), pack(batch.next)
         latent = self._infer(current, following)
         drawn = latent.sample() if self.training else latent.mean
-        predicted = self.decoder(torch.cat([previous, current], dim=1), drawn.to(current.dtype))
+        predicted = self.decoder([previous, current], drawn.to(current.dtype))
         each = squared_error(predicted, following)
         prediction, divergence = each.mean(), latent.divergence()
         return Losses(
@@ -107,8 +107,8 @@ class LatentActionVAE(TwoFrameModel[LatentActionConfig]):
         self.table.fit(shown.read(self.latent_action), shown.action)
 
     def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
-        frames, last = torch.cat([previous, current], dim=1), rows_of(current, parent)
-        return last, self.decoder(frames, latent.to(frames.dtype), parent=parent, current=last)
+        frames, last = [previous, current], rows_of(current, parent)
+        return last, self.decoder(frames, latent.to(current.dtype), parent=parent, current=last)
 
     def _infer(self, current: Tensor, following: Tensor) -> Gaussian:
-        return Gaussian.of(self.moments(self.trunk.summarise(torch.cat([current, following], dim=1))))
+        return Gaussian.of(self.moments(self.trunk.summarise([current, following])))

@@ -10,6 +10,7 @@ Frames are *packed*: ``Float[b 48 h/4 w/4]``, channels-last in memory.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
@@ -135,6 +136,18 @@ def conv(
     return layer
 
 
+def over_frames(layer: nn.Conv2d, frames: Sequence[Float[Tensor, "b _ y x"]]) -> Float[Tensor, "b o y x"]:
+    """A 1 x 1 convolution of frames one behind the other in the channels: the sum of what it makes of each.
+
+    So nothing is copied to put them there, and the gradient of the weights takes less time than of wide inputs.
+    """
+    shares = torch.split(layer.weight, [frame.shape[1] for frame in frames], dim=1)
+    total = F.conv2d(frames[0], shares[0], layer.bias)
+    for frame, share in zip(frames[1:], shares[1:], strict=True):
+        total += F.conv2d(frame, share)
+    return total
+
+
 def output(inputs: int, outputs: int) -> nn.Conv2d:
     """A 1 x 1 convolution that ends a network: small at first, and left to Adam where Muon trains the rest."""
     layer = conv(inputs, outputs, 1, gain=OUTPUT_GAIN)
@@ -238,23 +251,23 @@ class UNet(nn.Module):
 
     def next_frame(
         self,
-        packed: Float[Tensor, "m p hp wp"],
+        frames: Sequence[Float[Tensor, "m p hp wp"]],
         full: Float[Tensor, "b c h0 w0"],
         half: Float[Tensor, "b w h1 w1"] | float = 0.0,
         quarter: Float[Tensor, "b d h2 w2"] | float = 0.0,
         *,
         parent: Int[Tensor, " b"] | None = None,
-        current: Float[Tensor, "b q hp wp"] | None = None,
-    ) -> Float[Tensor, "b q hp wp"]:
-        """The next frame.
+        current: Float[Tensor, "b p hp wp"] | None = None,
+    ) -> Float[Tensor, "b p hp wp"]:
+        """The packed frame after some.
 
         Args:
-            packed: The last frames.
+            frames: The last ones, packed, x_t the last of them.
             full, half, quarter: What is added to the features of that size; broadcast if 1 x 1.
-            parent: The row of ``packed`` that each row is of; None: its own.
-            current: x_t of each row; None: as in ``packed``.
+            parent: The row of ``frames`` that each row is of; None: its own.
+            current: x_t of each row; None: as in ``frames``.
         """
-        level0 = self.level0(F.leaky_relu(rows_of(self.frames_in(packed), parent) + full, SLOPE))
+        level0 = self.level0(F.leaky_relu(rows_of(over_frames(self.frames_in, frames), parent) + full, SLOPE))
         level1 = self.level1(F.leaky_relu(self.down1(level0) + half, SLOPE))
         level2 = self.down2(level1) + quarter
         for inner in self.middle:
@@ -262,7 +275,7 @@ class UNet(nn.Module):
         level1 = level1 + self.merge1(level1 + self.up1(level2))
         level0 = self.merge0(level0 + self.up0(level1))
         if current is None:
-            current = packed[:, -CHANNELS:].contiguous(memory_format=torch.channels_last)  # strides make blending slow
+            current = rows_of(frames[-1], parent)
         if self.warps:
             current = self._carried(current, level0)
         return torch.lerp(current, self.painting(level0), _share(self.gate, level0, OPENNESS, self.gate_floor))
@@ -329,16 +342,16 @@ class CodedUNet(UNet):
 
     def forward(
         self,
-        packed: Float[Tensor, "m p hp wp"],
+        frames: Sequence[Float[Tensor, "m p hp wp"]],
         code: Float[Tensor, "b d"],
         *,
         parent: Int[Tensor, " b"] | None = None,
-        current: Float[Tensor, "b q hp wp"] | None = None,
-    ) -> Float[Tensor, "b q hp wp"]:
+        current: Float[Tensor, "b p hp wp"] | None = None,
+    ) -> Float[Tensor, "b p hp wp"]:
         full, half, quarter = (
             rearrange(layer(code), "b c -> b c 1 1") for layer in (self.code_in, self.code_1, self.code_2)
         )
-        return self.next_frame(packed, full, half, quarter, parent=parent, current=current)
+        return self.next_frame(frames, full, half, quarter, parent=parent, current=current)
 
 
 class FrameEncoder(nn.Module):
@@ -431,8 +444,12 @@ class MotionTrunk(nn.Module):
         )
         self.hidden = block(w, d, 1)
 
-    def summarise(self, packed: Float[Tensor, "b p hp wp"]) -> Float[Tensor, "b d"]:
-        """The vector that tells what moved, and how."""
-        summed = self.convolutions(packed).sum((2, 3), keepdim=True) * 0.1
-        features: Tensor = self.hidden(summed).flatten(1)
-        return features
+    def summarise(self, frames: Sequence[Float[Tensor, "b p hp wp"]]) -> Float[Tensor, "b d"]:
+        """The vector that tells what moved between packed frames, and how."""
+        entry, others = self.convolutions[0], self.convolutions[1:]
+        assert isinstance(entry, nn.Sequential)
+        assert isinstance(entry[0], nn.Conv2d)
+        features: Tensor = others(entry[1](over_frames(entry[0], frames)))
+        summed = features.sum((2, 3), keepdim=True) * 0.1
+        summary: Tensor = self.hidden(summed).flatten(1)
+        return summary

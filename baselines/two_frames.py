@@ -78,7 +78,7 @@ class TwoFrameModel(ForwardModel[ConfigT]):
         """x_t as whole pixel values, one colour after the other in memory; those of ``to_pixels(frame(state))``."""
         if self.pack is not pack:
             return to_pixels(self.frame(state))
-        parts = state[1].permute(0, 2, 3, 1).split(_FRAMES_AT_ONCE)
+        parts = torch.split(state[1].permute(0, 2, 3, 1), _FRAMES_AT_ONCE)
         wide = (part.to(torch.float32, copy=True) for part in parts)
         whole = [part.add_(1).mul_(255 / 2).round_().clamp_(0, 255).to(torch.uint8) for part in wide]
         return from_patches(torch.cat(whole).permute(0, 3, 1, 2), 4).movedim(1, -1)

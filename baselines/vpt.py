@@ -71,14 +71,14 @@ class InverseModel(nn.Module):
         following: Float[Tensor, "b p hp wp"],
     ) -> Float[Tensor, "b a"]:
         """Logits, or normalised numbers."""
-        seen = torch.cat([previous, current, following][-self.frames :], dim=1)
-        scores: Tensor = self.out(self.trunk.summarise(seen))
+        scores: Tensor = self.out(self.trunk.summarise([previous, current, following][-self.frames :]))
         return scores.float()
 
     def errors(self, scores: Float[Tensor, "b a"], action: Actions) -> Float[Tensor, " b"]:
         """What the scores cost if this is the action: cross-entropy [nats], or the squared error."""
         if isinstance(self.encoding.spec, Continuous):
-            return (scores - self.encoding(action)).square().mean(1)
+            wanted: Tensor = self.encoding(action)
+            return (scores - wanted).square().mean(1)
         return F.cross_entropy(scores, action, reduction="none")
 
     def named(self, scores: Float[Tensor, "b a"]) -> Actions:
@@ -162,5 +162,5 @@ class InverseRelabelling(ForwardModel[RelabellingConfig]):
 
     def _next(self, previous: Tensor, current: Tensor, action: Actions) -> Float[Tensor, "b p hp wp"]:
         code = self.encoding(action).to(current.dtype)
-        predicted: Tensor = self.network(torch.cat([previous, current], dim=1), code)
+        predicted: Tensor = self.network([previous, current], code)
         return predicted

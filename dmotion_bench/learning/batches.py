@@ -37,6 +37,12 @@ class Batches(Protocol):
     def close(self) -> None: ...
 
 
+def uploaded(array: np.ndarray, device: torch.device) -> Tensor:
+    """An array on a device; on its way to a GPU it lies where the CPU need not wait for it."""
+    tensor = torch.from_numpy(array)
+    return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
+
+
 class TripletBatches:
     """Turns indices into batches.
 
@@ -76,13 +82,13 @@ class TripletBatches:
 
     def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
         """The triplets of ``index``, images in [-1, 1], channels-last in memory."""
+        rows = uploaded(index, self.device)
         if self._resident is None:
-            stored = torch.from_numpy(self.triplets.gather(index)).to(self.device, non_blocking=True)
+            stored = uploaded(self.triplets.gather(index), self.device)
         else:
-            first = self._first[torch.from_numpy(index).to(self.device)]
+            first = self._first[rows]
             stored = self._resident[first[:, None] + torch.arange(3, device=self.device)]
         previous, current, following = (to_model(frames) for frames in rearrange(stored, "b s h w c -> s b h w c"))
-        rows = torch.from_numpy(index).to(self.device)
         return TripletBatch(
             previous=previous,
             current=current,

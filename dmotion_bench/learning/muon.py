@@ -19,23 +19,59 @@ FEW = 2**16
 """So few numbers a CPU multiplies faster in float32: in bfloat16 the call itself takes longer than the product."""
 
 
+SMALL = 2**13
+"""Fewer numbers are iterated as they are: the calls take longer than their products."""
+
+
 def orthogonalised(matrices: Tensor, products: torch.dtype = torch.bfloat16) -> Tensor:
     """Matrices with about the same singular vectors and all singular values near one: ``[n r c]`` to ``[n r c]``.
 
     Args:
         matrices: In float32.
-        products: The type in which large matrices are multiplied.
+        products: The type in which large matrices are multiplied that are nearly square or not on the CPU.
     """
-    if matrices.device.type == "cpu" and matrices.numel() <= FEW:
-        products = torch.float32
-    wide = matrices.shape[-2] <= matrices.shape[-1]
-    work = matrices if wide else matrices.mT
-    work = (work / (work.norm(dim=(-2, -1), keepdim=True) + 1e-12)).to(products)
+    rows, columns = matrices.shape[-2:]
+    work = matrices if rows <= columns else matrices.mT
+    short, long = work.shape[-2:]
+    on_cpu = matrices.device.type == "cpu"
+    if on_cpu and long >= 2 * short and matrices.numel() >= SMALL:
+        work = _by_gram_matrices(work)
+    else:
+        work = _newton_schulz(work, torch.float32 if on_cpu and matrices.numel() <= FEW else products)
+    return work if rows <= columns else work.mT
+
+
+def _newton_schulz(wide: Tensor, products: torch.dtype) -> Tensor:
+    """The iteration as it is written in the paper."""
+    work = (wide / (wide.norm(dim=(-2, -1), keepdim=True) + 1e-12)).to(products)
     first, third, fifth = NEWTON_SCHULZ
     for _ in range(ITERATIONS):
         square = work @ work.mT
         work = torch.baddbmm(work, torch.baddbmm(square, square, square, beta=third, alpha=fifth), work, beta=first)
-    return (work if wide else work.mT).float()
+    found: Tensor = work.float()
+    return found
+
+
+def _by_gram_matrices(wide: Tensor) -> Tensor:
+    """The same for X of few rows: every iterate is P X, and P follows from G = X X^T alone.
+
+    X takes part in two products instead of ten. G needs float32: an eigenvalue that rounding makes negative grows with
+    every iteration.
+    """
+    gram = wide @ wide.mT
+    size = gram.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None].sqrt() + 1e-12  # the norm of X
+    gram = gram / size.square()
+    first, third, fifth = NEWTON_SCHULZ
+    polynomial = None
+    for iteration in range(ITERATIONS):
+        factor = torch.baddbmm(gram, gram, gram, beta=third, alpha=fifth)
+        factor.diagonal(dim1=-2, dim2=-1).add_(first)
+        polynomial = factor if polynomial is None else factor @ polynomial
+        if iteration + 1 < ITERATIONS:
+            gram = factor @ gram @ factor
+    assert polynomial is not None, "there is at least one iteration"
+    found: Tensor = (polynomial / size) @ wide
+    return found
 
 
 class Muon(torch.optim.Optimizer):
@@ -82,10 +118,11 @@ class Muon(torch.optim.Optimizer):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the state; counts stay on the CPU, where reading them waits for nothing."""
-        super().load_state_dict(state_dict)
-        for state in self.state.values():
-            if "count" in state:
-                state["count"] = state["count"].cpu()
+        super().load_state_dict(state_dict)  # brings all to where the parameters are
+        for own, given in zip(self.param_groups, state_dict["param_groups"], strict=True):
+            for parameter, number in zip(own["params"], given["params"], strict=True):
+                if "count" in (state := state_dict["state"].get(number, {})):
+                    self.state[parameter]["count"] = state["count"].cpu().clone()
 
     def _state(self, parameter: Tensor, name: str) -> Tensor:
         state: dict[str, Tensor] = self.state[parameter]

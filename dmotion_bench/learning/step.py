@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dmotion_bench.learning.figures import StepFigures
 from dmotion_bench.learning.model import ForwardModel, Losses, TripletBatch
 from dmotion_bench.learning.optimization import autocast
 from dmotion_bench.learning.precision import Precision
@@ -39,8 +40,8 @@ class Stepper:
     device: torch.device
     rank: int = 0
 
-    def __call__(self, batch: TripletBatch, number: int, precision: Precision, weight: float = 1.0) -> Losses:
-        """Minimise the loss of a batch by one step.
+    def __call__(self, batch: TripletBatch, number: int, precision: Precision, weight: float = 1.0) -> StepFigures:
+        """Minimise the loss of a batch by one step, and say what it was before.
 
         Args:
             batch: Of this process.
@@ -51,9 +52,10 @@ class Stepper:
         with seeded(self.seed, number, self.device, self.rank):
             with autocast(precision, self.device):
                 losses = self.losses(batch)
+            figures = StepFigures(losses)
             self.backward(losses.total if weight == 1.0 else losses.total * weight)
         if self.clip_norm:
             torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.clip_norm)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
-        return losses
+        return figures

@@ -31,17 +31,17 @@ class StoredDemonstrations(Demonstrations):
     _contiguous: bool
 
     @property
-    def previous(self) -> Float[Tensor, "n c h w"]:  # type: ignore[override]
+    def previous(self) -> Float[Tensor, "n c h w"]:
         """All of these images at once, like the other two."""
         return self._all().previous
 
     @property
-    def current(self) -> Float[Tensor, "n c h w"]:  # type: ignore[override]
+    def current(self) -> Float[Tensor, "n c h w"]:
         """See ``previous``."""
         return self._all().current
 
     @property
-    def next(self) -> Float[Tensor, "n c h w"]:  # type: ignore[override]
+    def next(self) -> Float[Tensor, "n c h w"]:
         """See ``previous``."""
         return self._all().next
 

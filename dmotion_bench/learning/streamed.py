@@ -19,6 +19,7 @@ from einops import rearrange
 from jaxtyping import Float, Int, UInt8
 
 from dmotion_bench.learning.action_encoding import as_tensor
+from dmotion_bench.learning.batches import uploaded
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.learning.streamed_order import StreamedOrder, Window
@@ -195,7 +196,7 @@ class StreamedBatches:
     def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
         """The triplets of ``index``, images in [-1, 1], channels-last in memory."""
         episodes, steps = self.triplets.places(index)
-        stored = torch.from_numpy(self.gather(index)).to(self.device, non_blocking=True)
+        stored = uploaded(self.gather(index), self.device)
         previous, current, following = (to_model(frames) for frames in rearrange(stored, "b s h w c -> s b h w c"))
         action = None
         if self._actions is not None:
@@ -207,7 +208,7 @@ class StreamedBatches:
             current=current,
             next=following,
             action=action,
-            episode=torch.from_numpy(episodes).to(self.device),
+            episode=uploaded(episodes, self.device),
         )
 
     def close(self) -> None:

@@ -13,6 +13,8 @@ FEWEST_ROUNDS: Final = 3
 MOST_ROUNDS: Final = 9
 SECONDS: Final = 3.0
 """After so long the fewest rounds are enough."""
+DECIDED: Final = 1.2
+"""The fewest rounds are enough, too, where one way was faster than the others by this factor in each of them."""
 MARGIN: Final = 1.05
 OFTEN: Final = 0.75
 """The other way must be faster by the margin in the median and in so many of the rounds: noise is not to decide."""
@@ -24,9 +26,17 @@ def timed_in_turn(ways: Mapping[str, Callable[[], object]], device: torch.device
         _seconds(way, device)
     rounds: list[list[float]] = []
     began = time.perf_counter()
-    while len(rounds) < FEWEST_ROUNDS or (len(rounds) < MOST_ROUNDS and time.perf_counter() - began < SECONDS):
+    while len(rounds) < FEWEST_ROUNDS or (
+        len(rounds) < MOST_ROUNDS and time.perf_counter() - began < SECONDS and not _is_decided(rounds)
+    ):
         rounds.append([_seconds(way, device) for way in ways.values()])
     return dict(zip(ways, zip(*rounds, strict=True), strict=True))
+
+
+def _is_decided(rounds: Sequence[Sequence[float]]) -> bool:
+    """Whether the same way was by far the fastest in every round."""
+    first = min(range(len(rounds[0])), key=rounds[0].__getitem__)
+    return all(one[first] * DECIDED < seconds for one in rounds for way, seconds in enumerate(one) if way != first)
 
 
 def clearly_faster(other: Sequence[float], usual: Sequence[float]) -> bool:

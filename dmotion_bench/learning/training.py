@@ -260,14 +260,14 @@ class _Trainer:
                     terms, weight = self._train(part, step)
                     self.state.step = step + 1
                     for name, value in terms.items():
-                        sums[name] += float(value) * weight
+                        sums[name] += value * weight
                     counted += 1
                     on_step(
                         Report(
                             step=self.state.step,
                             steps=self.steps,
                             phase=part.phase.name,
-                            loss=float(terms["loss"]),
+                            loss=terms["loss"],
                             triplets_per_s=self._rate(),
                         )
                     )
@@ -292,7 +292,7 @@ class _Trainer:
                 part.batches.close()
         return self._finish()
 
-    def _train(self, part: Part, step: int) -> tuple[dict[str, Tensor], float]:
+    def _train(self, part: Part, step: int) -> tuple[dict[str, float], float]:
         """Take a step; the terms of this process's part of the batch, and the weight of that part in their mean."""
         began = time.perf_counter()
         progress = (step - part.start) / (part.stop - part.start)
@@ -304,20 +304,21 @@ class _Trainer:
         weight = len(index) * companions.world / len(chosen)
         self.model.progress(progress)
         part.batches.expect(step - part.start, companions.rank, companions.world)
-        losses = self.step(part.batches(index), step, self.conditions.precision, weight)
+        figures = self.step(part.batches(index), step, self.conditions.precision, weight)
         if self.average is not None:
             self.average.update(self.model, step)
-        if self.config.hard_share and losses.per_triplet is not None:
-            self._remember(hardness, chosen, losses.per_triplet)
-        terms = {"loss": losses.total.detach(), **losses.terms}
+        if self.config.hard_share and (each := figures.per_triplet) is not None:
+            self._remember(hardness, chosen, each)
+        terms = figures.terms
         self.state.clock.sitting += time.perf_counter() - began
         self.state.clock.triplets += part.order.batch_size
         return terms, weight
 
-    def _remember(self, hardness: Float[np.ndarray, " n"], chosen: Int[np.ndarray, " b"], losses: Tensor) -> None:
+    def _remember(
+        self, hardness: Float[np.ndarray, " n"], chosen: Int[np.ndarray, " b"], losses: Float[np.ndarray, " s"]
+    ) -> None:
         """Keep each triplet's loss; with several processes each learns the others'."""
-        parts = self.companions.gathered(losses.detach().float().cpu().numpy())
-        hardness[chosen] = np.concatenate(parts)
+        hardness[chosen] = np.concatenate(self.companions.gathered(losses))
 
     def _rate(self) -> float:
         clock = self.state.clock

@@ -51,7 +51,7 @@ def test_the_papers_architecture_has_the_papers_shapes() -> None:
     assert motion.convolutions(torch.cat([images, images], 1)).shape == (2, 8, 4, 4)
     assert motion(images, images).shape == (2, 8, 6)
     assert dmotion_paper.Decoder(8)(torch.zeros(2, 8, 64, 64)).shape == (2, 3, 128, 128)
-    assert dmotion_paper.InteractionLearner()(torch.zeros(2, 6, 128, 128), torch.zeros(2, 1, 64, 64)).shape == (
+    assert dmotion_paper.InteractionLearner()([images, images], torch.zeros(2, 1, 64, 64)).shape == (
         2,
         3,
         128,

@@ -15,12 +15,28 @@ from baselines.layers import (
     RoundConv2d,
     UNet,
     check_gate_floor,
+    conv,
+    over_frames,
     squared_error,
     up,
     warped,
 )
 from baselines.patches import CHANNELS, PATCH, from_patches, pack, patches, unpack
 from dmotion_bench.errors import InvalidSetting
+
+
+def test_frames_enter_a_convolution_one_by_one_as_if_side_by_side() -> None:
+    generator = torch.Generator().manual_seed(0)
+    layer = conv(3 * CHANNELS, 8, 1).double()
+    assert layer.bias is not None
+    torch.nn.init.normal_(layer.bias, generator=generator)
+    frames = [torch.randn(2, CHANNELS, 4, 6, generator=generator, dtype=torch.float64) for _ in range(3)]
+    found, expected = over_frames(layer, frames), layer(torch.cat(frames, dim=1))
+    torch.testing.assert_close(found, expected)
+    weight = torch.randn(found.shape, generator=generator, dtype=torch.float64)
+    parameters = [*layer.parameters()]
+    of_found, of_expected = (torch.autograd.grad((one * weight).sum(), parameters) for one in (found, expected))
+    torch.testing.assert_close(of_found, of_expected)
 
 
 def test_a_round_convolution_is_circular_padding_in_value_and_gradient() -> None:
@@ -106,7 +122,7 @@ def test_a_u_net_that_warps_can_carry_the_frame_without_painting() -> None:
         network.warp_gate.bias.fill_(50)
         network.gate.bias.fill_(-50)
     image = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
-    carried = unpack(network.next_frame(pack(image), torch.zeros(1, WIDTHS[0], 1, 1)))
+    carried = unpack(network.next_frame([pack(image)], torch.zeros(1, WIDTHS[0], 1, 1)))
     flow = torch.tensor([LARGEST_FLOW * math.tanh(PATCH / LARGEST_FLOW), 0.0]).reshape(1, 2, 1, 1)
     torch.testing.assert_close(carried, warped(image, flow), atol=1e-5, rtol=1e-5)
     assert network.painting.out_channels == CHANNELS
@@ -152,7 +168,7 @@ def test_a_gate_lets_in_one_share_per_pixel_for_all_colours() -> None:
     packed = torch.randn(2, CHANNELS, 8, 8, generator=generator, dtype=torch.float64)
     seen: list[Tensor] = []
     network.merge0.register_forward_hook(lambda _, __, features: seen.append(features))
-    blended = network.next_frame(packed, torch.zeros(2, WIDTHS[0], 1, 1))
+    blended = network.next_frame([packed], torch.zeros(2, WIDTHS[0], 1, 1))
     weight = torch.randn(blended.shape, generator=generator, dtype=torch.float64)
     parameters = [*network.painting.parameters(), *network.gate.parameters()]
     of_blended = torch.autograd.grad((blended * weight).sum(), parameters)
@@ -172,7 +188,7 @@ def _closed(floor: float) -> tuple[UNet, Tensor, Tensor]:
     torch.nn.init.constant_(network.gate.bias, -300.0)
     packed, seen = pack(torch.rand(2, 3, 32, 32) * 2 - 1), []
     with network.painting.register_forward_hook(lambda _m, _i, output: seen.append(output.detach())):
-        predicted = network.next_frame(packed, torch.zeros(2, WIDTHS[0], 1, 1))
+        predicted = network.next_frame([packed], torch.zeros(2, WIDTHS[0], 1, 1))
     return network, predicted - packed, seen[0] - packed
 
 

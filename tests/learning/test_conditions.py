@@ -14,7 +14,7 @@ from walking_square import record_walks
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.timing import FEWEST_ROUNDS, clearly_faster, timed_in_turn
+from dmotion_bench.learning.timing import FEWEST_ROUNDS, MOST_ROUNDS, clearly_faster, timed_in_turn
 from dmotion_bench.learning.training import Report, train
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
@@ -136,3 +136,12 @@ def test_ways_take_turns_and_the_first_of_each_does_not_count() -> None:
 )
 def test_another_way_must_win_clearly_and_often(other: tuple[float, ...], wins: bool) -> None:
     assert clearly_faster(other, (1.0,) * 4) is wins
+
+
+@pytest.mark.parametrize(("other", "rounds"), [(0.3, FEWEST_ROUNDS), (0.11, MOST_ROUNDS)])
+def test_few_rounds_are_enough_where_one_way_is_far_ahead(
+    other: float, rounds: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.learning.timing._seconds", lambda way, _: way())
+    seconds = timed_in_turn({"usual": lambda: 0.1, "other": lambda: other}, CPU)
+    assert seconds == {"usual": (0.1,) * rounds, "other": (other,) * rounds}

@@ -92,6 +92,19 @@ def test_large_matrices_are_orthogonalised_in_the_type_that_is_asked_for(
         assert (difference > 1e-3) == (products is torch.bfloat16)
 
 
+@pytest.mark.parametrize("shape", [(2, 64, 576), (2, 576, 64)])
+def test_matrices_of_few_rows_or_columns_follow_the_formula_even_where_they_are_nearly_singular(
+    shape: tuple[int, ...],
+) -> None:
+    left, _, right = torch.linalg.svd(torch.randn(shape, generator=torch.Generator().manual_seed(0)), False)
+    for smallest in (1e-1, 1e-4, 0.0):
+        values = torch.linspace(1, smallest, min(shape[1:])) ** 2
+        matrices = left * values @ right
+        for one, matrix in zip(orthogonalised(matrices), matrices, strict=True):
+            exact = _newton_schulz(matrix.double())
+            assert float((one - exact).norm() / exact.norm()) < 1e-4
+
+
 def test_a_restored_optimizer_goes_on_as_if_it_had_not_stopped() -> None:
     network, other = _network(), _network()
     optimizer, restored = _optimizer(network), _optimizer(other)

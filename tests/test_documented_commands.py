@@ -17,7 +17,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -166,7 +165,7 @@ def _shortened(command: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a reader has who comes to a page: the data sets and runs that it names, and recordings of a robot."""
     root = tmp_path_factory.mktemp("reader")
     workspace = Workspace(root)
@@ -185,11 +184,11 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             run.finish(result_of(weights))
             if name == "grid_world-small":
                 score_run(run.path, settings=ScoreSettings(horizon=4))
-        (root / "recordings").mkdir()
-        for number in range(10):
-            file = root / f"recordings/{number}.mcap"
-            foxglove_file(file, video(12, seed=number), steady(12), topic="/camera/image_raw")
-        yield root
+    (root / "recordings").mkdir()
+    for number in range(10):
+        file = root / f"recordings/{number}.mcap"
+        foxglove_file(file, video(12, seed=number), steady(12), topic="/camera/image_raw")
+    return root
 
 
 @pytest.mark.parametrize("page", READ, ids=lambda page: page.name)

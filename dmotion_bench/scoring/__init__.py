@@ -7,6 +7,7 @@
     transitions.py       held-out triplets and rollouts, in batches
     prediction.py        predictions of models and references, measured frame by frame
     references.py        the references: predictors without learning, and published results
+    reference_samples.py  their samples, kept in the data set's cache for all of its runs
     frame_measures.py    everything that is measured on a predicted frame
     pixels.py            MSE, PSNR and SSIM of two pictures
     position_errors.py   distances between predicted and true objects

@@ -56,6 +56,7 @@ ELSEWHERE = {
     "leaderboard serve": "tests/leaderboard/test_server.py",
     "leaderboard results": "tests/leaderboard/test_results.py",
     "tiny-latents": "tests/test_third_party.py",
+    "dmbench reproduce": "tests/api/test_reproducing.py",
     "--executor ray": "tests/execution/test_executors.py",
     "record gym:": "tests/recorders/test_gymnasium_env.py",
     "--action-fields": "tests/storage/test_import_continuous.py",

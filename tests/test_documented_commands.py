@@ -71,6 +71,7 @@ ELSEWHERE = {
     "leaderboard serve": "tests/leaderboard/test_server.py",
     "leaderboard results": "tests/leaderboard/test_results.py",
     "tiny-latents": "tests/test_third_party.py",
+    "dmbench reproduce": "tests/api/test_reproducing.py",
     "--executor ray": "tests/execution/test_executors.py",
     "--all --data planar_push-tiny --executor slurm": "tests/execution/test_executors.py",
     "--devices": "tests/cli/test_train_together.py",

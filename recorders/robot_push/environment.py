@@ -99,8 +99,12 @@ class RobotPush(PushingEnvironment):
         delay: int | None = None,
         render_mode: str | None = None,
     ) -> None:
-        given = {"pitch": pitch, "distance": distance, "field_of_view": field_of_view}
-        self._camera = replace(Camera(), **{name: value for name, value in given.items() if value is not None})
+        usual = Camera()
+        self._camera = Camera(
+            pitch=usual.pitch if pitch is None else pitch,
+            distance=usual.distance if distance is None else distance,
+            field_of_view=usual.field_of_view if field_of_view is None else field_of_view,
+        )
         super().__init__(
             facts=EnvSpec(
                 id="robot_push",

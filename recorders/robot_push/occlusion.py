@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -176,14 +177,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         camera = Camera(yaw=yaw, pitch=pitch, distance=distance)
         cameras += [replace(camera, field_of_view=one) for one in asked.field_of_view] or [fitting(camera)]
     found = [(camera, occlusion(camera, seen)) for camera in cameras]
-    print(f"{len(seen)} moments; the first camera is the one of version 1\n")
-    print("| yaw [deg] | pitch [deg] | distance [m] | field of view [deg] | hidden | without arm | pixels | cut |")
-    print("|---|---|---|---|---|---|---|---|")
+    lines = [f"{len(seen)} moments; the first camera is the present one", ""]
+    lines.append(
+        "| yaw [deg] | pitch [deg] | distance [m] | field of view [deg] | hidden | without arm | pixels | cut |"
+    )
+    lines.append("|---|---|---|---|---|---|---|---|")
     for camera, one in found[:1] + sorted(found[1:], key=lambda pair: pair[1].hidden):
-        print(
-            f"| {camera.yaw:.0f} | {camera.pitch:.0f} | {camera.distance} | {camera.field_of_view:.1f} | {one.hidden:.1%} "
-            f"| {one.without_arm:.1%} | {one.pixels:.0f} | {one.off_picture:.1%} |"
+        lines.append(
+            f"| {camera.yaw:.0f} | {camera.pitch:.0f} | {camera.distance} | {camera.field_of_view:.1f} "
+            f"| {one.hidden:.1%} | {one.without_arm:.1%} | {one.pixels:.0f} | {one.off_picture:.1%} |"
         )
+    sys.stdout.write("\n".join([*lines, ""]))
 
 
 if __name__ == "__main__":

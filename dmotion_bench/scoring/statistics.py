@@ -134,8 +134,10 @@ def over_trainings(
     """The mean of several trainings of a model, with an interval over episodes and trainings: a two-level bootstrap.
 
     Each draw takes whole episodes and, independently, trainings. The drawn trainings' distance from the mean of all is
-    widened for their small number by the same reasons as the quantiles are for episodes: by sqrt(k / (k - 1)) and by
-    Student's t instead of the normal. Of one training the interval is over episodes alone.
+    widened for their small number as the quantiles are for that of episodes: by sqrt(k / (k - 1)) and by Student's t
+    instead of the normal. And it is scaled to what trainings truly differ by: means over the same episodes also differ
+    because each training does some tasks better by chance, which the draws of episodes hold already. Of one training
+    the interval is over episodes alone.
 
     Args:
         sums: Of each training, each episode's sum over its samples.
@@ -153,6 +155,7 @@ def over_trainings(
             generator = np.random.default_rng([seed, episodes, trainings])
             share = generator.multinomial(trainings, np.full(trainings, 1 / trainings), size=resamples) / trainings
             widened = math.sqrt(trainings / (trainings - 1)) * stdtrit(trainings - 1, (1 + LEVEL) / 2)
+            widened *= math.sqrt(_between(sums, counts) / spread) if (spread := float(each.var(ddof=1))) else 0.0
             middle = middle + widened / ndtri((1 + LEVEL) / 2) * ((share * means).sum(axis=1) - middle)
         tail = expanded_tail(episodes)
         low, high = (float(one) for one in np.quantile(middle, [tail, 1 - tail]))
@@ -175,8 +178,21 @@ def standard_error(
     variance = np.square(off).sum() / samples**2 * episodes / (episodes - 1)
     for own in (first, second):
         if len(own) > 1:
-            variance += (own.sum(axis=1) / samples).var(ddof=1) / len(own)
+            variance += _between(own, counts) / len(own)
     return float(np.sqrt(variance))
+
+
+def _between(sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"]) -> float:
+    """The variance of what trainings come to on ever more episodes: that of their means, less the part of chance.
+
+    That part comes from what is left of each episode's sum without the training's and the episode's own level.
+    """
+    trainings, episodes = sums.shape
+    samples = counts.sum()
+    each = sums.sum(axis=1) / samples
+    off = sums - sums.mean(axis=0) - (each - each.mean())[:, None] * counts
+    chance = np.square(off).sum() / (trainings - 1) * episodes / (episodes - 1) / samples**2
+    return float(max(0.0, each.var(ddof=1) - chance))
 
 
 DETECTED: Final = 0.8

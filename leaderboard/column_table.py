@@ -167,7 +167,8 @@ def _row(key: RowKey, by_column: Mapping[str, Sequence[Entry]], figure: str) -> 
 def _cell(entries: Sequence[Entry], figure: str) -> Outcome | None:
     """The trainings with different seeds; of two results of one seed the first counts, as do those over its tasks."""
     by_seed = {entry.content["seed"]: entry for entry in sorted(entries, key=lambda entry: entry.slug, reverse=True)}
-    sums = [(entry, entry.by_episode[figure]) for entry in by_seed.values() if figure in entry.by_episode]
+    trained = [by_seed[seed] for seed in sorted(by_seed)]
+    sums = [(entry, entry.by_episode[figure]) for entry in trained if figure in entry.by_episode]
     if not sums:
         return None
     most = max((one for _, one in sums), key=lambda one: sum(one["n"]))

@@ -18,6 +18,8 @@ from types import MappingProxyType
 from typing import Final
 
 from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.learning.settings import to_json
+from dmotion_bench.planning.choices import make_objective, make_solver
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.wording import command
 
@@ -112,7 +114,11 @@ class TaskData:
 DEVELOPMENT: Final = TaskData(name="development", seed=1001)
 TEST: Final = TaskData(name="test", seed=2002)
 
-TEST_TASKS: Final[Mapping[str, str]] = MappingProxyType({})
+TEST_TASKS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "planar_push": "ebbab843f19a4e4117cdad4346ea5f0d68c2fe9eb1aff1755803871a4bd532e2",
+    }
+)
 """The hash (``tasks_hash``) of each environment's test tasks, with its version where that is not 1."""
 
 
@@ -125,6 +131,16 @@ def column_named(name: str) -> Column:
     if name not in COLUMNS:
         raise UnknownName("column of control", name, COLUMNS)
     return COLUMNS[name]
+
+
+def columns_hash() -> str:
+    """The SHA-256 of all columns with every field of their solvers and objectives: it changes when a column does."""
+    told = [
+        [one.name, to_json(make_solver(one.planner, one.planner_set)), one.planner, one.objective]
+        + ([] if one.objective is None else [to_json(make_objective(one.objective, one.objective_set))])
+        for one in COLUMNS.values()
+    ]
+    return hashlib.sha256(json.dumps(told, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def tasks_hash(dataset: ReadableDataset) -> str:

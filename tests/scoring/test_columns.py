@@ -105,9 +105,7 @@ def test_what_a_column_is_not_for_is_said(make_run: MakeRun, grid: Dataset, task
         ControlScoring(column="genric")
 
 
-def test_tasks_in_episodes_of_the_training_are_refused(
-    make_run: MakeRun, grid: Dataset, tmp_path: Path
-) -> None:
+def test_tasks_in_episodes_of_the_training_are_refused(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
     """The same seed as the training's: the test episodes may be new, but the tasks lie anywhere."""
     same = replace(grid.recipe, tasks=20, episodes=grid.recipe.episodes + 20)
     record_dataset(tmp_path / "longer", same)

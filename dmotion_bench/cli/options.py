@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dmotion_bench.scoring.score import Metric
 
 PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "mppi", "random-shooting")
-OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
+OBJECTIVES: Final = ("centres", "feature", "pixel", "steps-to-go", "tabletop", "tracked")
 COLUMNS: Final = ("generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")

@@ -129,7 +129,8 @@ def train(
     for step in range(config.steps):
         generator = np.random.default_rng([config.seed, step])
         first, second, apart = pairs(generator, offsets, episodes, config.batch_size, config.reach)
-        both = to_model(torch.from_numpy(frames.checked(np.concatenate([first, second]), 1)))
+        places = np.concatenate([first, second])
+        both = to_model(torch.from_numpy(frames.checked(places, 1)[places]))
         one, other = network.embed(both).chunk(2)
         target = torch.from_numpy(apart)
         loss = functional.smooth_l1_loss(network.between(one, other) / config.reach, target / config.reach, beta=0.1)

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import copy
+import json
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.score import ScoreSettings, score_run
 from dmotion_bench.scoring.statistics import detectable_difference, over_trainings, standard_error, wilson
+from dmotion_bench.scoring.transfer import transfer_folders
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.workspace import Workspace
 from leaderboard.board import Board, make_boards
 from leaderboard.board_tables import board_section, written
+from leaderboard.build import entry_of_run
+from leaderboard.check import check_entry
 from leaderboard.entry import Entry
 from leaderboard.page import make_page
 
@@ -188,3 +199,36 @@ def test_the_gain_agrees_with_control_as_the_ranks_do(
     assert found["MSE"].n == 6
     assert "Spearman" in "\n".join(board_section(board))
     assert "Rank correlation of the gain captured" in make_page(entries)
+
+
+def test_a_columns_report_is_an_entry_that_can_be_checked(
+    scored_workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the score to the board: the simulator repeats the actions, and the model plans the first ones again."""
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", seed=5, episodes=20, frames=32, tasks=2
+    )
+    copied = Workspace(tmp_path)
+    shutil.copytree(scored_workspace.root, copied.root, dirs_exist_ok=True)
+    path = copied.runs / "dmotion-grid_world-tiny-s0"
+    manifest = json.loads((path / "run.json").read_text())
+    manifest["dataset_path"] = str(copied.data / "grid_world-tiny")
+    (path / "run.json").write_text(json.dumps(manifest))
+    record_dataset(copied.data / "grid-test", recipe)
+    few = ScoreSettings(resamples=100, control=ControlScoring(column="paper", tasks=2, steps=2, group=2))
+    score_run(path, metrics=None, settings=few, data=copied.data / "grid-test")
+
+    (folder,) = transfer_folders(path)
+    entry = entry_of_run(path, folder)
+    verdict = check_entry(entry, copied)
+    (board,) = make_boards([entry])
+
+    assert (entry.column, entry.content["protocol"]) == ("paper", "dmbench-2")
+    assert verdict.findings == ()
+    assert verdict.holds
+    assert board.control is not None
+    assert board.control.columns == ("paper",)
+    assert board.control.rows[0].cells["paper"].tasks == 2
+    forged = copy.deepcopy(dict(entry.content))
+    forged["settings"]["control_column"] = "generic"
+    assert not check_entry(Entry(forged), copied).holds

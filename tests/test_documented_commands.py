@@ -108,6 +108,7 @@ def _shorten(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("dmotion_bench.planning.choices.make_solver", lambda name, settings=(): TWO)
     patch.setattr("dmotion_bench.scoring.control.make_solver", lambda name, settings=(): TWO)
     patch.setattr(api_scoring, "control_scoring", _two_steps)
+    patch.setattr("dmotion_bench.planning.columns.TEST_TASKS", {})  # a shorter recording has other tasks
     patch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: its layers are most of what a scoring computes
     patch.setattr(demonstration, "EPISODES", 12)
     patch.setattr(demonstration, "EPOCHS", 0.01)
@@ -121,7 +122,7 @@ def _shortened(command: str) -> list[str]:
         case ["record", *_]:
             words += ["--episodes", str(EPISODES), "--frames", str(FRAMES), "--tasks", "4"]
         case ["score", *_]:
-            words += ["--tasks", "1"] if "control" in words else ["--horizon", "4"]
+            words += ["--tasks", "1"] if {"control", "--column"} & set(words) else ["--horizon", "4"]
             words += ["--workers", "1"] if "--all" in words else []  # others do not know the shortened planner
         case ["plan", *_]:
             words += ["--steps", "2"]

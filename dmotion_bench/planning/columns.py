@@ -117,6 +117,7 @@ TEST: Final = TaskData(name="test", seed=2002)
 TEST_TASKS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "planar_push": "ebbab843f19a4e4117cdad4346ea5f0d68c2fe9eb1aff1755803871a4bd532e2",
+        "robot_push": "6ab3bdfdc0ed182a33c17013ea1426439e2b4962a536e860160fcf0da8a42f7a",
     }
 )
 """The hash (``tasks_hash``) of each environment's test tasks, with its version where that is not 1."""

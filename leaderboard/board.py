@@ -19,6 +19,8 @@ from typing import Any, Final, Literal, TypeVar
 from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.scoring.report import Version
 from dmotion_bench.scoring.statistics import Estimate
+from leaderboard.agreement import Agreement, agreements
+from leaderboard.column_table import ColumnTable, column_table
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.entry import Entry
@@ -107,6 +109,8 @@ class Board:
         split, protocol: Which episodes, and how triplets were split.
         triplets: Single steps that were scored; None where nothing was.
         rows: The best first, then the published rows and the references where their error puts them.
+        control: The table of control by columns (protocol dmbench-2); None where nothing was scored for it.
+        agreement: How well the gain captured agrees with other figures.
     """
 
     environment: str
@@ -117,6 +121,8 @@ class Board:
     protocol: str = ""
     triplets: int | None = None
     rows: tuple[Row, ...]
+    control: ColumnTable | None = None
+    agreement: tuple[Agreement, ...] = ()
 
     @property
     def title(self) -> str:
@@ -126,8 +132,13 @@ class Board:
 
     @property
     def measured(self) -> list[Entry]:
-        """The entries that were measured here."""
+        """The entries that were measured here, without those of the table of control by columns."""
         return [entry for row in self.rows if row.kind == "measured" for entry in row.entries]
+
+    @property
+    def entries(self) -> list[Entry]:
+        """All entries behind it."""
+        return [entry for row in self.rows for entry in row.entries] + (self.control.entries if self.control else [])
 
 
 def make_boards(entries: Iterable[Entry]) -> list[Board]:
@@ -157,8 +168,11 @@ def _board_key(entry: Entry) -> tuple[str, ...]:
     return *of, str(settings["split"]), str(settings["protocol"])
 
 
-def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
-    environment, _, dataset, fingerprint, split, protocol = _board_key(entries[0])
+def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
+    """The board of some entries; those whose control a column planned are in a table of their own."""
+    environment, _, dataset, fingerprint, split, protocol = _board_key(every[0])
+    entries = [entry for entry in every if entry.column is None]
+    control = column_table([entry for entry in every if entry.column is not None], REFERENCE_WORDS)
     planner = _planner_of(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     twins: dict[tuple[str, ...], int] = defaultdict(int)
@@ -168,19 +182,26 @@ def _board(entries: Sequence[Entry], published: Sequence[Entry]) -> Board:
         groups[*key, str(twins[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
         twins[one] += 1
     measured = _told_apart([_measured_row(own, planner) for own in groups.values()])
-    comparable = published if entries[0].actions == "discrete" else ()
+    comparable = published if entries and entries[0].actions == "discrete" else ()
     rows = [*_ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, planner)]
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
     return Board(
         environment=environment,
-        version=entries[0].version,
+        version=every[0].version,
         dataset=dataset,
         fingerprint=fingerprint,
         split=split,
         protocol=protocol,
         triplets=int(max(counts)) if counts else None,
         rows=_sorted(rows),
+        control=control,
+        agreement=agreements({(row.model, _plain_variant(row), row.labels): row.figures for row in measured}, control),
     )
+
+
+def _plain_variant(row: Row) -> str:
+    """A row's variant as the table of control by columns has it, which says on the board what all were trained on."""
+    return ", ".join(part for part in row.variant.split(", ") if not part.startswith("trained on "))
 
 
 def _planner_of(entries: Iterable[Entry]) -> Version | None:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
+from dmotion_bench.planning.columns import COLUMNS
+from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
+from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
 from leaderboard.columns import control_columns, number
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markdown import plain, table
@@ -23,14 +27,76 @@ TO: Final = "\u00a0to\u00a0"
 def board_section(board: Board) -> list[str]:
     """The lines of a board: its heading, what it was measured on, and its tables."""
     lines = [f"### {world(board)}: {plain(board.dataset)} ({board.fingerprint[:8]})", ""]
-    protocols = sorted({str(entry.content["protocol"]) for entry in board.measured})
+    protocols = sorted({str(entry.content["protocol"]) for entry in board.entries if entry.is_measured})
     lines += [
         f"Protocol {', '.join(map(plain, protocols))}, split by {plain(board.protocol)}, "
         f"{board.triplets or 0:,} predicted frames."
     ]
-    lines += ["", *_predictions(board)]
+    if board.measured:
+        lines += ["", *_predictions(board)]
+    if board.agreement:
+        lines += ["", *agreement_lines(board)]
+    if board.control is not None:
+        lines += ["", *column_lines(board.control)]
     control = _control(board)
+    if control and board.control is not None:
+        lines += ["", "Control of protocol dmbench-1, by planners that were tuned on some of its tasks:"]
     return [*lines, "", *control] if control else lines
+
+
+def column_lines(control: ColumnTable) -> list[str]:
+    """The table of control by columns, and what it cannot show."""
+    columns: dict[str, Callable[[ColumnRow], str]] = {
+        "Model": lambda row: plain(row.title),
+        "Labels": lambda row: "" if not row.entries else "?" if row.label_count is None else f"{row.label_count:,}",
+        "Trainings": lambda row: str(max((cell.trainings for cell in row.cells.values()), default=0) or ""),
+        "Tasks": lambda row: " / ".join(sorted({str(cell.tasks) for cell in row.cells.values()}, key=int)),
+    }
+    for name in control.columns:
+        columns[f"{COLUMNS[name].title}: left"] = partial(_of_column, name, left)
+        columns[f"{COLUMNS[name].title}: solved"] = partial(_of_column, name, solved)
+    lines = table(list(columns), [[cell(row) for cell in columns.values()] for row in control.rows])
+    words = [f"Distance left after {control.steps} steps, with the 95% interval over tasks and trainings."]
+    words += [f"Solved: {SOLVED_AT:g} of the distance or less, with Wilson's interval."]
+    words += [
+        f"{COLUMNS[name].title}: differences below {written(one)} between two models are too small for this table."
+        for name, one in control.detectable.items()
+    ]
+    return [*lines, "", *textwrap.wrap(" ".join(words), WIDTH)]
+
+
+def _of_column(name: str, words: Callable[[Outcome | None], str], row: ColumnRow) -> str:
+    return words(row.cells.get(name))
+
+
+def left(cell: Outcome | None) -> str:
+    """The distance left, with its interval."""
+    if cell is None:
+        return ""
+    one = cell.left
+    return written(one.mean) + ("" if one.low is None else f" ({between(one.low, one.high)})")
+
+
+def solved(cell: Outcome | None) -> str:
+    """The share of solved tasks, with its interval."""
+    if cell is None:
+        return ""
+    share, low, high = cell.solved
+    return f"{share:.0%} ({low:.0%}{TO}{high:.0%})"
+
+
+def agreement_lines(board: Board) -> list[str]:
+    """With what the gain captured agrees, over the board's rows."""
+    head = ["Gain captured with", "Rows", "Spearman's correlation"]
+    rows = [
+        [one.figure, str(one.correlation.n), f"{one.correlation.mean:.2f} ({_signed(one.correlation)})"]
+        for one in board.agreement
+    ]
+    return table(head, rows, words=1)
+
+
+def _signed(one: Estimate) -> str:
+    return f"{one.low:.2f}{TO}{one.high:.2f}"
 
 
 def world(board: Board) -> str:

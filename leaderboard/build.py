@@ -21,7 +21,7 @@ from typing import Any
 from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_results
-from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, Report
+from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, TRANSFERS, Report
 from dmotion_bench.scoring.transfer import fitting, transfer_folders
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.dataset import Dataset
@@ -86,7 +86,8 @@ def build(
             try:
                 found.append(entry_of_run(path, folder, earlier=out / ENTRIES))
             except DmbenchError as error:
-                left_out[path.name if folder is None else f"{path.name} on {folder.name}"] = str(error)
+                where = "" if folder is None else f" on {folder.relative_to(path / REPORT_FOLDER / TRANSFERS)}"
+                left_out[f"{path.name}{where}"] = str(error)
     on_progress("", len(runs), len(runs))
     entries = list({entry.slug: entry for entry in found}.values())
     for folder in (out, out / ENTRIES, out / ENTRIES / REFERENCES):

@@ -146,6 +146,12 @@ class Entry:
         return version
 
     @property
+    def column(self) -> str | None:
+        """The column of the table of control that planned; None where control was planned otherwise, or not at all."""
+        name = self.content["settings"].get("control_column") if self.is_measured else None
+        return None if name is None else str(name)
+
+    @property
     def figures(self) -> Mapping[str, FigureJson]:
         """The figures by their fixed names."""
         figures: Mapping[str, FigureJson] = self.content["figures"]

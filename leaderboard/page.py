@@ -21,7 +21,7 @@ from leaderboard.entry import Entry
 from leaderboard.gallery import fitting_steps, gallery
 from leaderboard.markup import Markup, element, escaped, joined
 from leaderboard.provenance import count_figures, provenance
-from leaderboard.standings import control_standings, standings
+from leaderboard.standings import agreement_note, column_standings, control_standings, standings
 from leaderboard.summary import Summary, summarise
 from leaderboard.summary_section import TITLE, shows, summary_section
 
@@ -146,12 +146,12 @@ def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
         element("h2", board.title, element("small", board.dataset) if board.dataset else None),
         element("p", shows(board), class_="shows") if board.measured else None,
         element("p", *_described(board), class_="note"),
-        standings(board, _anchor(place)),
+        standings(board, _anchor(place)) if board.rows else None,
+        agreement_note(board),
         joined(element("p", note, class_="note") for note in _notes(board)),
+        column_standings(board.control, _anchor(place)) if board.control is not None else None,
         control_standings(board, _anchor(place)),
-        element("h3", "Curves"),
-        legend(board, styles),
-        drawn,
+        joined([element("h3", "Curves"), legend(board, styles), drawn]) if board.rows else None,
         gallery(board, steps),
         provenance(board),
         id=_anchor(place),

@@ -14,7 +14,7 @@ from leaderboard.markup import Markup, element, joined
 
 def provenance(board: Board) -> Markup:
     """One folded section an entry of the board."""
-    entries = [entry for row in board.rows for entry in row.entries]
+    entries = board.entries
     return element(
         "section",
         element("h3", "Where the numbers come from"),

@@ -100,7 +100,7 @@ def _read(page: Path) -> str:
 def _every_board(boards: Sequence[Board]) -> list[str]:
     lines: list[str] = []
     for board in boards:
-        if board.measured:
+        if board.measured or board.control is not None:
             lines += ["", *board_section(board)]
     published = {board.environment: board for board in boards if any(row.kind == "published" for row in board.rows)}
     for board in published.values():

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from dmotion_bench.planning.columns import COLUMNS
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
+from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable
 from leaderboard.columns import Column, columns_for, control_columns, count, interval, number, signed
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markup import Markup, element, joined
@@ -36,7 +38,7 @@ def control_standings(board: Board, anchor: str) -> Markup | None:
     rows.sort(key=lambda row: row.figures[last].mean if last in row.figures else float("inf"))
     return element(
         "section",
-        element("h3", "Control"),
+        element("h3", "Control" if board.control is None else "Control, protocol dmbench-1"),
         element(
             "p",
             f"{' or '.join(map(count, tasks)) + ' tasks' if tasks else 'Tasks'}: "
@@ -47,6 +49,77 @@ def control_standings(board: Board, anchor: str) -> Markup | None:
         ),
         _table(board, rows, columns, f"{anchor}-control-caption", ranks=last, words=", control"),
     )
+
+
+def column_standings(control: ColumnTable, anchor: str) -> Markup:
+    """The table of control by columns: what each frozen planner leaves with each model."""
+    head = [_heading("Model"), _heading("Labels", "Action labels that the model was given.")]
+    for place, name in enumerate(control.columns):
+        column = COLUMNS[name]
+        head.append(_heading(f"{column.title}: left", column.meaning, sorted_up=not place))
+        head.append(_heading("solved", f"Share of the tasks that end with {SOLVED_AT:g} of the distance or less."))
+        head.append(_heading("lost", "Objects lost in a task, in the mean."))
+    body = [_column_row(row, control.columns) for row in control.rows]
+    caption = f"{anchor}-columns-caption"
+    table = element(
+        "table",
+        element("caption", "Control by frozen planners", id=caption),
+        element("thead", element("tr", *head)),
+        element("tbody", joined(body)),
+        class_="standings",
+    )
+    small = " ".join(
+        f"{COLUMNS[name].title}: differences below {number(one)} between two models are too small for this table."
+        for name, one in control.detectable.items()
+    )
+    return element(
+        "section",
+        element("h3", "Control, protocol dmbench-2"),
+        element(
+            "p",
+            f"The distance left after {control.steps} steps, on tasks that nothing was tuned on. Small print: the 95% "
+            f"interval over tasks and trainings; of shares, Wilson's interval. {small}",
+            class_="note",
+        ),
+        element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=caption),
+    )
+
+
+def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
+    trainings = max((cell.trainings for cell in row.cells.values()), default=0)
+    small = ", ".join(part for part in (row.variant, f"{trainings} trainings" if trainings > 1 else "") if part)
+    name = element("a", row.name, href=f"#{row.entries[0].slug}") if row.entries else element("span", row.name)
+    cells = [
+        element(
+            "th", name, element("small", small or ("reference" if not row.entries else "one training")), scope="row"
+        ),
+        element("td", "" if row.label_count is None else count(row.label_count), element("small", row.labels)),
+    ]
+    for column in columns:
+        cell = row.cells.get(column)
+        if cell is None:
+            cells += [element("td", "")] * 3
+            continue
+        share, low, high = cell.solved
+        said = f"{interval(cell.left.low, cell.left.high)}, {cell.tasks} tasks"
+        cells += [
+            element("td", number(cell.left.mean), element("small", said), data_value=repr(cell.left.mean)),
+            element("td", f"{share:.0%}", element("small", f"{low:.0%} \u2013 {high:.0%}"), data_value=repr(share)),
+            element("td", number(cell.lost), data_value=repr(cell.lost)),
+        ]
+    return element("tr", *cells, class_="measured" if row.entries else "reference")
+
+
+def agreement_note(board: Board) -> Markup | None:
+    """With what the gain captured agrees, over the board's rows; None where there are too few."""
+    if not board.agreement:
+        return None
+    said = "; ".join(
+        f"{one.figure} {one.correlation.mean:.2f} ({one.correlation.low:.2f} to {one.correlation.high:.2f}, "
+        f"{one.correlation.n} rows)"
+        for one in board.agreement
+    )
+    return element("p", f"Rank correlation of the gain captured with other figures, over rows: {said}.", class_="note")
 
 
 def _of_control(figures: Iterable[str]) -> set[str]:

@@ -38,6 +38,11 @@ class Lattice:
         """A place in the world [m]."""
         return self.origin[0] + self.step * place[0], self.origin[1] + self.step * place[1]
 
+    def nearest(self, point: Float[np.ndarray, "2"]) -> tuple[int, int]:
+        """The place that is nearest to a point of the world [m]."""
+        x, y = np.rint((point - np.asarray(self.origin)) / self.step).astype(int).tolist()
+        return x, y
+
     def after(self, place: Place, action: int) -> Place:
         """Where an action leads, on the lattice or off it."""
         return place[0] + self.moves[action][0], place[1] + self.moves[action][1]

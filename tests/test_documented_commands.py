@@ -131,6 +131,7 @@ def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
         _shorten_planning(patch)
     patch.setattr(table, "model_names", lambda: ["dmotion"])
     patch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
+    patch.setattr("dmotion_bench.planning.columns.TEST_TASKS", {})  # a shorter recording has other tasks
     patch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: its layers are most of what a scoring computes
     patch.setattr(demonstration, "EPISODES", 12)
     patch.setattr(demonstration, "EPOCHS", 0.01)
@@ -152,7 +153,7 @@ def _shortened(command: str) -> list[str]:
         case ["record", *_] if "tiny" not in words:
             words += ["--episodes", str(EPISODES), "--frames", str(FRAMES), "--tasks", "4"]
         case ["score", *_]:
-            words += ["--tasks", "1"] if "control" in words else ["--horizon", "4"]
+            words += ["--tasks", "1"] if {"control", "--column"} & set(words) else ["--horizon", "4"]
             words += ["--workers", "1"] if "--all" in words else []  # others do not know the shortened planner
         case ["plan", *_] if "--steps" not in words:
             words += ["--steps", "2"]

@@ -49,10 +49,11 @@ def score(
     split: SplitName = "test",
     horizon: int = 15,
     tasks: int | None = None,
-    planner: str = DEFAULT_SOLVER,
+    planner: str | None = None,
     planner_settings: Settings = None,
     objective: str | None = None,
     objective_settings: Settings = None,
+    column: str | None = None,
     data: AnyPath | None = None,
     batch_size: int = 64,
     precision: Precision = "float32",
@@ -70,8 +71,11 @@ def score(
         split: ``"test"`` or ``"validation"``.
         horizon: Steps of a rollout.
         tasks: For control: so many of the data set's first tasks; None for all.
-        planner, planner_settings: For control: the solver, and its fields that differ from their defaults.
+        planner, planner_settings: For control: the solver, ``"cem"`` by default, and its fields that differ from
+            their defaults.
         objective, objective_settings: For control: likewise; None for the one that suits.
+        column: In place of these a frozen planner of the table of control: ``"generic"``, ``"paper"`` or
+            ``"task-knowledge"``; with ``data``, whose tasks the run must not know.
         data: Another data set of the same environment, or an import. Default: the one of the training.
         batch_size: Predictions computed at once.
         precision: ``"float32"`` or ``"bf16"``.
@@ -102,7 +106,7 @@ def score(
         split=split,
         horizon=horizon,
         precision=precision,
-        control=control_scoring(tasks, planner, planner_settings, objective, objective_settings),
+        control=control_scoring(tasks, planner, planner_settings, objective, objective_settings, column=column),
     )
     path = place.run(run)
     reports, _ = score_runs(
@@ -218,12 +222,18 @@ def control_scoring(
     steps: int = STEPS,
     seed: int = 0,
     group: int = GROUP,
+    column: str | None = None,
 ) -> ControlScoring:
     """What decides the figures of control, as ``score`` and ``plan`` are asked for it.
 
     Raises:
         UnknownName, InvalidSetting: A name or a value that is not allowed.
+        UsageError: A column and a planner or an objective are named.
     """
+    if column is not None and any((planner, planner_settings, objective, objective_settings)):
+        raise UsageError(
+            f"the column {column!r} says how to plan; leave out the planner, the objective and their settings."
+        )
     return ControlScoring(
         tasks=tasks,
         steps=steps,
@@ -233,6 +243,7 @@ def control_scoring(
         objective_set=as_texts(objective_settings),
         seed=seed,
         group=group,
+        column=column,
     )
 
 

@@ -191,7 +191,7 @@ def score_at_once(
                 hands.count(done, len(jobs))
                 path = own[outcome.run]
                 if outcome.error is None:
-                    reports[path] = scored_report(path, settings.split, data)
+                    reports[path] = scored_report(path, settings.split, data, settings.control.column)
                 elif outcome.unfit and data is not None:
                     left_out(f"left out: {outcome.error}")
                 else:

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from dmotion_bench.scoring.score import Metric
 
 PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "mppi", "random-shooting")
-OBJECTIVES: Final = ("centres", "feature", "pixel", "tabletop", "tracked")
+OBJECTIVES: Final = ("centres", "feature", "pixel", "steps-to-go", "tabletop", "tracked")
+COLUMNS: Final = ("generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
 EXECUTORS: Final = ("local", "ray", "slurm")
@@ -68,5 +69,13 @@ ObjectiveSettings = Annotated[
         "--objective-set",
         metavar="KEY=VALUE",
         help="Change a setting of the objective that is named, such as lost_distance=1. Can be repeated.",
+    ),
+]
+ColumnName = Annotated[
+    str | None,
+    typer.Option(
+        metavar=listed(COLUMNS),
+        help="Plan by a column of the table of control, whose planner and objective are frozen, in place of "
+        "'--planner' and '--objective'. The tasks must be new to the run: name their data set with '--data'.",
     ),
 ]

@@ -15,6 +15,7 @@ from dmotion_bench.cli.options import (
     METRICS,
     REFERENCES,
     AsJson,
+    ColumnName,
     Device,
     ObjectiveName,
     ObjectiveSettings,
@@ -69,6 +70,7 @@ def score(
     planner_set: PlannerSettings = None,
     objective: ObjectiveName = None,
     objective_set: ObjectiveSettings = None,
+    column: ColumnName = None,
     data: Annotated[
         Path | None,
         typer.Option(
@@ -105,14 +107,14 @@ def score(
     from dmotion_bench.api.scoring import ScoreSettings, as_metrics, control_scoring
 
     asked = None if metrics is None else as_metrics([metrics], "--metrics")
-    control = control_scoring(tasks, planner, planner_set, objective, objective_set)
+    control = control_scoring(tasks, planner, planner_set, objective, objective_set, column=column)
     workspace = Workspace.current()
     if runs and (named := [run for run in runs if str(run) in REFERENCES and not run.exists()]):
         if len(named) < len(runs) or every:
             raise UsageError(
                 "runs and references cannot be scored by the same command; name only references, or only runs."
             )
-        if asked != ("control",):
+        if asked != ("control",) and column is None:
             raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
         _references([str(one) for one in named], workspace.dataset(data), control, as_json=as_json)
         return

@@ -32,11 +32,13 @@ from dmotion_bench.planning.choices import (
     DEFAULT_SOLVER,
     SIMULATOR,
     default_objective,
+    generic_objective,
     make_objective,
     make_solver,
     planning_configuration,
     present_name,
 )
+from dmotion_bench.planning.columns import Column, column_named
 from dmotion_bench.planning.journal import Journal
 from dmotion_bench.planning.mpc import (
     CONTROL_VERSION,
@@ -50,7 +52,14 @@ from dmotion_bench.planning.mpc import (
 from dmotion_bench.planning.objectives.base import Objective
 from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.tasks import Judge, load_problems, task_environment
-from dmotion_bench.scoring.earlier_planning import NOT_SETTINGS, earlier_name, earlier_planning, present_settings
+from dmotion_bench.scoring.earlier_planning import (
+    LATER,
+    NOT_SETTINGS,
+    earlier_name,
+    earlier_planning,
+    present_settings,
+    without_later,
+)
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import CONTROL_OF_CODE
 from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows
@@ -59,6 +68,9 @@ from dmotion_bench.workspace import cache_folder
 
 QUICK: Final = ("idle", "random", "scripted")
 """References that take seconds."""
+
+_OF_COLUMN: Final = ("planner", "planner_set", "objective", "objective_set")
+"""The settings that a column decides."""
 
 Advance = Callable[[ControlProgress], None]
 
@@ -76,6 +88,8 @@ class ControlScoring:
         objective_set: As ``planner_set``; of an objective that is named.
         seed: Of the solver's random numbers.
         group: Tasks side by side; it only decides which numbers are rounded together.
+        column: The name of a frozen planner of the table of control (``planning/columns.py``), in place of a planner
+            and an objective.
     """
 
     tasks: int | None = None
@@ -86,8 +100,11 @@ class ControlScoring:
     objective_set: tuple[str, ...] = ()
     seed: int = 0
     group: int = GROUP
+    column: str | None = None
 
     def __post_init__(self) -> None:
+        if self.column is not None:
+            self._take(column_named(self.column))
         if self.tasks is not None and self.tasks < 1:
             raise InvalidSetting(f"tasks is {self.tasks}; control is scored on 1 or more.")
         make_solver(self.planner, self.planner_set)
@@ -102,7 +119,25 @@ class ControlScoring:
     def to_json(self) -> dict[str, Any]:
         """The settings as a report stores them: with a prefix, and with the version of control."""
         own = asdict(self) | {"version": CONTROL_VERSION}
+        if self.column is None:
+            del own["column"]
         return {f"{CONTROL}_{name}": list(one) if isinstance(one, tuple) else one for name, one in own.items()}
+
+    def _take(self, column: Column) -> None:
+        """Take a column's planner.
+
+        Raises:
+            InvalidSetting: Another one was named, too.
+        """
+        frozen = {name: getattr(column, name) for name in _OF_COLUMN}
+        named = {name: getattr(self, name) for name in _OF_COLUMN}
+        plain = {one.name: one.default for one in fields(self) if one.name in _OF_COLUMN}
+        if named not in (plain, frozen):
+            raise InvalidSetting(
+                f"the column {column.name!r} says how to plan; leave out the planner, the objective and their settings."
+            )
+        for name, value in frozen.items():
+            object.__setattr__(self, name, value)
 
     def planned_with(self, dataset: ReadableDataset, *, needs_pixels: bool | None) -> tuple[str, Objective]:
         """The objective's name, and the objective.
@@ -111,9 +146,11 @@ class ControlScoring:
             dataset: Whose environment may name the one that suits.
             needs_pixels: The model's; None for the true simulator in a model's place, which has its own.
         """
-        if self.objective is None and needs_pixels is None:
-            return SIMULATOR, TrueCost()
         name = self.objective
+        if self.column is not None:
+            name = name or generic_objective(dataset.spec, needs_pixels=needs_pixels is not False)
+        elif name is None and needs_pixels is None:
+            return SIMULATOR, TrueCost()
         if name is None:
             name = default_objective(dataset.recipe.environment, dataset.spec, needs_pixels=bool(needs_pixels))
         return name, make_objective(name, self.objective_set)
@@ -127,7 +164,9 @@ class ControlScoring:
     def from_json(cls, settings: Mapping[str, Any]) -> ControlScoring:
         """Read the settings back from those of a report, which may be an earlier one."""
         present = present_settings(settings)
-        read: dict[str, Any] = {one.name: present[f"{CONTROL}_{one.name}"] for one in fields(cls)}
+        always = (one.name for one in fields(cls) if one.name != "column")
+        read: dict[str, Any] = {name: present[f"{CONTROL}_{name}"] for name in always}
+        read["column"] = present.get(f"{CONTROL}_column")
         for name in ("planner_set", "objective_set"):
             read[name] = tuple(read[name])
         return cls(**read)
@@ -335,10 +374,12 @@ def _earlier_keys(key: Mapping[str, Any], scoring: ControlScoring) -> list[dict[
 
     At first the version was a hash of the code; then a report said ``planner`` and ``cost`` (``earlier_planning``).
     """
-    planning = earlier_planning(key["planning"])
+    plain, named = without_later(key["planning"]), str(key["planning"]["solver"]["name"])
+    found = [] if plain is None else [dict(key) | {"planning": plain}]
+    planning = None if plain is None and named in LATER else earlier_planning(key["planning"])
     if planning is None:
-        return []
-    found = [dict(key) | {"planning": planning}]
+        return found
+    found.append(dict(key) | {"planning": planning})
     if not scoring.objective_set:
         fields = {name: value for name, value in planning["planner"].items() if name not in NOT_SETTINGS}
         planner = f"{planning['planner']['class']}({', '.join(f'{name}={value!r}' for name, value in fields.items())})"

@@ -109,12 +109,21 @@ CONSTANTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 """The objectives that there were, and which constants a report named of each."""
 
 
+LATER: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {name: MappingProxyType({"cost_at": "best", "hold": 1}) for name in ("cem", "icem")}
+)
+"""Fields of solvers that reports of before lack, and what solvers did then."""
+
+
 def present_planning(said: Mapping[str, Any]) -> dict[str, Any]:
     """A report's ``planning`` as it would be written today; what is written so already stays as it is."""
     planner, cost = dict(said.get("planner", {})), dict(said.get("cost", {}))
     solver, objective = _solver_name(planner), present_name(str(cost.pop("name", "")))
     if solver is None or objective not in CONSTANTS:
-        return dict(said)
+        named = said.get("solver")
+        if not isinstance(named, Mapping):
+            return dict(said)
+        return dict(said) | {"solver": {**LATER.get(str(named.get("name")), {}), **named}}
     settings = TrueCost() if objective == SIMULATOR else make_objective(objective)
     defaults = planning_configuration(solver, make_solver(solver), objective, settings)
     others = {name: value for name, value in said.items() if name not in ("planner", "cost")}
@@ -135,6 +144,15 @@ def present_settings(said: Mapping[str, Any]) -> dict[str, Any]:
         "control_planner_set": [],
         "control_objective_set": [],
     }
+
+
+def without_later(said: Mapping[str, Any]) -> dict[str, Any] | None:
+    """A present ``planning_configuration`` as it was before some fields were there; None where it needs them."""
+    solver = dict(said["solver"])
+    later = LATER.get(str(solver["name"]), {})
+    if not later or any(solver[name] != value for name, value in later.items()):
+        return None
+    return dict(said) | {"solver": {name: value for name, value in solver.items() if name not in later}}
 
 
 def earlier_planning(said: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -3,7 +3,7 @@
 ::
 
     report.json
-      protocol       "dmbench-1": what the figures' names mean
+      protocol       what the figures' names mean: "dmbench-1"; "dmbench-2" where a column planned control
       scoring_version  of the code that scores (SCORING_VERSION)
       run, model, arch, preset, seed
       labels         asked for, and the number handed out by purpose; use: where they were not used as is usual
@@ -39,6 +39,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from dmotion_bench.errors import RunCorrupt
+from dmotion_bench.planning.columns import PROTOCOL as COLUMNS_PROTOCOL
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
@@ -46,6 +47,9 @@ from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 from dmotion_bench.wording import shown
 
 PROTOCOL = "dmbench-1"
+"""Of all reports but those whose control was planned by a column, which are of ``planning.columns.PROTOCOL``."""
+
+PROTOCOLS: Final = (PROTOCOL, COLUMNS_PROTOCOL)
 SCORING_VERSION: Final = 1
 """The version of scoring: of the samples of predictions, of their figures and intervals.
 
@@ -112,7 +116,16 @@ class Report:
     def place(self) -> Path:
         """The report's path within the run's folder."""
         own = Path(REPORT_FOLDER)
-        return own if self.trained_on is None else own / TRANSFERS / Path(self.dataset["name"]).name
+        if self.trained_on is None:
+            return own
+        there = own / TRANSFERS / Path(self.dataset["name"]).name
+        return there if self.column is None else there / Path(self.column).name
+
+    @property
+    def column(self) -> str | None:
+        """The column of the table of control that planned; None of all other reports."""
+        name = self.settings.get("control_column")
+        return None if name is None else str(name)
 
     def summary(self) -> dict[str, Any]:
         """What ``dmbench score --json`` prints of a report."""
@@ -158,7 +171,7 @@ def read_report(folder: Path) -> Report | None:
     if "code" in stored:
         stored = _with_versions(stored)
     names = {field.name for field in fields(Report)}
-    if stored.get("protocol") != PROTOCOL or set(stored) != names:
+    if stored.get("protocol") not in PROTOCOLS or set(stored) != names:
         return None
     try:
         _require_fields(Fields(stored, "report"))

@@ -19,6 +19,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
+from dmotion_bench.planning.columns import TEST, require_fitting_tasks
 from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks, shares_of
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
 from dmotion_bench.scoring.explanation import explain_steps
@@ -220,7 +221,11 @@ def score_run(
         FolderInUse: Another process scores the run.
     """
     run, settings = Run.open(path), settings or ScoreSettings()
-    dataset, folder = scored_data(run, settings.split, data)
+    column = settings.control.column
+    if column is not None and metrics not in (None, ("control",)):
+        raise InvalidSetting(f"the column {column!r} is of control alone; leave out the other groups of figures.")
+    metrics = ("control",) if column is not None else metrics
+    dataset, folder = scored_data(run, settings.split, data, column)
     elsewhere = dataset.fingerprint != run.spec.fingerprint
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
     settings = replace(settings, protocol=protocol)
@@ -273,26 +278,37 @@ def score_run(
     return written
 
 
-def scored_data(run: Run, split: SplitName, data: AnyPath | None = None) -> tuple[Dataset, Path]:
+def scored_data(
+    run: Run, split: SplitName, data: AnyPath | None = None, column: str | None = None
+) -> tuple[Dataset, Path]:
     """The data set that a run is scored on, as its model reads it, and the folder of the report.
 
     Args:
         run: Trained.
         split: Whose episodes are scored.
         data: Another data set than the run's own.
+        column: Of the table of control.
 
     Raises:
+        InvalidSetting: A column is asked for on the run's own data set, or on tasks that are not the protocol's.
         RunMismatch, DatasetMissing: As ``score_run`` raises them.
     """
     dataset = Dataset.open(data or run.dataset_path)
+    if column is not None:
+        if dataset.fingerprint == run.spec.fingerprint:
+            raise InvalidSetting(
+                f"the tasks of {dataset.name!r} lie in episodes that {run.name!r} was trained on; score a column on "
+                f"another data set with '--data': {TEST.words(dataset.recipe.environment)}."
+            )
+        require_fitting_tasks(dataset)
     if dataset.fingerprint != run.spec.fingerprint:
         if data is None:
             raise RunMismatch(
                 f"the data set {str(run.dataset_path)!r} has changed since the run {run.name!r} was trained on it, so "
                 "its held-out episodes may no longer be held out; train again with 'dmbench train'."
             )
-        dataset = transferable(run, dataset, split)
-    return dataset, report_folder(run.path, run.spec.fingerprint, dataset)
+        dataset = transferable(run, dataset, split, column)
+    return dataset, report_folder(run.path, run.spec.fingerprint, dataset, column)
 
 
 def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa.Table]:
@@ -334,14 +350,14 @@ def _true_groups(run: Run, dataset: Dataset, report: Report, settings: ScoreSett
     return tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
 
 
-def scored_report(path: AnyPath, split: SplitName, data: AnyPath | None = None) -> Report:
+def scored_report(path: AnyPath, split: SplitName, data: AnyPath | None = None, column: str | None = None) -> Report:
     """The report of a run that was just scored.
 
     Raises:
         RunMissing: There is none; else as ``score_run``.
     """
     run = Run.open(path)
-    report = read_report(scored_data(run, split, data)[1])
+    report = read_report(scored_data(run, split, data, column)[1])
     if report is None:
         raise RunMissing(f"the run {run.name!r} has no report; score it with 'dmbench score'.")
     return report
@@ -354,7 +370,7 @@ def is_scored(path: AnyPath, metric: Metric, settings: ScoreSettings, data: AnyP
         As ``score_run``.
     """
     run = Run.open(path)
-    dataset, folder = scored_data(run, settings.split, data)
+    dataset, folder = scored_data(run, settings.split, data, settings.control.column)
     report, _ = _stored(folder, run, dataset)
     return report is not None and metric in _true_groups(run, dataset, report, settings)
 

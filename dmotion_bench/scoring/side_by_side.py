@@ -108,7 +108,7 @@ def score_job(job: ScoreJob) -> ScoreOutcome:
 def _control_share(job: ScoreJob, how: Execution) -> None:
     """Work on some control tasks of a run, and leave what was done where the run's own job finds it."""
     run, tasks = Run.open(job.run), job.tasks or ()
-    data, folder = scored_data(run, job.settings.split, job.data)
+    data, folder = scored_data(run, job.settings.split, job.data, job.settings.control.column)
     folder.mkdir(parents=True, exist_ok=True)
 
     def show(progress: ControlProgress) -> None:
@@ -128,12 +128,12 @@ def _control_share(job: ScoreJob, how: Execution) -> None:
 
 def control_shares(job: ScoreJob) -> Iterator[ScoreJob]:
     """The groups of control tasks of a run as jobs of their own; none where control is not asked for or impossible."""
-    if job.metrics is None or "control" not in job.metrics:
+    if job.settings.control.column is None and (job.metrics is None or "control" not in job.metrics):
         return
     with contextlib.suppress(DmbenchError):  # said when the run is scored
         if not job.renew and is_scored(job.run, "control", job.settings, job.data):
             return
-        data, _ = scored_data(Run.open(job.run), job.settings.split, job.data)
+        data, _ = scored_data(Run.open(job.run), job.settings.split, job.data, job.settings.control.column)
         scoring, known = job.settings.control, len(data.tasks())
         count = known if scoring.tasks is None else min(scoring.tasks, known)
         for first in range(0, count, scoring.group):

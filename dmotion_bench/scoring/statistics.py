@@ -13,14 +13,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float, Shaped
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtr, ndtri, stdtrit
+from scipy.stats import rankdata
 
 LEVEL = 0.95
 RESAMPLES = 2000
+FEWEST_PAIRS: Final = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +126,117 @@ def paired_difference(
     Samples that either lacks (NaN) are left out; None if none are left.
     """
     return EpisodeBootstrap(episodes, resamples=resamples, seed=seed).mean(first - second)
+
+
+def over_trainings(
+    sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"], *, resamples: int = RESAMPLES, seed: int = 0
+) -> Estimate:
+    """The mean of several trainings of a model, with an interval over episodes and trainings: a two-level bootstrap.
+
+    Each draw takes whole episodes and, independently, trainings. The drawn trainings' distance from the mean of all is
+    widened for their small number as the quantiles are for that of episodes: by sqrt(k / (k - 1)) and by Student's t
+    instead of the normal. And it is scaled to what trainings truly differ by: means over the same episodes also differ
+    because each training does some tasks better by chance, which the draws of episodes hold already. Of one training
+    the interval is over episodes alone.
+
+    Args:
+        sums: Of each training, each episode's sum over its samples.
+        counts: Each episode's number of samples.
+        resamples, seed: Of the draws.
+    """
+    trainings, episodes = sums.shape
+    each = sums.sum(axis=1) / counts.sum()
+    low = high = None
+    if episodes >= 2:
+        drawn = _draws(episodes, resamples, seed)
+        means = drawn @ sums.T / (drawn @ counts)[:, None]
+        middle = means.mean(axis=1)
+        if trainings > 1:
+            generator = np.random.default_rng([seed, episodes, trainings])
+            share = generator.multinomial(trainings, np.full(trainings, 1 / trainings), size=resamples) / trainings
+            widened = math.sqrt(trainings / (trainings - 1)) * stdtrit(trainings - 1, (1 + LEVEL) / 2)
+            widened *= math.sqrt(_between(sums, counts) / spread) if (spread := float(each.var(ddof=1))) else 0.0
+            middle = middle + widened / ndtri((1 + LEVEL) / 2) * ((share * means).sum(axis=1) - middle)
+        tail = expanded_tail(episodes)
+        low, high = (float(one) for one in np.quantile(middle, [tail, 1 - tail]))
+    per_episode = sums.mean(axis=0) / counts
+    return Estimate(mean=float(each.mean()), std=float(per_episode.std()), low=low, high=high, n=int(counts.sum()))
+
+
+def standard_error(
+    first: Float[np.ndarray, "k e"], second: Float[np.ndarray, "l e"], counts: Float[np.ndarray, " e"]
+) -> float:
+    """Of the paired difference of two models: over episodes and, of a model with several trainings, over these.
+
+    Args:
+        first, second: As ``over_trainings`` takes ``sums``.
+        counts: Likewise.
+    """
+    samples, episodes = counts.sum(), len(counts)
+    apart = first.mean(axis=0) - second.mean(axis=0)
+    off = apart - apart.sum() / samples * counts
+    variance = np.square(off).sum() / samples**2 * episodes / (episodes - 1)
+    for own in (first, second):
+        if len(own) > 1:
+            variance += _between(own, counts) / len(own)
+    return float(np.sqrt(variance))
+
+
+def _between(sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"]) -> float:
+    """The variance of what trainings come to on ever more episodes: that of their means, less the part of chance.
+
+    That part comes from what is left of each episode's sum without the training's and the episode's own level.
+    """
+    trainings, episodes = sums.shape
+    samples = counts.sum()
+    each = sums.sum(axis=1) / samples
+    off = sums - sums.mean(axis=0) - (each - each.mean())[:, None] * counts
+    chance = np.square(off).sum() / (trainings - 1) * episodes / (episodes - 1) / samples**2
+    return float(max(0.0, each.var(ddof=1) - chance))
+
+
+DETECTED: Final = 0.8
+"""How often a difference of the smallest detectable size is found."""
+
+
+def detectable_difference(error: float) -> float:
+    """The smallest difference that is found in ``DETECTED`` of all cases, at the level of the intervals.
+
+    Args:
+        error: The difference's standard error.
+    """
+    return float(ndtri((1 + LEVEL) / 2) + ndtri(DETECTED)) * error
+
+
+def wilson(share: float, count: int) -> tuple[float, float]:
+    """The 95% interval of a share of so many independent cases (Wilson 1927): right for 0 and 1 and few cases, too."""
+    z = float(ndtri((1 + LEVEL) / 2))
+    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z / (1 + z * z / count) * math.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def rank_correlation(
+    first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"], *, resamples: int = RESAMPLES, seed: int = 0
+) -> Estimate | None:
+    """Spearman's rank correlation, with a 95% interval by a bootstrap over the pairs; None of fewer than five pairs."""
+    count = len(first)
+    if count < FEWEST_PAIRS:
+        return None
+    generator = np.random.default_rng([seed, count])
+    drawn = [_ranked_alike(first[rows], second[rows]) for rows in generator.integers(count, size=(resamples, count))]
+    known = np.array([one for one in drawn if np.isfinite(one)])
+    if not len(known) or not np.isfinite(all_of_them := _ranked_alike(first, second)):
+        return None
+    low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return Estimate(mean=all_of_them, std=float(known.std()), low=float(low), high=float(high), n=count)
+
+
+def _ranked_alike(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -> float:
+    """The correlation of two lists' ranks; NaN where one is constant."""
+    one, other = (rankdata(values) - (len(values) + 1) / 2 for values in (first, second))
+    size = math.sqrt(float(one @ one) * float(other @ other))
+    return float(one @ other) / size if size else math.nan
 
 
 def expanded_tail(clusters: int, level: float = LEVEL) -> float:

@@ -36,25 +36,36 @@ from dmotion_bench.wording import command, shortened, shown
 _SHOWN: Final = 5
 
 
-def report_folder(run: Path, trained_on: str, dataset: ReadableDataset) -> Path:
+def report_folder(run: Path, trained_on: str, dataset: ReadableDataset, column: str | None = None) -> Path:
     """The folder of a run's report on a data set.
 
     Args:
         run: The run's folder.
         trained_on: Fingerprint of the run's own data set.
         dataset: What it is scored on.
+        column: Of the table of control; each has a report of its own.
     """
     own = run / REPORT_FOLDER
-    return own if dataset.fingerprint == trained_on else own / TRANSFERS / dataset.name
+    if dataset.fingerprint == trained_on:
+        return own
+    there = own / TRANSFERS / dataset.name
+    return there if column is None else there / column
 
 
 def transfer_folders(run: Path) -> list[Path]:
-    """The folders of a run's reports on other data sets than its own, sorted."""
-    return sorted(path.parent for path in (run / REPORT_FOLDER / TRANSFERS).glob(f"*/{REPORT_FILE}"))
+    """The folders of a run's reports on other data sets than its own, and of the columns there, sorted."""
+    there = run / REPORT_FOLDER / TRANSFERS
+    return sorted(path.parent for depth in ("*", "*/*") for path in there.glob(f"{depth}/{REPORT_FILE}"))
 
 
-def transferable(run: Run, dataset: Dataset, split: SplitName) -> Dataset:
+def transferable(run: Run, dataset: Dataset, split: SplitName, column: str | None = None) -> Dataset:
     """Another data set than the run's own as its model reads it, which was trained on none of its episodes.
+
+    Args:
+        run: Trained.
+        dataset: The other data set.
+        split: Whose episodes are scored.
+        column: Of the table of control: then it is the episodes of the tasks that must be new to the run.
 
     Raises:
         RunMismatch: It does not fit the run, or holds episodes that the run was trained on.
@@ -64,7 +75,7 @@ def transferable(run: Run, dataset: Dataset, split: SplitName) -> Dataset:
     if own is None:
         return read
     trained = np.arange(len(own)) if run.spec.protocol == "paper" else _concatenated(own, "train", "validation")
-    asked = dataset.split(split).tolist()
+    asked = dataset.split(split).tolist() if column is None else sorted({task.episode for task in dataset.tasks()})
     if _is_import(dataset):
         known, how = copied_episodes(own, trained.tolist(), dataset, asked), "show the same as"
         instead = "import recordings that the training did not have."
@@ -72,9 +83,10 @@ def transferable(run: Run, dataset: Dataset, split: SplitName) -> Dataset:
         known, how = _known_before(own, trained.tolist(), dataset, asked), "have the seed and the first picture of"
         instead = "record the data set with another '--seed'."
     if known:
+        whose = split if column is None else "task"
         listed = ", ".join(map(str, known[:_SHOWN])) + (" ..." if len(known) > _SHOWN else "")
         raise RunMismatch(
-            f"{len(known)} of the {len(asked)} {split} episodes of {shown(dataset.name)} {how} episodes that "
+            f"{len(known)} of the {len(asked)} {whose} episodes of {shown(dataset.name)} {how} episodes that "
             f"{shown(run.name)} was trained on (episodes {listed}); {instead}"
         )
     return read

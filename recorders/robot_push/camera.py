@@ -13,6 +13,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from dmotion_bench.errors import InvalidSetting
+
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
@@ -33,6 +35,12 @@ class Camera:
     pitch: float = -52.0
     field_of_view: float = 26.0
     size: int = 128
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("pitch", -90.0, -5.0), ("distance", 0.7, 20.0), ("field_of_view", 1.0, 120.0)):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InvalidSetting(f"{name} is {value:g}; it can be {low:g} to {high:g}.")
 
     @cached_property
     def eye(self) -> Float[np.ndarray, "3"]:

@@ -5,7 +5,8 @@ Physics and drawing cost about as much. ``dmbench bench`` measures the frames pe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -54,6 +55,7 @@ class RobotPush(PushingEnvironment):
             world's x and y, each up to one step [m].
         vary: Names of the factors that are drawn anew for each episode, as a list or separated by commas.
         ranges: What they are drawn from: ``"in-distribution"``, or ``"shifted"``: only values outside of that.
+        pitch, distance, field_of_view: Of the camera, as ``Camera`` has them [deg, m, deg]; None: the version's.
         friction, mass, colour, light, camera, distractors: Values of these factors, the same in every episode;
             None: the usual ones, those of the paper's scene.
         scene: Which of the ready scenes: ``"clean"``, ``"distracted"``, ``"unseen"``; see ``recorders.distractors``.
@@ -77,6 +79,9 @@ class RobotPush(PushingEnvironment):
         actions: Literal["discrete", "continuous"] = "discrete",
         vary: str | Iterable[str] = (),
         ranges: str = "in-distribution",
+        pitch: float | None = None,
+        distance: float | None = None,
+        field_of_view: float | None = None,
         friction: float | None = None,
         mass: float | None = None,
         colour: float | None = None,
@@ -94,6 +99,12 @@ class RobotPush(PushingEnvironment):
         delay: int | None = None,
         render_mode: str | None = None,
     ) -> None:
+        usual = Camera()
+        self._camera = Camera(
+            pitch=usual.pitch if pitch is None else pitch,
+            distance=usual.distance if distance is None else distance,
+            field_of_view=usual.field_of_view if field_of_view is None else field_of_view,
+        )
         super().__init__(
             facts=EnvSpec(
                 id="robot_push",
@@ -226,13 +237,21 @@ class RobotPush(PushingEnvironment):
     def _camera_and_light(self) -> tuple[Camera, Light]:
         azimuth = np.deg2rad(self._factor("light"))
         light = Light(direction=(0.5 * float(np.cos(azimuth)), 0.5 * float(np.sin(azimuth)), 1.2))
-        return Camera(yaw=90 + self._factor("camera"), size=self.facts.height), light
+        return replace(self._camera, yaw=90 + self._factor("camera"), size=self.facts.height), light
 
     def _make_renderer(self, camera: Camera, light: Light) -> Renderer:
-        table = box(*TABLE.size, TABLE_THICKNESS), np.array([*TABLE.center, -TABLE_THICKNESS / 2]), TABLE_COLOR
-        return Renderer(camera=camera, light=light, table=table, arm=self._posed_arm, layers=_arm_layers(camera, light))
+        return table_renderer(camera, light, self.posed_arm, _arm_layers(camera, light))
 
-    def _posed_arm(self, place: Place) -> ArmPose:
+    def posed_arm(self, place: Place) -> ArmPose:
+        """The arm with its tip at a place of the lattice."""
         tip = np.array([*self.lattice.at(place), ROD_BOTTOM])
         frames = panda.link_frames(panda.joints_for(tip))
         return ArmPose(self._arm.posed(frames), self._arm.colors, self._arm.links > 0)
+
+
+def table_renderer(
+    camera: Camera, light: Light, arm: Callable[[Place], ArmPose], layers: dict[Place, ArmLayer]
+) -> Renderer:
+    """A renderer of the table; arguments as of ``Renderer``."""
+    table = box(*TABLE.size, TABLE_THICKNESS), np.array([*TABLE.center, -TABLE_THICKNESS / 2]), TABLE_COLOR
+    return Renderer(camera=camera, light=light, table=table, arm=arm, layers=layers)

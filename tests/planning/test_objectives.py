@@ -11,9 +11,11 @@ from planning.worlds import PerfectGridModel
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.temporal_distance import TemporalDistance, TemporalDistanceConfig
 from dmotion_bench.planning.choices import make_objective
 from dmotion_bench.planning.dynamics.model import ModelDynamics
-from dmotion_bench.planning.objectives.base import Evaluator
+from dmotion_bench.planning.objectives.base import Evaluator, StepCost
 from dmotion_bench.planning.objectives.centres import Centres, CentresEvaluator
 from dmotion_bench.planning.objectives.feature import Feature
 from dmotion_bench.planning.objectives.pixel import Pixel
@@ -123,3 +125,36 @@ def test_what_needs_objects_says_so(name: str) -> None:
         InvalidSetting, match="'empty' has no coloured objects to find; plan with another '--objective'"
     ):
         make_objective(name).reset(nothing, goals, goals)
+
+
+def test_steps_to_go_prefer_what_looks_fewer_steps_from_the_goal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The distance of tracked objects, less the bonus for each step that the learned distance does not see left."""
+
+    class Corner(TemporalDistance):
+        def embed(self, frames: torch.Tensor) -> torch.Tensor:  # where the agent stands, from left to right
+            agent = (frames[:, 1] > 0.9) & (frames[:, 0] < -0.9)
+            return (agent * torch.arange(frames.shape[-1])).flatten(1).amax(1, keepdim=True).float() / 128
+
+    network = Corner(TemporalDistanceConfig(reach=20))
+    monkeypatch.setattr("dmotion_bench.planning.objectives.steps_to_go.load", lambda name: network)
+    goal = pictures([(4, 0), *HOME[1:]])
+    near, far = pictures([(3, 0), *HOME[1:]]), pictures(HOME)
+    objective = make_objective("steps-to-go", [f"value={'a' * 64}", "step_bonus=3"])
+    evaluator = objective.reset(FACTS, far.numpy(), goal.numpy())
+    dynamics = ModelDynamics(PerfectGridModel())
+    evaluator.begin(dynamics)
+
+    def cost(frames: torch.Tensor) -> StepCost:
+        monkeypatch.setattr(dynamics, "frames", lambda state: to_model(frames))
+        return evaluator.step(dynamics, (), FIRST, FIRST, ())[0]
+
+    assert cost(goal).bonus.item() == pytest.approx(3 * 20, abs=1e-3)  # no step left
+    assert cost(near).bonus > cost(far).bonus > 0
+    assert cost(near).distance.item() == cost(far).distance.item() == 0  # the agent is no object
+    for frames in (goal, near, far):
+        assert cost(frames).total.item() == pytest.approx((cost(frames).distance - cost(frames).bonus).item())
+
+
+def test_steps_to_go_need_a_learned_distance() -> None:
+    with pytest.raises(InvalidSetting, match="names no learned distance; train one with"):
+        make_objective("steps-to-go").reset(FACTS, pictures(HOME).numpy(), pictures(HOME).numpy())

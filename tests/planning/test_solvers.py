@@ -15,7 +15,7 @@ from dmotion_bench.planning.choices import make_solver
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.objectives.centres import Centres, CentresEvaluator
 from dmotion_bench.planning.solvers.base import Plan, Solver
-from dmotion_bench.planning.solvers.cem import CrossEntropy
+from dmotion_bench.planning.solvers.cem import CostAt, CrossEntropy
 from dmotion_bench.planning.solvers.exhaustive import Exhaustive, all_sequences
 from dmotion_bench.planning.solvers.icem import ImprovedCrossEntropy
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
@@ -40,6 +40,33 @@ def test_cem_with_enough_samples_finds_the_optimum() -> None:
     best = SmoothWalks(tasks).plan(Exhaustive(), context(6))
     plan = SmoothWalks(tasks).plan(CrossEntropy(samples=400, elites=40), context(6))
     np.testing.assert_array_equal(plan.costs[:, 0], best.costs[:, 0])
+
+
+@pytest.mark.parametrize("cost_at", ["last", "sum"])
+def test_a_sequence_can_be_judged_by_its_end_or_by_all_its_steps(cost_at: CostAt) -> None:
+    tasks = (0, 1, 2)
+    tree = PrefixTree(walks := SmoothWalks(tasks), walks.evaluator, unseen(3), 5)
+    costs = tree.costs(np.broadcast_to(all_sequences(4, 5), (3, 1024, 5)))
+    best = (costs[..., -1] if cost_at == "last" else costs.sum(2)).min(1)
+
+    plan = SmoothWalks(tasks).plan(CrossEntropy(samples=400, elites=40, cost_at=cost_at), context(3))
+
+    np.testing.assert_array_equal(plan.costs[:, 0], best)
+    with pytest.raises(InvalidSetting, match="cost_at is 'first'; it can be best, last, sum"):
+        make_solver("cem", ["cost_at=first"])
+
+
+def test_held_actions_are_the_best_of_those_that_are_held() -> None:
+    tasks = (0, 1, 2)
+    held = np.unique(all_sequences(4, 3).repeat(2, axis=1)[:, :5], axis=0)  # 64: choices at steps 0, 2 and 4
+    tree = PrefixTree(walks := SmoothWalks(tasks), walks.evaluator, unseen(3), 5)
+    best = tree.costs(np.broadcast_to(held, (3, *held.shape))).min(2).min(1)
+
+    plan = SmoothWalks(tasks).plan(CrossEntropy(samples=300, elites=30, hold=2), context(3))
+
+    np.testing.assert_array_equal(plan.costs[:, 0], best)
+    np.testing.assert_array_equal(plan.candidates[:, :, 0], plan.candidates[:, :, 1])
+    np.testing.assert_array_equal(plan.candidates[:, :, 2], plan.candidates[:, :, 3])
 
 
 @pytest.mark.slow

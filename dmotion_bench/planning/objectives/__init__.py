@@ -6,6 +6,7 @@
     centres.py    the paper's: squared distances of the objects' centres
     tracked.py    the same with a memory: a hidden object is where it was last seen
     tracking.py   where objects are, those that are hidden too, as far as pictures tell
+    steps_to_go.py  the same, and a learned number of steps to the goal beyond the horizon
     pixel.py      the difference of pictures
     feature.py    the difference of states, for models that draw no frames
     true_cost.py  the oracle's own: what the simulator says

@@ -1,7 +1,8 @@
 """The cross-entropy method (section III-C of the paper): a distribution is fitted to the best of its own samples.
 
 S sequences of H actions are drawn, the distribution is fitted to those with the lowest cost, and so on, lambda times.
-A sequence costs the minimum over its steps. The first action of the best sequence that was ever drawn is taken.
+A sequence costs the minimum over its steps, or what ``cost_at`` says. The first action of the best sequence that was
+ever drawn is taken.
 
 For discrete actions, the paper's, the distribution is categorical for each step, at first uniform, and is fitted by
 setting it to the shares of the actions among the elites. For continuous actions it is a Gaussian for each number,
@@ -11,9 +12,10 @@ whose mean itself is among the samples of the last iteration.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting
@@ -23,6 +25,9 @@ from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, Ranked
 from dmotion_bench.planning.solvers.proposals import Categorical, Gaussian, search, shifted
 from dmotion_bench.planning.solvers.search import Search
 from dmotion_bench.values import require_bounds
+
+CostAt = Literal["best", "last", "sum"]
+"""Which steps of a sequence its cost is of: the cheapest one, the last one, or all together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +45,9 @@ class CrossEntropy:
             step.
         step_discount: Added to a step's cost, as a share of it, for each step before it: of two sequences that come
             equally near, the one that does so sooner is better.
+        cost_at: Which steps a sequence's cost is of: ``"best"``, ``"last"``, or ``"sum"`` of all.
+        hold: Steps that each drawn action is held for: with 3 a sequence of 15 actions has five to choose. Still only
+            its first action is taken.
         initial_std: Of continuous actions in [-1, 1]: the standard deviation at first.
         noise_exponent: Of continuous actions: beta, by which the noise's power falls with frequency; 0 is white noise.
         momentum: Of continuous actions: the share of the distribution before that a fit keeps.
@@ -52,6 +60,8 @@ class CrossEntropy:
     action_repeat_prob: float = 0.0
     kept_elites: int = 0
     step_discount: float = 0.0
+    cost_at: CostAt = "best"
+    hold: int = 1
     initial_std: float = 0.5
     noise_exponent: float = 0.0
     momentum: float = 0.0
@@ -59,7 +69,7 @@ class CrossEntropy:
     def __post_init__(self) -> None:
         require_bounds(
             self,
-            from_one=("samples", "horizon", "iterations", "elites"),
+            from_one=("samples", "horizon", "iterations", "elites", "hold"),
             above_zero=("initial_std",),
             from_zero=("step_discount", "noise_exponent"),
             below_one=("action_repeat_prob", "momentum"),
@@ -69,6 +79,8 @@ class CrossEntropy:
                 f"elites is {self.elites} and kept_elites {self.kept_elites}; neither can be more than the "
                 f"{self.samples} samples, or below zero."
             )
+        if self.cost_at not in get_args(CostAt):
+            raise InvalidSetting(f"cost_at is {self.cost_at!r}; it can be {', '.join(get_args(CostAt))}.")
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """Draw sequences, compute their costs and refit the distribution, ``iterations`` times."""
@@ -77,13 +89,14 @@ class CrossEntropy:
         proposal = self._proposal(dynamics, context, best)
         progress = []
         for iteration in range(self.iterations):
-            drawn = proposal.draw(context.generators, self.samples, 1 - iteration / max(self.iterations - 1, 1))
+            heat = 1 - iteration / max(self.iterations - 1, 1)
+            drawn = self._held(proposal.draw(context.generators, self.samples, heat))
             costs = self._of_sequences(sought.costs(drawn))
             kept = self.kept_elites if iteration else best.shape[1]
             pool = np.concatenate([best[:, :kept], drawn], axis=1)
             worth = np.concatenate([price[:, :kept], costs], axis=1)
             elite = worth.argsort(axis=1, kind="stable")[:, : self.elites]
-            proposal = proposal.fitted(pool[np.arange(len(pool))[:, None], elite])
+            proposal = proposal.fitted(pool[np.arange(len(pool))[:, None], elite][:, :, :: self.hold])
             best, price = best_first(drawn, costs, max(SHOWN, self.kept_elites), before=(best, price))
             progress.append(price[:, 0])
         shown = best[:, :SHOWN]
@@ -91,18 +104,18 @@ class CrossEntropy:
             shown,
             price[:, :SHOWN],
             progress,
-            cheapest=self._discounted(sought.costs(shown)).argmin(axis=2),
+            cheapest=self._step_of(sought.costs(shown)),
             memory=best[:, : self.kept_elites] if self.kept_elites else None,
         )
 
     def _proposal(self, dynamics: Dynamics, context: PlanContext, before: Sequences) -> Categorical | Gaussian:
         """The first distribution; of continuous actions its mean is that of the best sequences before."""
-        actions = dynamics.actions
+        actions, choices = dynamics.actions, -(-self.horizon // self.hold)
         if isinstance(actions, Discrete):
-            return Categorical.uniform(len(actions), context.blocked, self.horizon, self.action_repeat_prob)
-        shape = (len(context.generators), self.horizon, actions.width)
+            return Categorical.uniform(len(actions), context.blocked, choices, self.action_repeat_prob)
+        shape = (len(context.generators), choices, actions.width)
         return Gaussian(
-            mean=before.mean(axis=1) if before.shape[1] else np.zeros(shape),
+            mean=before[:, :, :: self.hold].mean(axis=1) if before.shape[1] else np.zeros(shape),
             std=np.full(shape, self.initial_std),
             exponent=self.noise_exponent,
             momentum=self.momentum,
@@ -110,8 +123,27 @@ class CrossEntropy:
 
     def _of_sequences(self, costs: Float[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s"]:
         """The cost of each sequence, from the costs of its steps."""
-        lowest: Float[np.ndarray, "b s"] = self._discounted(costs).min(axis=2)
-        return lowest
+        costs = self._discounted(costs)
+        found: Float[np.ndarray, "b s"]
+        match self.cost_at:
+            case "best":
+                found = costs.min(axis=2)
+            case "last":
+                found = costs[:, :, -1]
+            case "sum":
+                found = costs.sum(axis=2)
+        return found
+
+    def _step_of(self, costs: Float[np.ndarray, "b s t"]) -> Int[np.ndarray, "b s"]:
+        """The step of each sequence whose parts of the cost are shown: the one it is judged by, of a sum the last."""
+        if self.cost_at != "best":
+            return np.full(costs.shape[:2], costs.shape[2] - 1)
+        cheapest: Int[np.ndarray, "b s"] = self._discounted(costs).argmin(axis=2)
+        return cheapest
+
+    def _held(self, chosen: Any) -> Any:
+        """Sequences in which each chosen action is held; the steps are the third axis."""
+        return chosen if self.hold == 1 else chosen.repeat(self.hold, axis=2)[:, :, : self.horizon]
 
     def _discounted(self, costs: Float[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t"]:
         return costs * (1 + self.step_discount * np.arange(costs.shape[2])) if self.step_discount else costs

@@ -1,0 +1,176 @@
+"""The columns of the table of control, and the tasks that it is about: the protocol ``dmbench-2``.
+
+A column is a planner that is frozen: a solver and an objective, with every field that differs from its default. It was
+chosen on development tasks alone. The tasks of the table are those of a test data set, which is recorded with a seed of
+its own and on which nothing may be chosen. ``TEST_TASKS`` holds their hashes, so that nobody can exchange them.
+
+Everything that makes the table reads it from here: the option ``--column``, the leaderboard, and the command that makes
+the whole table.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.learning.settings import to_json
+from dmotion_bench.planning.choices import make_objective, make_solver
+from dmotion_bench.storage.readable import ReadableDataset
+from dmotion_bench.wording import command
+
+PROTOCOL: Final = "dmbench-2"
+"""Of reports whose control was planned by a column."""
+
+TASKS: Final = 100
+"""Of a development or a test data set; an episode of its own for each, as far as there are enough."""
+
+TRAININGS: Final = 3
+"""Of every model between which a ranking is claimed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A frozen planner.
+
+    Attributes:
+        name: Of the option ``--column``.
+        title: Its heading.
+        meaning: What it is, in a sentence.
+        planner, planner_set: The solver, and ``KEY=VALUE`` for fields that differ from its defaults.
+        objective, objective_set: Likewise; without a name the generic objective that suits the model
+            (``choices.generic_objective``).
+        models: Of which models, or references that plan, the table shows it; empty: of every model.
+    """
+
+    name: str
+    title: str
+    meaning: str
+    planner: str
+    planner_set: tuple[str, ...] = ()
+    objective: str | None = None
+    objective_set: tuple[str, ...] = ()
+    models: tuple[str, ...] = ()
+
+
+COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
+    {
+        one.name: one
+        for one in (
+            Column(
+                name="generic",
+                title="Generic",
+                meaning="Knows nothing of the scene but that hidden objects are where they were last seen.",
+                planner="icem",
+            ),
+            Column(
+                name="paper",
+                title="Paper's",
+                meaning="The paper's search and cost: cross-entropy, 50 sequences of 5 actions, 4 iterations, the "
+                "centres of what is visible.",
+                planner="cem",
+                objective="centres",
+                models=("dmotion", "ed-cnn", "wm-ae", "clasp", "oracle"),
+            ),
+            Column(
+                name="task-knowledge",
+                title="With task knowledge",
+                meaning="Rules for objects that are pushed on a table: falls, exploring, ways to a push.",
+                planner="icem",
+                objective="tabletop",
+                models=("dmotion", "ed-cnn", "oracle"),
+            ),
+        )
+    }
+)
+"""By name, in the order of the table; the first is the headline."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskData:
+    """A data set that is recorded for its tasks.
+
+    Attributes:
+        name: What its role is, ``development`` or ``test``; the data set is called ``ENVIRONMENT-NAME``.
+        seed, episodes: Of its recipe; all else is the environment's own.
+    """
+
+    name: str
+    seed: int
+    episodes: int = 600
+
+    def words(self, environment: str) -> str:
+        """The command that records it."""
+        return command(
+            *("dmbench", "record", environment, "--episodes", str(self.episodes), "--tasks", str(TASKS)),
+            *("--seed", str(self.seed), "--out", f"data/{environment}-{self.name}"),
+        )
+
+
+DEVELOPMENT: Final = TaskData(name="development", seed=1001)
+TEST: Final = TaskData(name="test", seed=2002)
+
+TEST_TASKS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "planar_push": "ebbab843f19a4e4117cdad4346ea5f0d68c2fe9eb1aff1755803871a4bd532e2",
+        "robot_push": "6ab3bdfdc0ed182a33c17013ea1426439e2b4962a536e860160fcf0da8a42f7a",
+    }
+)
+"""The hash (``tasks_hash``) of each environment's test tasks, with its version where that is not 1."""
+
+
+def column_named(name: str) -> Column:
+    """A column by its name.
+
+    Raises:
+        UnknownName: There is none of this name.
+    """
+    if name not in COLUMNS:
+        raise UnknownName("column of control", name, COLUMNS)
+    return COLUMNS[name]
+
+
+def columns_hash() -> str:
+    """The SHA-256 of all columns with every field of their solvers and objectives: it changes when a column does."""
+    told = [
+        [one.name, to_json(make_solver(one.planner, one.planner_set)), one.planner, one.objective]
+        + ([] if one.objective is None else [to_json(make_objective(one.objective, one.objective_set))])
+        for one in COLUMNS.values()
+    ]
+    return hashlib.sha256(json.dumps(told, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def tasks_hash(dataset: ReadableDataset) -> str:
+    """The SHA-256 of a data set's tasks: each one's episode, its seed, the first frame and the goal's frame."""
+    told = [[task.episode, dataset.rows[task.episode].seed, task.start, task.goal] for task in dataset.tasks()]
+    return hashlib.sha256(json.dumps(told, separators=(",", ":")).encode()).hexdigest()
+
+
+def world_of(dataset: ReadableDataset) -> str:
+    """The environment of a data set as ``TEST_TASKS`` names it."""
+    version = dataset.recipe.version
+    return dataset.recipe.environment + (f"@{version}" if version != 1 else "")
+
+
+def require_fitting_tasks(dataset: ReadableDataset) -> None:
+    """Refuse a data set with the seed of the test whose tasks are not those of the protocol.
+
+    Raises:
+        InvalidSetting: They differ.
+    """
+    published = TEST_TASKS.get(world_of(dataset))
+    if dataset.recipe.seed == TEST.seed and published is not None and tasks_hash(dataset) != published:
+        raise InvalidSetting(
+            f"the tasks of {dataset.name!r} are not the test tasks of {PROTOCOL}; record them with: "
+            f"{TEST.words(dataset.recipe.environment)}."
+        )
+
+
+def is_test(dataset: ReadableDataset) -> bool:
+    """Whether a data set's tasks are the test tasks of its environment."""
+    published = TEST_TASKS.get(world_of(dataset))
+    return published is not None and tasks_hash(dataset) == published

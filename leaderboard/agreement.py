@@ -1,0 +1,66 @@
+"""How well the gain captured agrees with other figures, over the rows of a board.
+
+If it tells what predictions are worth for planning, rows with a higher gain leave less of the distance. Spearman's rank
+correlation says how far that is so; its interval is a bootstrap over the rows.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from dmotion_bench.scoring.statistics import Estimate, rank_correlation
+from leaderboard.column_table import ColumnTable, RowKey
+from leaderboard.value import Value
+
+GAIN: Final = "planning_gain"
+OTHERS: Final[Mapping[str, str]] = {
+    "mse": "MSE",
+    "mse_push": "MSE, pushes",
+    "position_error_paper": "position error, paper's",
+    "position_error": "position error",
+}
+_DISTANCE: Final = re.compile(r"control_distance\[(\d+)\]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """The rank correlation of the gain captured with another figure.
+
+    Attributes:
+        figure: The other one, in words.
+        correlation: Over rows that have both; negative where a higher gain goes with a lower error.
+    """
+
+    figure: str
+    correlation: Estimate
+
+
+def agreements(rows: Mapping[RowKey, Mapping[str, Value]], control: ColumnTable | None) -> tuple[Agreement, ...]:
+    """The correlations that the rows of a board allow: with errors of prediction, and with control.
+
+    Args:
+        rows: The figures of the board's measured rows.
+        control: The board's table of control by columns.
+    """
+    means = {key: {name: one.mean for name, one in figures.items()} for key, figures in rows.items()}
+    steps = [int(seen[1]) for own in means.values() for name in own if (seen := _DISTANCE.fullmatch(name))]
+    last = max(steps, default=0)
+    others = dict(OTHERS) | ({f"control_distance[{last}]": f"distance left after {last} steps"} if last else {})
+    if control is not None:
+        for column in control.columns:
+            for row in control.rows:
+                if row.key in means and column in row.cells:
+                    means[row.key][column] = row.cells[column].left.mean
+            others[column] = f"distance left, column {column}"
+    found = []
+    for name, words in others.items():
+        pairs = np.array([(own[GAIN], own[name]) for own in means.values() if GAIN in own and name in own])
+        estimate = rank_correlation(*pairs.T) if len(pairs) else None
+        if estimate is not None:
+            found.append(Agreement(figure=words, correlation=estimate))
+    return tuple(found)

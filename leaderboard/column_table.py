@@ -1,0 +1,228 @@
+"""The table of control by columns: what each frozen planner leaves of the distance, model by model.
+
+It is made of entries whose control was planned by a column (``dmotion_bench/planning/columns.py``). Each says what one
+training leaves on each task. Intervals are over tasks and trainings; shares of solved tasks have Wilson's.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from dmotion_bench.planning.columns import COLUMNS
+from dmotion_bench.scoring.figures import SUCCESS
+from dmotion_bench.scoring.statistics import (
+    Estimate,
+    detectable_difference,
+    over_trainings,
+    standard_error,
+    wilson,
+)
+from leaderboard.entry import Entry
+
+SUCCEEDED: Final = "control_success"
+LOST: Final = "control_lost"
+_DISTANCE: Final = re.compile(r"control_distance\[(\d+)\]")
+SOLVED_AT: Final = SUCCESS
+RowKey = tuple[str, str, str]
+"""Model, variant and label budget."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What one column's planner leaves with one model.
+
+    Attributes:
+        left: The mean distance at the end, with its interval over tasks and trainings.
+        solved: The share of tasks that are solved, and Wilson's interval for so many tasks.
+        lost: Objects lost, mean over tasks.
+        tasks, trainings: How many there are.
+        sums, counts: Of each training each episode's sum of distances, and each episode's number of tasks; None of
+            references.
+    """
+
+    left: Estimate
+    solved: tuple[float, float, float]
+    lost: float
+    tasks: int
+    trainings: int
+    sums: Float[np.ndarray, "k e"] | None = None
+    counts: Float[np.ndarray, " e"] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnRow:
+    """A model, or a reference.
+
+    Attributes:
+        name, variant, labels: What it is called, what tells it from others, its label budget.
+        label_count: What the budget came to.
+        cells: By the columns' names.
+        entries: Behind it; none of a reference.
+    """
+
+    name: str
+    variant: str = ""
+    labels: str = ""
+    label_count: int | None = None
+    cells: Mapping[str, Outcome]
+    entries: tuple[Entry, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """Its name and its variant."""
+        return f"{self.name} ({self.variant})" if self.variant else self.name
+
+    @property
+    def key(self) -> RowKey:
+        """By which the same model is found on the board."""
+        return self.name, self.variant, self.labels
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnTable:
+    """The table of one data set's tasks.
+
+    Attributes:
+        columns: Names of those that there are figures of, in their order.
+        rows: The best of the first column first, references last.
+        steps: Of a task.
+        detectable: By column, the smallest difference between two models that the table can show, as a distance.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[ColumnRow, ...]
+    steps: int
+    detectable: Mapping[str, float]
+
+    @property
+    def entries(self) -> list[Entry]:
+        """All that it is made of."""
+        return [entry for row in self.rows for entry in row.entries]
+
+
+def column_table(entries: Sequence[Entry], words: Mapping[str, str]) -> ColumnTable | None:
+    """The table of some entries, all planned by columns on the same tasks; None where nothing is comparable.
+
+    Args:
+        entries: Those of one data set.
+        words: What references are called.
+    """
+    steps = max((_last(entry) for entry in entries), default=0)
+    figure = f"control_distance[{steps}]"
+    known = [entry for entry in entries if entry.column in COLUMNS and figure in entry.figures]
+    if not known:
+        return None
+    groups: dict[RowKey, dict[str, list[Entry]]] = defaultdict(lambda: defaultdict(list))
+    for entry in known:
+        groups[_key(entry)][str(entry.column)].append(entry)
+    rows = [_row(key, by_column, figure) for key, by_column in groups.items()]
+    columns = tuple(name for name in COLUMNS if any(name in row.cells for row in rows))
+    far = float("inf")
+    rows.sort(key=lambda row: (*(row.cells[name].left.mean if name in row.cells else far for name in columns), row.key))
+    return ColumnTable(
+        columns=columns,
+        rows=(*rows, *_references(known, columns, figure, words)),
+        steps=steps,
+        detectable={name: found for name in columns if (found := _detectable(rows, name)) is not None},
+    )
+
+
+def _last(entry: Entry) -> int:
+    return max((int(found[1]) for name in entry.figures if (found := _DISTANCE.fullmatch(name))), default=0)
+
+
+def _key(entry: Entry) -> RowKey:
+    """Model, variant and budget; the variant is what its run's name says beyond these and the seed."""
+    run = re.sub(r"-s\d+$", "", entry.name)
+    prefix = f"{entry.model}-{entry.trained_on}-{entry.content['preset']}"
+    beyond = run.removeprefix(prefix).strip("-") if run.startswith(prefix) else run
+    beyond = beyond.removeprefix(entry.labels.replace("%", "pct")).strip("-")
+    arch = entry.content["arch"]
+    parts = [f"{arch} architecture"] * (arch != "compact") + [re.sub(r"-(?=[a-z])", ", ", beyond.replace("_", " "))]
+    return entry.model, ", ".join(part for part in parts if part), entry.labels
+
+
+def _row(key: RowKey, by_column: Mapping[str, Sequence[Entry]], figure: str) -> ColumnRow:
+    entries = [entry for own in by_column.values() for entry in own]
+    cells = {name: cell for name, own in by_column.items() if (cell := _cell(own, figure)) is not None}
+    name, variant, labels = key
+    return ColumnRow(
+        name=name,
+        variant=variant,
+        labels=labels,
+        label_count=entries[0].label_count,
+        cells=cells,
+        entries=tuple(sorted(entries, key=lambda entry: (str(entry.column), entry.content["seed"], entry.slug))),
+    )
+
+
+def _cell(entries: Sequence[Entry], figure: str) -> Outcome | None:
+    """The trainings with different seeds; of two results of one seed the first counts, as do those over its tasks."""
+    by_seed = {entry.content["seed"]: entry for entry in sorted(entries, key=lambda entry: entry.slug, reverse=True)}
+    trained = [by_seed[seed] for seed in sorted(by_seed)]
+    sums = [(entry, entry.by_episode[figure]) for entry in trained if figure in entry.by_episode]
+    if not sums:
+        return None
+    most = max((one for _, one in sums), key=lambda one: sum(one["n"]))
+    same = [(entry, one) for entry, one in sums if (one["episode"], one["n"]) == (most["episode"], most["n"])]
+    counts = np.asarray(most["n"], np.float64)
+    table = np.array([one["sum"] for _, one in same], np.float64)
+    tasks = int(counts.sum())
+    share = float(np.mean([entry.figures[SUCCEEDED]["mean"] for entry, _ in same]))
+    return Outcome(
+        left=over_trainings(table, counts),
+        solved=(share, *wilson(share, tasks)),
+        lost=float(np.mean([entry.figures[LOST]["mean"] for entry, _ in same])),
+        tasks=tasks,
+        trainings=len(same),
+        sums=table,
+        counts=counts,
+    )
+
+
+def _references(
+    entries: Sequence[Entry], columns: Sequence[str], figure: str, words: Mapping[str, str]
+) -> list[ColumnRow]:
+    """The references beside the models; those that do not plan are the same in every column."""
+    found: dict[str, dict[str, Outcome]] = defaultdict(dict)
+    for entry in entries:
+        for name, figures in entry.content["reference"].items():
+            if figure in figures:
+                for column in (str(entry.column),) if name == "oracle" else columns:
+                    found[name].setdefault(column, _reference_cell(figures, figure))
+    return [ColumnRow(name=words.get(name, name), cells=cells) for name, cells in found.items()]
+
+
+def _reference_cell(figures: Mapping[str, Any], figure: str) -> Outcome:
+    left, tasks = figures[figure], int(figures[figure]["n"])
+    share = float(figures[SUCCEEDED]["mean"])
+    return Outcome(
+        left=Estimate(**{name: left[name] for name in ("mean", "std", "low", "high", "n")}),
+        solved=(share, *wilson(share, tasks)),
+        lost=float(figures[LOST]["mean"]),
+        tasks=tasks,
+        trainings=0,
+    )
+
+
+def _detectable(rows: Sequence[ColumnRow], column: str) -> float | None:
+    """From the median of the standard errors of all paired differences."""
+    measured = [
+        (cell.sums, cell.counts)
+        for row in rows
+        if (cell := row.cells.get(column)) is not None and cell.sums is not None and cell.counts is not None
+    ]
+    errors = [
+        standard_error(one, other, counts)
+        for (one, counts), (other, others) in itertools.combinations(measured, 2)
+        if len(counts) > 1 and np.array_equal(counts, others)
+    ]
+    return detectable_difference(float(np.median(errors))) if errors else None

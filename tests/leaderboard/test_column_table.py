@@ -1,0 +1,234 @@
+"""The table of control by columns, made of entries whose every distance is known."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.statistics import detectable_difference, over_trainings, standard_error, wilson
+from dmotion_bench.scoring.transfer import transfer_folders
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.workspace import Workspace
+from leaderboard.board import Board, make_boards
+from leaderboard.board_tables import board_section, written
+from leaderboard.build import entry_of_run
+from leaderboard.check import check_entry
+from leaderboard.entry import Entry
+from leaderboard.page import make_page
+
+MakeEntry = Callable[..., Entry]
+EPISODES = list(range(25))
+
+
+def _figure(mean: float, n: int) -> dict[str, Any]:
+    return {"mean": mean, "std": 0.1, "low": mean - 0.05, "high": mean + 0.05, "n": n}
+
+
+@pytest.fixture
+def controlled(sound: Entry) -> MakeEntry:
+    """Makes an entry of one training's control by a column."""
+
+    def make(
+        model: str,
+        left: np.ndarray,
+        *,
+        column: str | None = "generic",
+        seed: int = 0,
+        labels: str = "one-shot",
+        **more: Any,
+    ) -> Entry:
+        content = copy.deepcopy(dict(sound.content))
+        n = len(left)
+        dataset = content["dataset"] | {"name": "grid-test", "trained_on": {"name": "grid", "fingerprint": "0" * 64}}
+        idle = {
+            "control_distance[2]": _figure(1.0, n),
+            "control_success": _figure(0.0, n),
+            "control_lost": _figure(0.0, n),
+        }
+        oracle = idle | {"control_distance[2]": _figure(0.1 if column == "paper" else 0.05, n)}
+        content |= {
+            "protocol": "dmbench-1" if column is None else "dmbench-2",
+            "model": model,
+            "seed": seed,
+            "run": f"{model}-grid-tiny-s{seed}",
+            "weights": f"{seed:064x}",
+            "labels": {"asked": labels, "given": {}, "total": 4},
+            "dataset": dataset,
+            "settings": content["settings"]
+            | {"metrics": ["control"], "control_version": 1}
+            | ({} if column is None else {"control_column": column}),
+            "figures": {
+                "control_distance[1]": _figure(0.9, n),
+                "control_distance[2]": _figure(float(left.mean()), n),
+                "control_success": _figure(float((left <= 0.2).mean()), n),
+                "control_lost": _figure(0.1, n),
+            },
+            "by_episode": {"control_distance[2]": {"episode": EPISODES, "n": [1] * n, "sum": left.tolist()}},
+            "reference": {"idle": idle, "oracle": oracle},
+            "remarks": {},
+            "pictures": [],
+        }
+        return Entry(content | more)
+
+    return make
+
+
+@pytest.fixture
+def left() -> dict[tuple[str, int], np.ndarray]:
+    """What two models leave: three trainings of one, two of the other."""
+    generator = np.random.default_rng(0)
+    task = generator.random(len(EPISODES)) * 0.4
+    seeds = [("dmotion", seed) for seed in range(3)] + [("ed-cnn", seed) for seed in range(2)]
+    return {key: task + 0.1 * generator.random(len(EPISODES)) + (0.0 if key[0] == "dmotion" else 0.2) for key in seeds}
+
+
+@pytest.fixture
+def board(controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]) -> Board:
+    entries = [controlled(model, own, seed=seed) for (model, seed), own in left.items()]
+    entries.append(controlled("dmotion", left["dmotion", 0] + 0.3, column="paper"))
+    (found,) = make_boards(entries)
+    return found
+
+
+def test_each_model_is_a_row_and_each_column_a_cell(board: Board, left: dict[tuple[str, int], np.ndarray]) -> None:
+    table = board.control
+    assert table is not None
+    assert table.columns == ("generic", "paper")
+    assert [row.title for row in table.rows] == ["dmotion", "ed-cnn", "idle", "true simulator as the model"]
+
+    cell = table.rows[0].cells["generic"]
+    own = np.stack([left["dmotion", seed] for seed in range(3)])
+    assert (cell.tasks, cell.trainings, table.steps) == (25, 3, 2)
+    assert cell.left == over_trainings(own, np.ones(25))
+    assert cell.left.mean == pytest.approx(own.mean())
+    share = float(np.mean([(one <= 0.2).mean() for one in own]))
+    assert cell.solved == pytest.approx((share, *wilson(share, 25)))
+    assert table.rows[0].cells["paper"].trainings == 1
+    assert "paper" not in table.rows[1].cells
+
+
+def test_the_oracle_has_a_cell_for_each_column_and_idle_the_same(board: Board) -> None:
+    assert board.control is not None
+    idle, oracle = board.control.rows[-2:]
+
+    assert [idle.cells[name].left.mean for name in ("generic", "paper")] == [1.0, 1.0]
+    assert [oracle.cells[name].left.mean for name in ("generic", "paper")] == [0.05, 0.1]
+
+
+def test_what_the_table_can_show_follows_from_the_measured_spread(
+    board: Board, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    assert board.control is not None
+    one, other = (
+        np.stack([own for (model, _), own in left.items() if model == name]) for name in ("dmotion", "ed-cnn")
+    )
+
+    assert board.control.detectable == {
+        "generic": pytest.approx(detectable_difference(standard_error(one, other, np.ones(25))))
+    }
+
+
+def test_a_training_on_other_tasks_is_not_averaged(
+    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    fewer = controlled("dmotion", left["dmotion", 1], seed=1)
+    content = copy.deepcopy(dict(fewer.content))
+    content["by_episode"]["control_distance[2]"] = {"episode": [0, 1], "n": [1, 1], "sum": [0.1, 0.2]}
+    (board,) = make_boards([controlled("dmotion", left["dmotion", 0]), Entry(content)])
+
+    assert board.control is not None
+    assert board.control.rows[0].cells["generic"].trainings == 1
+    assert board.control.rows[0].cells["generic"].left.mean == pytest.approx(left["dmotion", 0].mean())
+
+
+def test_control_of_the_earlier_protocol_stands_apart(
+    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    old = controlled("dmotion", left["dmotion", 0] - 0.05, column=None)
+    new = controlled("dmotion", left["dmotion", 0])
+    (board,) = make_boards([old, new])
+    lines = "\n".join(board_section(board))
+    page = make_page([old, new])
+
+    assert board.control is not None
+    assert [entry.column for entry in board.control.entries] == ["generic"]
+    assert [entry.column for entry in board.measured] == [None]
+    assert "Protocol dmbench-1, dmbench-2" in lines
+    assert "Control of protocol dmbench-1, by planners that were tuned on some of its tasks" in lines
+    assert "Control, protocol dmbench-1" in page
+    assert "Control, protocol dmbench-2" in page
+
+
+def test_the_page_and_the_tables_show_it(board: Board) -> None:
+    assert board.control is not None
+    lines = "\n".join(board_section(board))
+    page = make_page(board.entries)
+    mean = written(board.control.rows[0].cells["generic"].left.mean)
+
+    assert "Generic: left" in lines
+    assert f"| {mean} (" in lines
+    assert f"Generic: differences below {written(board.control.detectable['generic'])} between" in lines
+    assert "are too small for this table" in page
+    assert page.count("true simulator as the model") == 1
+
+
+def test_the_gain_agrees_with_control_as_the_ranks_do(
+    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    base, entries = left["dmotion", 0], []
+    for place, name in enumerate(("a", "b", "c", "d", "e", "f")):
+        entries.append(controlled(name, base + 0.1 * place))
+        predicted = controlled(name, base, column=None)
+        figures = {"planning_gain": _figure(0.9 - 0.1 * place, 9), "mse": _figure(10.0 - place, 9)}
+        entries.append(Entry(dict(predicted.content) | {"figures": figures, "by_episode": {}}))
+    (board,) = make_boards(entries)
+    found = {one.figure: one.correlation for one in board.agreement}
+
+    assert found["distance left, column generic"].mean == pytest.approx(-1.0)
+    assert found["MSE"].mean == pytest.approx(1.0)
+    assert found["MSE"].n == 6
+    assert "Spearman" in "\n".join(board_section(board))
+    assert "Rank correlation of the gain captured" in make_page(entries)
+
+
+def test_a_columns_report_is_an_entry_that_can_be_checked(
+    scored_workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the score to the board: the simulator repeats the actions, and the model plans the first ones again."""
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", seed=5, episodes=20, frames=32, tasks=2
+    )
+    copied = Workspace(tmp_path)
+    shutil.copytree(scored_workspace.root, copied.root, dirs_exist_ok=True)
+    path = copied.runs / "dmotion-grid_world-tiny-s0"
+    manifest = json.loads((path / "run.json").read_text())
+    manifest["dataset_path"] = str(copied.data / "grid_world-tiny")
+    (path / "run.json").write_text(json.dumps(manifest))
+    record_dataset(copied.data / "grid-test", recipe)
+    few = ScoreSettings(resamples=100, control=ControlScoring(column="paper", tasks=2, steps=2, group=2))
+    score_run(path, metrics=None, settings=few, data=copied.data / "grid-test")
+
+    (folder,) = transfer_folders(path)
+    entry = entry_of_run(path, folder)
+    verdict = check_entry(entry, copied)
+    (board,) = make_boards([entry])
+
+    assert (entry.column, entry.content["protocol"]) == ("paper", "dmbench-2")
+    assert verdict.findings == ()
+    assert verdict.holds
+    assert board.control is not None
+    assert board.control.columns == ("paper",)
+    assert board.control.rows[0].cells["paper"].tasks == 2
+    forged = copy.deepcopy(dict(entry.content))
+    forged["settings"]["control_column"] = "generic"
+    assert not check_entry(Entry(forged), copied).holds

@@ -1,0 +1,160 @@
+"""Control by frozen columns: they are the planners that they say, on tasks that the run does not know."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dmotion_bench.errors import InvalidSetting, RunMismatch, UnknownName, UsageError
+from dmotion_bench.learning.run import Run
+from dmotion_bench.planning import columns
+from dmotion_bench.planning.choices import make_objective, make_solver
+from dmotion_bench.planning.columns import COLUMNS, PROTOCOL, TEST, TaskData, tasks_hash
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.report import read_report
+from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.transfer import transfer_folders
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+
+MakeRun = Callable[..., Run]
+
+
+def _recipe(**changes: Any) -> DatasetRecipe:
+    usual = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", seed=5, episodes=20, frames=32, tasks=2
+    )
+    return replace(usual, **changes)
+
+
+@pytest.fixture(scope="module")
+def tasks(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A Grid World recorded for its tasks; read only but for its cache."""
+    path = tmp_path_factory.mktemp("data") / "grid-tasks"
+    record_dataset(path, _recipe())
+    return Dataset.open(path)
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_a_column_is_a_planner_that_can_be_made_and_nothing_beside_it(name: str) -> None:
+    column = COLUMNS[name]
+    scoring = ControlScoring(column=name)
+
+    make_solver(column.planner, column.planner_set)
+    if column.objective is not None:
+        make_objective(column.objective, column.objective_set)
+    assert (scoring.planner, scoring.planner_set) == (column.planner, column.planner_set)
+    assert (scoring.objective, scoring.objective_set) == (column.objective, column.objective_set)
+    assert ControlScoring.from_json(scoring.to_json()) == scoring
+    with pytest.raises(InvalidSetting, match="says how to plan"):
+        ControlScoring(column=name, planner="exhaustive")
+
+
+def test_the_papers_column_is_the_papers_planner(tasks: Dataset) -> None:
+    planned = ControlScoring(column="paper").planning(tasks, needs_pixels=True)
+    solver, objective = planned["solver"], planned["objective"]
+
+    assert [solver[name] for name in ("name", "samples", "horizon", "iterations", "elites")] == ["cem", 50, 5, 4, 10]
+    assert (solver["action_repeat_prob"], solver["kept_elites"], solver["cost_at"]) == (0.0, 0, "best")
+    assert objective["name"] == "centres"
+
+
+def test_the_generic_column_is_the_same_in_every_world_and_of_the_oracle_by_pictures(tasks: Dataset) -> None:
+    scoring = ControlScoring(column="generic")
+
+    assert scoring.planned_with(tasks, needs_pixels=True)[0] == "tracked"
+    assert scoring.planned_with(tasks, needs_pixels=None)[0] == "tracked"
+    assert scoring.planned_with(tasks, needs_pixels=False)[0] == "feature"
+
+
+def test_a_report_without_a_column_says_nothing_of_columns() -> None:
+    said = ControlScoring().to_json()
+
+    assert "control_column" not in said
+    assert ControlScoring.from_json(said).column is None
+
+
+def test_a_column_has_a_report_of_its_own(make_run: MakeRun, tasks: Dataset, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    few = ScoreSettings(resamples=100, control=ControlScoring(column="paper", tasks=1, steps=1, group=1))
+    report = score_run(run.path, metrics=None, settings=few, data=tasks.path)
+
+    folder = run.path / "report/on/grid-tasks/paper"
+    assert report.protocol == PROTOCOL
+    assert report.settings["metrics"] == ["control"]
+    assert (report.column, run.path / report.place) == ("paper", folder)
+    assert read_report(folder) == report
+    assert transfer_folders(run.path) == [folder]
+    assert score_run(run.path, metrics=None, settings=few, data=tasks.path, renew=False) == report
+
+
+def test_what_a_column_is_not_for_is_said(make_run: MakeRun, grid: Dataset, tasks: Dataset, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    column = ScoreSettings(control=ControlScoring(column="generic"))
+
+    with pytest.raises(InvalidSetting, match=r"trained on; score a column on another data set.*record grid_world"):
+        score_run(run.path, metrics=None, settings=column)
+    with pytest.raises(InvalidSetting, match="of control alone; leave out"):
+        score_run(run.path, metrics=("prediction", "control"), settings=column, data=tasks.path)
+    with pytest.raises(UnknownName, match="did you mean 'generic'"):
+        ControlScoring(column="genric")
+
+
+def test_tasks_in_episodes_of_the_training_are_refused(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
+    """The same seed as the training's: the test episodes may be new, but the tasks lie anywhere."""
+    same = replace(grid.recipe, tasks=20, episodes=grid.recipe.episodes + 20)
+    record_dataset(tmp_path / "longer", same)
+    run = make_run(tmp_path / "run")
+    column = ScoreSettings(control=ControlScoring(column="generic", tasks=1))
+
+    with pytest.raises(RunMismatch, match=r"of the \d+ task episodes of 'longer' have the seed"):
+        score_run(run.path, metrics=None, settings=column, data=tmp_path / "longer")
+
+
+def test_other_tasks_than_the_protocols_are_refused(
+    make_run: MakeRun, tasks: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = make_run(tmp_path / "run")
+    column = ScoreSettings(control=ControlScoring(column="paper", tasks=1, steps=1, group=1))
+    monkeypatch.setattr(columns, "TEST", TaskData(name="test", seed=5))
+    monkeypatch.setattr(columns, "TEST_TASKS", {"grid_world@2": "0" * 64})
+    with pytest.raises(InvalidSetting, match=r"are not the test tasks of dmbench-2; record them with"):
+        score_run(run.path, metrics=None, settings=column, data=tasks.path)
+
+    monkeypatch.setattr(columns, "TEST_TASKS", {"grid_world@2": tasks_hash(tasks)})
+    assert columns.is_test(tasks)
+    assert score_run(run.path, metrics=None, settings=column, data=tasks.path).column == "paper"
+
+
+def test_a_column_and_a_planner_cannot_both_be_named() -> None:
+    from dmotion_bench.api.scoring import control_scoring
+
+    with pytest.raises(UsageError, match="says how to plan; leave out the planner"):
+        control_scoring(planner="cem", column="generic")
+
+
+DOC = (Path(__file__).parents[2] / "docs/protocol.md").read_text()
+
+
+def test_the_document_has_the_hashes_of_the_test_tasks() -> None:
+    assert columns.TEST_TASKS
+    for world, known in columns.TEST_TASKS.items():
+        assert f"| {world.replace('@', ', version ')} | `{known}` |" in DOC
+        assert TEST.words(world.partition("@")[0]).strip("'") in DOC
+
+
+@pytest.mark.slow
+def test_the_test_tasks_of_planar_push_are_those_of_the_protocol(tmp_path: Path) -> None:
+    recipe = DatasetRecipe(
+        environment="planar_push", policy="push", seed=TEST.seed, episodes=TEST.episodes, frames=101, tasks=100
+    )
+    record_dataset(tmp_path / "test", recipe)
+    recorded = Dataset.open(tmp_path / "test")
+
+    assert len(recorded.tasks()) == columns.TASKS
+    assert tasks_hash(recorded) == columns.TEST_TASKS["planar_push"]

@@ -315,8 +315,8 @@ class _Networks:
 
     def _say(self, weights: Sequence[Tensor], rows: Int[np.ndarray, " r"]) -> Float[Tensor, "k r d"]:
         first, bias, second, last = weights
-        hidden = torch.tanh(self.inputs[rows] @ first + bias).unflatten(1, (-1, _HIDDEN)).transpose(0, 1)
-        said = hidden @ second + last
+        hidden = torch.tanh(self.inputs[rows] @ first + bias).reshape(len(rows), -1, _HIDDEN).transpose(0, 1)
+        said: Tensor = hidden @ second + last
         inside = torch.arange(said.shape[2]) < torch.tensor(self.widths)[:, None]
         return said.where(inside[:, None], torch.where(self.are_names, -1e9, 0.0)[:, None, None])
 

@@ -27,13 +27,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
 import torch
+import torch.nn.functional as F
 from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines import dmotion_compact, dmotion_paper
+from baselines.dominant_shift import dominant_shift
 from baselines.layers import check_gate_floor, squared_error
-from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift
+from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift, theta_of_shift
 from baselines.patches import rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
@@ -50,6 +52,7 @@ from dmotion_bench.learning.model import (
 from dmotion_bench.specs import Preset, Supervision
 
 MOST_AGENTS: Final = 4
+CLOSE: Final = 0.05  # in theta's units: nearer than this, the distance to the guiding shift is squared
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +79,11 @@ class DMotionConfig:
             only a true motion carries the action; a hidden code in the last digits of phi^0 does not.
         jitter_end: Where the noise ends.
         anneal: Share of the training after which the kernel has its own width.
+        guide: Weight of the distance from phi^0 to the shift that explains best what changes between the two frames
+            (``dominant_shift.py``), at the start of the training; falls to 0 over the share ``guided`` of it. 0 is the
+            paper's. It is used with one agent and translations. Without it map 0 may come to have coordinates of its
+            own, in which phi^0 names the action as well and is no shift in the picture.
+        guided: Share of the training after which nothing guides phi^0.
     """
 
     arch: Literal["compact", "paper"] = "compact"
@@ -91,6 +99,8 @@ class DMotionConfig:
     jitter: float = 1.2
     jitter_end: float = 0.2
     anneal: float = 0.2
+    guide: float = 0.0
+    guided: float = 0.4
 
     def __post_init__(self) -> None:
         if self.maps < 1 or self.kernel % 2 == 0:
@@ -101,6 +111,8 @@ class DMotionConfig:
             )
         if self.blur < 1 or self.jitter < 0 or not 0 < self.anneal <= 1:
             raise InvalidSetting("blur must be 1 or more, jitter 0 or more, anneal above 0 and at most 1.")
+        if self.guide < 0 or not 0 < self.guided <= 1:
+            raise InvalidSetting("guide must be 0 or more, guided above 0 and at most 1.")
         if self.warp and self.arch == "paper":
             raise InvalidSetting("warp is for arch=compact; the paper's interaction learner paints.")
         if self.gate_floor and self.arch == "paper":
@@ -150,14 +162,14 @@ class DMotion(TwoFrameModel[DMotionConfig]):
             self.register_load_state_dict_pre_hook(_with_the_tables_module)  # type: ignore[no-untyped-call]
         else:
             self.table = JointActionToLatent(inputs.actions, config.agents, identity.shape[-1], unaligned=identity)
-        self.blur, self.jitter = config.blur, config.jitter
+        self.blur, self.jitter, self.guide = config.blur, config.jitter, config.guide
 
     @classmethod
     def configure(cls, arch: str) -> DMotionConfig:
-        """The paper's architecture is trained as in the paper: without widened kernels and without noise."""
+        """The paper's architecture is trained as in the paper: no widened kernels, no noise, nothing that guides."""
         if arch == "paper":
             return DMotionConfig(arch="paper", blur=1.0, jitter=0.0, jitter_end=0.0)
-        return DMotionConfig()
+        return DMotionConfig(guide=1.0)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
@@ -174,13 +186,17 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         return compact_recipe(preset)
 
     def progress(self, share: float) -> None:
-        """Narrow the interpolation kernel and reduce the noise as the training proceeds."""
+        """Narrow the interpolation kernel, reduce the noise, and let go of phi^0 as the training proceeds."""
         left = max(0.0, 1 - share / self.config.anneal)
         self.blur = 1 + (self.config.blur - 1) * left
         self.jitter = self.config.jitter_end + (self.config.jitter - self.config.jitter_end) * (1 - share)
+        self.guide = self.config.guide * max(0.0, 1 - share / self.config.guided)
 
     def losses(self, batch: TripletBatch) -> Losses:
-        """Equation 2, in squared [-1, 1] units, averaged over pixels and channels."""
+        """Equation 2, in squared [-1, 1] units, averaged over pixels and channels.
+
+        Not in the paper: what guides phi^0.
+        """
         previous, current, following = (self.pack(image) for image in (batch.previous, batch.current, batch.next))
         maps = self.image_encoder(current)
         motion = self.motion_encoder(current, following)
@@ -191,9 +207,13 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         predicted = self._interact(previous, current, agents)
         each = squared_error(predicted, following)  # packing moves pixels about, the mean stays
         extraction, prediction = squared_error(reconstructed, following).mean(), each.mean()
+        total, terms = extraction + prediction, {"extraction": extraction.detach(), "prediction": prediction.detach()}
+        if self.training and self.guide and self._can_be_guided:
+            guidance = self._guidance(batch, motion)
+            total, terms = total + self.guide * guidance, terms | {"guidance": guidance.detach()}
         return Losses(
-            total=extraction + prediction,
-            terms={"extraction": extraction.detach(), "prediction": prediction.detach()},
+            total=total,
+            terms=terms,
             per_triplet=each.detach(),
         )
 
@@ -294,6 +314,18 @@ class DMotion(TwoFrameModel[DMotionConfig]):
     def _frames(self, previous: Tensor, current: Tensor) -> list[Tensor]:
         return [previous, current] if self.config.second_frame else [current]
 
+    @property
+    def _can_be_guided(self) -> bool:
+        """Whether phi^0 is one shift: two agents that move at once leave no shift that explains what changes."""
+        return self.config.agents == 1 and isinstance(self.transform, Translation)
+
+    def _guidance(self, batch: TripletBatch, motion: Float[Tensor, "b k d"]) -> Float[Tensor, ""]:
+        """How far phi^0 is from the shift that explains best what changes, where there is one."""
+        shift = dominant_shift(batch.current, batch.next)
+        wanted = theta_of_shift(shift.pixels, batch.current.shape[-1])
+        distance = F.smooth_l1_loss(motion[:, 0], wanted, beta=CLOSE, reduction="none").sum(1)
+        return (distance * shift.confidence).sum() / shift.confidence.sum().clamp(min=1)
+
     def _with_noise(self, motion: Float[Tensor, "b k d"], size: int) -> Float[Tensor, "b k d"]:
         if not self.training or not self.jitter or not isinstance(self.transform, Translation):
             return motion
@@ -306,7 +338,7 @@ class DMotionNoSTN(DMotion):
     @classmethod
     def configure(cls, arch: str) -> DMotionConfig:
         """A kernel of 27 reaches a grid cell; ``--set kernel=5`` is that of Visual Dynamics."""
-        return dataclasses.replace(super().configure(arch), transform="cross_convolution")
+        return dataclasses.replace(super().configure(arch), transform="cross_convolution", guide=0.0)
 
 
 def _without_the_tables_module(model: nn.Module, state: dict[str, Any], prefix: str, _: object) -> None:

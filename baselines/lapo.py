@@ -162,6 +162,22 @@ class Lapo(TwoFrameModel[LapoConfig]):
         """z_t before quantisation."""
         return self._infer(pack(previous), pack(current), pack(following)).float()
 
+    @property
+    def codebook_sizes(self) -> tuple[int, ...]:
+        """Codes in each codebook."""
+        return (self.config.codes,) * self.config.codebooks
+
+    def chosen_codes(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        following: Float[Tensor, "b c h w"],
+    ) -> Int[Tensor, "b n h"]:
+        """The codes nearest to z_t, as many of each codebook as it gives latents."""
+        latent, config = self.latent_action(previous, current, following), self.config
+        parts = rearrange(latent, "b (n h d) -> n (b h) d", n=config.codebooks, d=config.length)
+        return rearrange(self.quantizer.nearest(parts), "n (b h) -> b n h", b=len(latent))
+
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn the z_t of each action."""

@@ -176,6 +176,21 @@ class Varied(Protocol):
 
 
 @runtime_checkable
+class Distracting(Protocol):
+    """An environment that tells how what distracts in its video moves, which its actions have no part in.
+
+    Asked by the probes that tell whether a latent action holds it (``scoring/true_factors.py``).
+    """
+
+    def distracting_motions(self, seed: int, vary: Sequence[str], steps: int) -> Mapping[str, Float[np.ndarray, "s d"]]:
+        """How far each moves from frame i to frame i + 1 of the episode of ``seed`` [px].
+
+        Names are ``camera``, ``background`` and ``movers``; those that there are not in the episode are left out. The
+        present episode stays as it is.
+        """
+
+
+@runtime_checkable
 class Prepared(Protocol):
     """An environment class with parameters that name files, which a recipe may not: it holds their hash instead."""
 

@@ -61,6 +61,25 @@ _AFTER: Final = (
         meaning="Variance of the agent's motion within an action over that between actions; 0 is best.",
     ),
     Column(
+        figure="probe_mlp[action]",
+        heading="Probe, action",
+        meaning="What a small network reads of the true action from the latent one: accuracy of names, else R².",
+        higher=True,
+    ),
+    *(
+        Column(
+            figure=f"probe_mlp[{factor}]",
+            heading=f"Probe, {words}",
+            meaning=f"R² with which a small network reads {words}, beyond what the action tells of it; should be 0.",
+        )
+        for factor, words in (
+            ("agent_place", "agent's place"),
+            ("camera", "camera"),
+            ("background", "background"),
+            ("movers", "movers"),
+        )
+    ),
+    Column(
         figure="planning_gain",
         heading="Gain captured",
         meaning="Of what the best of 64 action sequences truly brings, the share that the model's favourite brings.",

@@ -69,14 +69,15 @@ class Findings:
         rounding: float = SAME,
         *,
         means_only: bool = False,
+        absolute: float = 0.0,
     ) -> None:
-        """Add a finding for each figure that differs, at most the first few."""
+        """Add a finding for each figure that differs, at most the first few; by less than ``absolute`` none does."""
         wrong = [f"{name} is missing" for name in found if name not in said]
         wrong += [f"{name} is nobody's" for name in said if name not in found]
         for name in (name for name in said if name in found):
             for part in ("mean", "n") if means_only else ("mean", "std", "low", "high", "n"):
                 left, right = said[name][part], found[name][part]
-                if not _close(left, right, rounding):
+                if not _close(left, right, rounding, absolute):
                     wrong.append(f"{name}.{part} is said to be {left} and is {right}")
         self.wrong += [f"{where}: {one}" for one in wrong[:SHOWN]]
         if len(wrong) > SHOWN:
@@ -101,7 +102,7 @@ def short(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def _close(left: float | None, right: float | None, rounding: float) -> bool:
+def _close(left: float | None, right: float | None, rounding: float, absolute: float = 0.0) -> bool:
     if left is None or right is None:
         return left is right
-    return math.isclose(left, right, rel_tol=rounding, abs_tol=rounding * 1e-3)
+    return math.isclose(left, right, rel_tol=rounding, abs_tol=max(rounding * 1e-3, absolute))

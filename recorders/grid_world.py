@@ -329,6 +329,13 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         values = episode_values(self._scene, self._variation, entropy, vary, fixed)
         return values, make_video(self._scene, values, entropy=entropy, facts=self.facts)
 
+    def distracting_motions(self, seed: int, vary: Sequence[str], steps: int) -> dict[str, Float[np.ndarray, "s d"]]:
+        """How what distracts moves in the episode of a seed [px]."""
+        generator = gymnasium.utils.seeding.np_random(seed)[0]
+        starting_cells(generator, self._things)  # drawn first
+        _, video = self._distraction(generator, {"vary": vary} if vary else {})
+        return {} if video is None else video.motions(steps)
+
     def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
         """Move the agent, or both; an impossible action changes nothing and ``info["illegal"]`` says so."""
         legal = bool(self.legal_actions()[action])

@@ -8,7 +8,7 @@ from __future__ import annotations
 import colorsys
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -149,7 +149,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         super().reset(seed=seed)
         fixed = {**self._fixed, **(options or {})}
         vary = named_factors(fixed.pop("vary", self._vary))
-        entropy = int(self.np_random.integers(2**63))
+        entropy = _entropy(self.np_random)
         self._factors = episode_values(self._scene, self._variation, entropy, vary, fixed)
         self._moment = 0
         self._place = self._begin(np.random.default_rng([entropy, 0]), np.random.default_rng([entropy, 1]))
@@ -161,6 +161,14 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             self._see(self._video.begin(self._undistracted()))
         self._drawn_as_is = True
         return self._frame.copy(), {"factors": dict(self._factors)}
+
+    def distracting_motions(self, seed: int, vary: Sequence[str], steps: int) -> dict[str, Float[np.ndarray, "s d"]]:
+        """How what distracts moves in the episode of a seed [px]; nothing is simulated."""
+        entropy = _entropy(gymnasium.utils.seeding.np_random(seed)[0])
+        chosen = named_factors(vary) if vary else self._vary
+        values = episode_values(self._scene, self._variation, entropy, chosen, self._fixed)
+        video = make_video(self._scene, values, entropy=entropy, facts=self.facts)
+        return {} if video is None else video.motions(steps)
 
     @property
     def room(self) -> Float[np.ndarray, "2 2"]:
@@ -406,3 +414,8 @@ class Drift:
         way = (self._starts + self._steps * moment) % (4 * self._reach)
         places: Float[np.ndarray, "d 2"] = self._reach - np.abs(way - 2 * self._reach)
         return places
+
+
+def _entropy(generator: np.random.Generator) -> int:
+    """An episode's entropy, the first that is drawn by its seed; all its random streams are made of it."""
+    return int(generator.integers(2**63))

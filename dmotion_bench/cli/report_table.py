@@ -29,6 +29,8 @@ WORDS = {
     "mse_true_motion": "MSE with the true motion",
     "motion_swap_change": "change by a swapped motion",
     "motion_within_over_between": "motion within/between",
+    "codebook_perplexity": "codes in use, perplexity",
+    "codebook_used": "codes in use, share",
     "hit_at_1": "H@1",
     "reciprocal_rank": "MRR",
     "planning_gain": "gain captured",
@@ -37,6 +39,18 @@ WORDS = {
     "control_success": "control, tasks solved",
     "control_lost": "control, objects lost",
 }
+FACTORS = {
+    "action": "action",
+    "agent_motion": "agent's motion",
+    "agent_place": "agent's place",
+    "camera": "camera's motion",
+    "background": "background's motion",
+    "movers": "movers' motion",
+}
+"""What probes read from a latent action; it should hold the first two."""
+HELD = ("action", "agent_motion")
+PROBE_COLUMNS = ("probe_linear", "probe_mlp", "probe_linear_shuffled", "probe_mlp_shuffled")
+
 CONTROL_STEPS = (10, 20, 40, 60, 80, 100)
 """Steps of control that a table shows; the report has all steps."""
 
@@ -54,11 +68,32 @@ def show_report(report: Report, run: Path) -> None:
         others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
         rows.append((_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others))
     show_figures(_headline(report), ("figure", "mean ± std", "95% interval", "n", *beside), rows)
+    _show_probes(report)
     console = stdout_console()
     for name in (*beside, "labels", "trained_on", "actions", "positions", "gain", "control", "rollout", "split"):
         if name in report.remarks:
             console.print(f"  {name.replace('_', ' ')}: {report.remarks[name]}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
+
+
+def _show_probes(report: Report) -> None:
+    """Print what probes read from the latent action beside what they read of shuffled values, if any was asked."""
+    rows: list[tuple[str, ...]] = []
+    for factor, words in FACTORS.items():
+        found = [report.figures.get(f"{column}[{factor}]") for column in PROBE_COLUMNS]
+        cells = [f"{_number(figure['mean'])} ({_interval(figure)})" for figure in found if figure is not None]
+        if cells:
+            rows.append((words, "yes" if factor in HELD else "no", *cells))
+    if rows:
+        headings = (
+            "in the latent action",
+            "wanted",
+            "linear probe (95%)",
+            "small network",
+            "chance, linear",
+            "chance, small",
+        )
+        show_figures("What probes read: accuracy of named actions, else R²", headings, rows)
 
 
 def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
@@ -163,7 +198,7 @@ def _headline(report: Report) -> str:
 
 
 def _is_shown(name: str) -> bool:
-    if "_objects" in name or name.startswith("rollout_position_error_paper"):
+    if "_objects" in name or name.startswith(("rollout_position_error_paper", "probe_")):
         return False
     if name.startswith(("control_distance", "control_picture_distance")):
         return name.endswith(tuple(f"[{step}]" for step in CONTROL_STEPS))
@@ -184,8 +219,8 @@ def _words(name: str) -> str:
         )
         return WORDS.get(base, base) + how
     if name.endswith("]"):
-        base, _, agent = name.rstrip("]").partition("[")
-        return f"{WORDS.get(base, base)}, agent {agent}"
+        base, _, number = name.rstrip("]").partition("[")
+        return f"{WORDS.get(base, base)}, {'codebook' if base.startswith('codebook_') else 'agent'} {number}"
     if name.endswith("_push"):
         return f"{_words(name.removesuffix('_push'))}, pushes"
     return WORDS.get(name, name)

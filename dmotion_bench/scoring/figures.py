@@ -6,7 +6,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from dmotion_bench.scoring.identification import motion_within_over_between
+from dmotion_bench.scoring.identification import codebook_use, motion_within_over_between
+from dmotion_bench.scoring.probes import probe_scores
 from dmotion_bench.scoring.samples import (
     CONTROL,
     EACH,
@@ -15,11 +16,13 @@ from dmotion_bench.scoring.samples import (
     GAIN,
     IDENTIFICATION_COLUMNS,
     PICTURE_CONTROL,
+    PROBE,
     RANK_COLUMNS,
     column,
     vectors,
 )
 from dmotion_bench.scoring.statistics import RESAMPLES, EpisodeBootstrap, Estimate
+from dmotion_bench.scoring.true_factors import FACTORS
 
 PUSH = "_push"
 ROLLOUT_COLUMNS = ("mse", "position_error", "position_error_paper", "miss_rate", *RANK_COLUMNS)
@@ -62,7 +65,29 @@ def _single_steps(single: pa.Table, resamples: int, seed: int) -> Figures:
         ratio = motion_within_over_between(motion, column(single, "action"), bootstrap)
         if ratio is not None:
             found["motion_within_over_between"] = ratio
-    return found | _each_agent(single, bootstrap)
+    return found | _each_agent(single, bootstrap) | _probes(single, bootstrap) | _codebooks(single)
+
+
+def _probes(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:
+    """What each probe and each control reads of each true factor."""
+    found: Figures = {}
+    for factor in FACTORS:
+        columns = vectors(single, PROBE + factor)
+        if columns is not None:
+            scores = probe_scores(columns.astype(np.float64), bootstrap)
+            found |= {f"{PROBE}{name}[{factor}]": estimate for name, estimate in scores.items()}
+    return found
+
+
+def _codebooks(single: pa.Table) -> Figures:
+    """How each codebook's codes are used."""
+    codes, sizes = vectors(single, "codes"), vectors(single, "codebook_sizes")
+    if codes is None or sizes is None:
+        return {}
+    found: Figures = {}
+    for number, (of_one, size) in enumerate(zip(np.split(codes, sizes.shape[1], axis=1), sizes[0], strict=True)):
+        found |= {f"{name}[{number}]": estimate for name, estimate in codebook_use(of_one, int(size)).items()}
+    return found
 
 
 def _each_agent(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:

@@ -21,6 +21,13 @@ phi^0 below stands for any latent action:
 - ``motion_swap_change``: mean squared change of the prediction, in squared pixel values, when phi^0 is another
   triplet's, of another action: near zero when the model ignores it.
 
+- ``probe_linear[F]``, ``probe_mlp[F]``, and ``_shuffled`` of both: what probes read of each true factor F from phi^0,
+  such as the action or how the background moves, and what they read of shuffled values (``probes.py``,
+  ``true_factors.py``).
+- ``codebook_perplexity[k]`` and ``codebook_used[k]``: of models whose latent action is made of codes
+  (``CodebookModel``), the exponential of the entropy with which codes of codebook k are chosen, and the share of its
+  codes that are chosen at all.
+
 A variance within an action and the accuracy of a probe are not defined for continuous actions, and are left out there.
 
 In a world of several agents ``agent_iou`` is of all of them together (the union of the thresholded maps against the
@@ -32,7 +39,7 @@ agent k, ``agent_iou[k]``, ``motion_shift_error[k]``, ``motion_probe_accuracy[k]
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -45,11 +52,12 @@ from torch import Tensor
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.learning.action_to_latent import ridge
 from dmotion_bench.learning.images import to_model
+from dmotion_bench.scoring.probes import LEAST_VARIANCE, probe
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
 from dmotion_bench.scoring.transitions import HeldOut
+from dmotion_bench.scoring.true_factors import true_factors
 
 LEVELS = 256  # of Otsu's histogram
-LEAST_VARIANCE = 1e-6  # within an action, of the whole variance: keeps the probe's covariance invertible
 
 
 @runtime_checkable
@@ -97,6 +105,25 @@ class ShiftModel(Protocol):
         """How far the motion moves the agent: (right, down) in pixels of the frame."""
 
 
+@runtime_checkable
+class CodebookModel(Protocol):
+    """A model whose latent action is made of codes out of codebooks.
+
+    Attributes:
+        codebook_sizes: Codes in each codebook.
+    """
+
+    codebook_sizes: tuple[int, ...]
+
+    def chosen_codes(
+        self,
+        previous: Float[Tensor, "b c h w"],
+        current: Float[Tensor, "b c h w"],
+        following: Float[Tensor, "b c h w"],
+    ) -> Int[Tensor, "b k m"]:
+        """The numbers of the ``m`` codes that the latent action takes from each codebook."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class EachAgent:
     """The identification figures of each held-out triplet and agent; NaN where there is no value.
@@ -122,6 +149,9 @@ class Identification:
         motion: phi^0 of each true triplet.
         agent_iou, motion_shift_error, motion_probe_accuracy, motion_probe_error: As above, of each triplet.
         partner: A triplet of another action, to swap phi^0 with; -1 where there is none.
+        probes: Of each true factor, what ``probe`` gives.
+        codes: The codes that phi^0 is made of, one codebook's after the other's; None if it is not.
+        codebook_sizes: Codes in each codebook.
         each: Of each agent, where there are several, their actions are joint ones, and the model has one motion or as
             many as there are agents.
     """
@@ -132,12 +162,16 @@ class Identification:
     motion_probe_accuracy: Float[np.ndarray, " n"]
     motion_probe_error: Float[np.ndarray, " n"]
     partner: Int[np.ndarray, " n"]
+    probes: Mapping[str, Float[np.ndarray, "n 6"]]
+    codes: Int[np.ndarray, "n m"] | None = None
+    codebook_sizes: tuple[int, ...] = ()
     each: EachAgent | None = None
 
 
 def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, device: torch.device) -> Identification:
     """Ask a model about every held-out triplet, in the order of ``held_out.batches``."""
-    motions, together, overlaps, shift_errors, actions, episodes = [], [], [], [], [], []
+    motions, together, overlaps, shift_errors, actions, episodes, steps = [], [], [], [], [], [], []
+    codes = list[Tensor]()
     for batch in held_out.batches(batch_size):
         stored = torch.from_numpy(batch.frames).to(device)
         previous, current, following = (to_model(stored[:, place]) for place in range(3))
@@ -150,6 +184,9 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
         motions.append(motion.float().cpu())
         actions.append(batch.action)
         episodes.append(batch.episode)
+        steps.append(batch.step)
+        if isinstance(model, CodebookModel):
+            codes.append(model.chosen_codes(previous, current, following).flatten(1).cpu())
     motion_table, action, episode = torch.cat(motions).numpy(), np.concatenate(actions), np.concatenate(episodes)
     spec, undefined = held_out.dataset.spec.actions, np.full(len(action), np.nan)
     if isinstance(spec, Continuous):
@@ -166,6 +203,9 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
         motion_probe_accuracy=right,
         motion_probe_error=missed,
         partner=partner,
+        probes=probe(motion_table, true_factors(held_out.dataset, episode, np.concatenate(steps), action), episode),
+        codes=torch.cat(codes).numpy() if codes else None,
+        codebook_sizes=model.codebook_sizes if isinstance(model, CodebookModel) else (),
         each=_each_agent(model, spec, torch.cat(motions), action, episode, overlap, shift_error),
     )
 
@@ -358,3 +398,17 @@ def motion_within_over_between(
 
     low, high = bootstrap.interval(bootstrap.totals(columns), statistic)
     return Estimate(mean=float(ratio.mean()), std=float(ratio.std()), low=low, high=high, n=len(ratio))
+
+
+def codebook_use(codes: Int[np.ndarray, "n m"], size: int) -> dict[str, Estimate]:
+    """How many codes of a codebook are in use: by the entropy of their shares, and as the share that is chosen at all.
+
+    Without intervals: episodes that are drawn anew can only lose codes.
+    """
+    counts = np.bincount(codes.reshape(-1), minlength=size)
+    shares = counts[counts > 0] / counts.sum()
+    values = {
+        "codebook_perplexity": float(np.exp(-(shares * np.log(shares)).sum())),
+        "codebook_used": float((counts > 0).mean()),
+    }
+    return {name: Estimate(mean=one, std=0.0, low=None, high=None, n=len(codes)) for name, one in values.items()}

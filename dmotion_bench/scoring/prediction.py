@@ -26,7 +26,7 @@ from dmotion_bench.scoring.inverse import InverseModel, inverse_figures
 from dmotion_bench.scoring.latent_ranking import Ranks, rank_rollouts
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.references import REFERENCES
-from dmotion_bench.scoring.samples import EACH, SampleRows, action_column
+from dmotion_bench.scoring.samples import EACH, PROBE, SampleRows, action_column
 from dmotion_bench.scoring.transitions import HeldOut, RolloutBatch, TransitionBatch
 
 MODEL = "model"
@@ -200,7 +200,12 @@ def _by_latent(
     own, other = _with_latents(model, previous, current, list(latents))
     change = mean_squared_error(own, other).cpu()
     each = {} if found.each is None else vars(found.each)
+    codes = {} if found.codes is None else {"codes": torch.from_numpy(found.codes[here])}
+    if codes:
+        codes["codebook_sizes"] = torch.tensor(found.codebook_sizes).expand(len(partner), -1)
     return {
+        **codes,
+        **{PROBE + name: torch.from_numpy(columns[here]) for name, columns in found.probes.items()},
         **{EACH + name: torch.from_numpy(values[here]).flatten(1) for name, values in each.items()},
         "agent_iou": torch.from_numpy(found.agent_iou[here]),
         "motion_shift_error": torch.from_numpy(found.motion_shift_error[here]),

@@ -13,6 +13,10 @@ figures            as in the report; null where the frame has no value (see ``po
 ``found``          whether the prediction shows each thing; ``found_truth`` the true frame
 ``hit_at_1``       H@1 of a rollout in the model's own space; ``reciprocal_rank`` its part of the MRR
 ``motion``         phi^0 of the true triplet, or any other latent action
+``probe_...``      of each true factor that was probed: a whole and the errors of the linear and of the small
+                   probe, then the same of their controls (``probes.py``); null where it was not probed
+``codes``          that the latent action is made of, as many of each codebook, one's after the other's;
+                   ``codebook_sizes`` how many each has
 ``each_...``       only there in worlds of several agents: a value for each agent of ``each_agent_iou``,
                    ``each_motion_shift_error`` and ``each_motion_probe_accuracy``, its ``each_action``, and its
                    ``each_motion``, one agent's after the other's
@@ -22,7 +26,7 @@ In reports of control on continuous actions that were written before they were k
 
 A figure of the report is the mean of its column over the rows of its predictor and metric: all of them, those with
 ``pushed`` for a name in ``_push``, those with ``ahead == k`` for one in ``[k]``. Of a figure of agent k it is the mean
-of the k-th values.
+of the k-th values. Of a probe it is 1 - the sum of its errors / the sum of their wholes.
 
 In control a row is one moment of one task: ``task`` is its number, ``episode`` and ``step`` where it starts, ``ahead``
 how many steps have been taken, ``action`` the next (-1 for none, or a continuous one), ``control_distance`` and
@@ -48,6 +52,7 @@ from jaxtyping import Float, Int, Shaped
 
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.frame_measures import OBJECTS_ONLY
+from dmotion_bench.scoring.true_factors import FACTORS
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.limits import LONGEST_NAME
 from dmotion_bench.storage.mcap_reader import DamagedFile
@@ -72,6 +77,9 @@ IDENTIFICATION_COLUMNS = (
 )
 EACH = "each_"
 """Before the name of a column with a value for each of several agents."""
+
+PROBE = "probe_"
+"""Before the name of a column of what probes of a true factor came to."""
 
 EACH_FIGURES = ("agent_iou", "motion_shift_error", "motion_probe_accuracy")
 RANK_COLUMNS = ("hit_at_1", "reciprocal_rank")
@@ -102,6 +110,9 @@ SCHEMA = pa.schema(
         (f"{EACH}action", pa.list_(pa.int16())),
         (f"{EACH}motion", pa.list_(pa.float32())),
         *((EACH + name, pa.list_(pa.float32())) for name in EACH_FIGURES),
+        *((PROBE + name, pa.list_(pa.float32())) for name in FACTORS),
+        ("codes", pa.list_(pa.int32())),
+        ("codebook_sizes", pa.list_(pa.int32())),
     ]
 )
 
@@ -109,9 +120,17 @@ MOST_SAMPLES: Final = 1_000_000
 """Rows of a table that is read; to compare two such tables takes some 650 bytes of memory a row."""
 _MOST_LISTED: Final = 2**25  # values in a column of lists
 _EACH_COLUMNS: Final = tuple(name for name in SCHEMA.names if name.startswith(EACH))
-_LISTS: Final = ("distance", "found", "found_truth", "motion", "command", *_EACH_COLUMNS)
 _INVERSE_COLUMNS: Final = ("inverse_accuracy", "inverse_error")
-_LEFT_OUT: Final = ("command", "motion_probe_error", *_INVERSE_COLUMNS, *GAIN_COLUMNS, *_EACH_COLUMNS)  # of no value
+_PROBE_COLUMNS: Final = (*(PROBE + name for name in FACTORS), "codes", "codebook_sizes")
+_LISTS: Final = ("distance", "found", "found_truth", "motion", "command", *_EACH_COLUMNS, *_PROBE_COLUMNS)
+_LEFT_OUT: Final = (
+    "command",
+    "motion_probe_error",
+    *_INVERSE_COLUMNS,
+    *GAIN_COLUMNS,
+    *_EACH_COLUMNS,
+    *_PROBE_COLUMNS,
+)  # of no value
 _LATER_COLUMNS: Final = RANK_COLUMNS + CONTROL_COLUMNS + _LEFT_OUT
 
 

@@ -15,7 +15,7 @@ import math
 from typing import Final, Protocol
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from recorders.distractors.streams import Track
 from recorders.distractors.textures import MADE, TILE, Shades, texture
@@ -116,6 +116,12 @@ class Textures:
         )
         faded = chosen(solid, front, back)
         return self._blend.mixed(behind.reshape(size, -1), faded).reshape(size, size, 3)
+
+    def moved(self, before: int, after: int) -> Float[np.ndarray, "4"]:
+        """How far the back plane and the front plane move between two moments, as (x, y) each [px]."""
+        places = np.array([[track.at(moment)[:2] for track in self._tracks[:2]] for moment in (before, after)])
+        there, then = np.floor(places).reshape(2, -1)
+        return np.asarray(there - then)  # the corner that is seen goes one way, the picture the other
 
     def _plane(self, shades: Shades, palette: UInt8[np.ndarray, "256 3"]) -> UInt8[np.ndarray, "n m"]:
         return _padded(self._blend.faded(palette).take(shades, axis=0).reshape(TILE, -1), self._size)

@@ -18,7 +18,7 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from recorders.distractors.streams import Track
 
@@ -146,6 +146,7 @@ class Movers:
 
     def __init__(self, generator: np.random.Generator, count: int, looks: Looks) -> None:
         self._cutouts, around = looks.cutouts(generator, count), looks.around
+        self._around = around
 
         def after(state: tuple[Places, list[float]]) -> tuple[Places, list[float]]:
             turning, turned, speeds = generator.random((3, count)).tolist()
@@ -163,6 +164,12 @@ class Movers:
     def lay(self, frame: UInt8[np.ndarray, "h w 3"], moment: int, shift: tuple[int, int]) -> None:
         """Paint them, moved by the camera's shift."""
         _lay(frame, self._cutouts, self._track.at(moment)[0], shift)
+
+    def moved(self, before: int, after: int) -> Float[np.ndarray, "2"]:
+        """How far they move between two moments in the mean, along x and y [px]."""
+        there, then = (np.asarray(self._track.at(moment)[0]) for moment in (before, after))
+        half = self._around / 2  # one that leaves on one side comes in on the other
+        return np.asarray(((then - there + half) % self._around - half).mean(0))
 
 
 class Followers:

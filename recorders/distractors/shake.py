@@ -38,6 +38,10 @@ class Shake:
         x, y = (round(min(max(one, -1.0), 1.0) * self._most) for one in self._track.at(moment))
         return x, y
 
+    def moved(self, before: int, after: int) -> Float[np.ndarray, "2"]:
+        """How far the picture moves between two moments, along x and y [px]."""
+        return np.asarray(self.at(after), np.float64) - np.asarray(self.at(before), np.float64)
+
 
 def shifted(
     pixels: UInt8[np.ndarray, "h w *c"], shift: tuple[int, int], fill: int | tuple[int, int, int]

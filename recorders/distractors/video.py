@@ -8,7 +8,8 @@ the present moment.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -133,6 +134,24 @@ class Video:
         if self._noise is not None:
             shown = replace(shown, frame=self._noise.on(shown.frame, self._moment))
         return shown
+
+    def motions(self, steps: int) -> dict[str, Float[np.ndarray, "s d"]]:
+        """How far what no action moves does move from each frame to the next [px], as (x, y).
+
+        ``camera``: the whole picture; ``background``: each plane of the texture in turn; ``movers``: their mean.
+        """
+        tracks: dict[str, Callable[[int, int], Float[np.ndarray, " d"]]] = {}
+        if self._shake is not None:
+            tracks["camera"] = self._shake.moved
+        if isinstance(self._background, Textures):
+            tracks["background"] = self._background.moved
+        if self._movers is not None:
+            tracks["movers"] = self._movers.moved
+        shown = [max(0, moment - self.delay) for moment in range(steps + 1)]
+        return {
+            name: np.stack([moved(before, after) for before, after in itertools.pairwise(shown)])
+            for name, moved in tracks.items()
+        }
 
     @property
     def follows(self) -> bool:

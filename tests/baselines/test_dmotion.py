@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from baselines import dmotion_paper
-from baselines.dmotion import DMotion, DMotionConfig
+from baselines.dmotion import DMotion, DMotionConfig, DMotionNoSTN
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import Demonstrations, ModelInputs, TripletBatch
@@ -265,3 +265,53 @@ def test_a_setting_of_one_agent_changes_no_weight() -> None:
     assert list(plain) == list(named)
     assert "table" in plain
     assert all(torch.equal(plain[name], named[name]) for name in plain)
+
+
+def _moving(x: int, y: int) -> TripletBatch:
+    """A white square on black that moves by (x, y) [px]."""
+    frames = torch.full((3, 1, 3, 32, 32), -1.0)
+    for moment, frame in enumerate(frames):
+        frame[..., 12 + y * (moment == 2) :, 12 + x * (moment == 2) :][..., :6, :6] = 1.0
+    return TripletBatch(previous=frames[0], current=frames[1], next=frames[2])
+
+
+def test_phi_0_is_guided_to_the_shift_that_explains_what_changes() -> None:
+    """The gradient of what guides it pulls it there, and nothing is left to pull when it is there."""
+    model, batch = _model(guide=1.0), _moving(5, -3)
+    wanted = -torch.tensor([[[5.0, -3.0]]]) * 2 / 31
+    there = torch.cat([wanted, torch.zeros(1, 7, 2)], dim=1)
+    assert model._guidance(batch, there).item() < 0.005
+    motion = torch.zeros(1, 8, 2, requires_grad=True)
+    model._guidance(batch, motion).backward()
+    assert torch.equal(motion.grad[:, 1:], torch.zeros(1, 7, 2))
+    assert torch.equal(motion.grad[0, 0].sign(), -wanted[0, 0].sign())
+    still = TripletBatch(previous=batch.current, current=batch.current, next=batch.current)
+    assert model._guidance(still, motion).item() == 0
+
+
+def test_the_guide_lets_go_and_is_for_training_alone() -> None:
+    batch = _moving(5, -3)
+    plain, guided = _model(jitter=0.0, jitter_end=0.0), _model(guide=1.0, guided=0.5, jitter=0.0, jitter_end=0.0)
+    guided.load_state_dict(plain.state_dict())
+    assert "guidance" in guided.losses(batch).terms
+    assert guided.losses(batch).total > plain.losses(batch).total
+    for share in (0.5, 0.9):
+        guided.progress(share)
+        plain.progress(share)
+        assert torch.equal(guided.losses(batch).total, plain.losses(batch).total)
+    guided.progress(0.0)
+    plain.progress(0.0)
+    assert torch.equal(guided.eval().losses(batch).total, plain.eval().losses(batch).total)
+
+
+def test_who_is_guided() -> None:
+    assert DMotion.configure("compact").guide == 1
+    assert DMotionConfig().guide == DMotion.configure("paper").guide == DMotionNoSTN.configure("compact").guide == 0
+    for model in (
+        _model(TWO, guide=1.0, agents=2),
+        _model(guide=1.0, transform="affine"),
+        _model(guide=1.0, transform="cross_convolution", kernel=3),
+    ):
+        assert "guidance" not in model.losses(_moving(2, 2)).terms
+    with pytest.raises(InvalidSetting, match="guide must be 0 or more"):
+        DMotionConfig(guide=-1.0)

@@ -9,6 +9,8 @@ import torch
 from baselines.clasp import Clasp
 from baselines.lapo import Lapo, LapoConfig, VectorQuantizer
 from baselines.latent_action_vae import LatentActionVAE
+from dmotion_bench.actions import Discrete
+from dmotion_bench.learning.model import ModelInputs
 
 CONFIG = LapoConfig(codebooks=2, latents=3, codes=5, length=4, decay=0.75)
 
@@ -35,6 +37,19 @@ def test_every_part_becomes_its_nearest_code() -> None:
         np.testing.assert_allclose(result[row, book, place], nearest, atol=1e-6)
         error.append((parts[row, book, place] - nearest) ** 2)
     np.testing.assert_allclose(commitment.item(), CONFIG.commitment * np.mean(error), rtol=1e-5)
+
+
+def test_the_chosen_codes_make_up_the_quantised_latent() -> None:
+    model = Lapo(CONFIG, ModelInputs(height=32, width=32, actions=Discrete.numbered(4))).eval()
+    model.quantizer.load_state_dict(_quantizer().state_dict())
+    frames = torch.rand(3, 7, 3, 32, 32, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    with torch.no_grad():
+        codes = model.chosen_codes(*frames)
+        quantised, _ = model.quantizer(model.latent_action(*frames))
+    assert model.codebook_sizes == (5, 5)
+    assert codes.shape == (7, 2, 3)
+    parts = [model.quantizer.codes[book][codes[:, book]] for book in (0, 1)]
+    torch.testing.assert_close(torch.stack(parts, dim=1).flatten(1), quantised)
 
 
 def test_gradients_pass_straight_through() -> None:

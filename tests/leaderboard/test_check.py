@@ -18,14 +18,16 @@ from dmotion_bench.learning.run import Conditions, Run
 from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import write_report
-from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.score import Scores, score_run
+from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
-from leaderboard.check import CheckSettings, check_entry, check_paths
+from leaderboard.check import CheckSettings, _same_scores, check_entry, check_paths
 from leaderboard.entry import Entry, published_entry
 from leaderboard.entry_file import write_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, to_png
+from leaderboard.verdict import Findings
 
 from .conftest import SETTINGS
 
@@ -345,3 +347,26 @@ def test_a_check_computes_with_the_run_s_number_of_threads(
     assert verdict.findings == ()
     assert [missing for missing in verdict.missing if missing.startswith("threads: the run computes with 2 threads")]
     assert check_entry(entry, workspace, CheckSettings(score=False)).holds
+
+
+def test_figures_that_came_later_may_be_missing_and_are_held_to_what_they_are(
+    workspace: Workspace, sound: Entry, changed: Changed
+) -> None:
+    """An entry from before there were probes still holds; a probe's score that it states must be the one found."""
+
+    def probe(mean: float) -> Estimate:
+        return Estimate(mean=mean, std=0.1, low=mean - 0.1, high=mean + 0.1, n=50)
+
+    def found(entry: Entry) -> list[str]:
+        figures = {name: Estimate(**figure) for name, figure in entry.content["figures"].items()}
+        mine = {name: one for name, one in figures.items() if not name.startswith("control")}
+        check = Findings(entry=entry)
+        _same_scores(
+            check, Scores(samples=pa.table({}), figures=mine | {"probe_mlp[movers]": probe(0.001)}, reference={})
+        )
+        return check.wrong
+
+    assert found(sound) == []
+    for mean, holds in ((0.004, True), (0.4, False)):
+        stated = changed(figures={**sound.figures, "probe_mlp[movers]": probe(mean).to_json()})
+        assert (found(stated) == []) == holds

@@ -25,7 +25,7 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe, Episode
 from dmotion_bench.storage.dataset import Dataset
 from recorders.distractors import FACTORS, SCENES
-from recorders.distractors.background import Blend, muted
+from recorders.distractors.background import Blend, Textures, muted
 from recorders.distractors.movers import CORRELATED, FAMILIES, MARGIN, STEP, Followers, Looks, mover_colors
 from recorders.distractors.noise import Noise
 from recorders.distractors.shake import Shake, cut_off, shifted
@@ -89,6 +89,19 @@ def seen_with(env: Environment, like: Episode, **options: float) -> Episode:
     return record_episode(WithOptions(), Replayed(), like.seed, len(like.frames))  # type: ignore[arg-type]
 
 
+def replaying(like: Episode) -> Callable[..., Any]:
+    actions = iter(like.labels.actions)
+    return lambda env, generator: next(actions)
+
+
+def grown(inside: np.ndarray) -> np.ndarray:
+    """With the neighbours of its pixels."""
+    wide = inside.copy()
+    for axis, way in itertools.product((0, 1), (-1, 1)):
+        wide |= np.roll(inside, way, axis)
+    return wide
+
+
 def states_of(episode: Episode) -> tuple[Float[np.ndarray, "..."], ...]:
     labels = episode.labels
     return (labels.actions, labels.pushed, labels.agent.position, labels.objects.position, labels.objects.orientation)
@@ -113,6 +126,69 @@ def test_agent_and_objects_stay_in_front_pixel_for_pixel(world: Any, plain: Epis
     changed = (shown.frames != plain.frames).any(axis=-1)[~own].mean()
     assert changed > 0.9 if factor == "background" else 0.003 < changed < 0.2
     assert (shown.frames[0] != shown.frames[-1]).any(axis=-1)[~own[0] & ~own[-1]].mean() > 0.003  # it moves
+
+
+def test_what_is_told_of_the_cameras_motion_is_what_the_centres_do(kind: Callable[..., Any], plain: Episode) -> None:
+    env = kind(shake=6, delay=2)
+    try:
+        shown = record_episode(env, replaying(plain), plain.seed, FRAMES)
+        told = env.distracting_motions(plain.seed, (), len(shown.frames) - 1)
+    finally:
+        env.close()
+    assert list(told) == ["camera"]
+    lagging = np.maximum(np.arange(len(shown.frames)) - 2, 0)  # a frame shows an earlier moment
+    shift = shown.labels.agent.pixel[:, 0] - plain.labels.agent.pixel[lagging, 0]
+    np.testing.assert_allclose(told["camera"], np.diff(shift, axis=0), atol=1e-3)
+    assert np.abs(told["camera"]).max() >= 3
+
+
+def test_what_is_told_of_a_factor_that_varies_is_of_the_episodes_own_values() -> None:
+    env = GridWorld()
+    by_seed = {seed: env.distracting_motions(seed, ("shake", "movers"), 5) for seed in range(8)}
+    for seed, told in by_seed.items():
+        env.reset(seed=seed, options={"vary": ["shake", "movers"]})
+        values = env.reset(seed=seed, options={"vary": ["shake", "movers"]})[1]["factors"]
+        assert set(told) == ({"camera"} if values["shake"] else set()) | ({"movers"} if values["movers"] else set())
+    assert len({tuple(sorted(told)) for told in by_seed.values()}) > 1
+    env.reset(seed=1)
+    before = env.render()
+    env.distracting_motions(2, ("movers",), 5)
+    np.testing.assert_array_equal(env.render(), before)
+    assert GridWorld().distracting_motions(0, (), 5) == {}
+
+
+def test_movers_move_as_far_as_is_told() -> None:
+    """The middle of a single mover on black, wherever it is whole in the picture."""
+    compared = 0
+    for seed in range(6):
+        env = GridWorld(movers=1)
+        episode = record_episode(env, env.policies[env.default_policy](), seed, 20)
+        (told,) = env.distracting_motions(seed, (), 19).values()
+        own = (episode.frames > 0).any(axis=-1) & (episode.labels.masks == 0)
+        things = episode.labels.masks != 0
+        for moment in range(19):
+            seen = [np.argwhere(own[place])[:, ::-1] for place in (moment, moment + 1)]
+            near = [
+                len(one) and one.min() > 1 and one.max() < 126 and not grown(things[place])[own[place]].any()
+                for one, place in zip(seen, (moment, moment + 1), strict=True)
+            ]
+            if all(near) and len(seen[0]) == len(seen[1]):
+                np.testing.assert_allclose(seen[1].mean(0) - seen[0].mean(0), told[moment], atol=1.0)
+                compared += 1
+    assert compared > 10
+
+
+def test_the_background_scrolls_as_far_as_is_told() -> None:
+    """Its front plane's middle parts, held against the picture moved by what is told, where no hole is in either."""
+    planes = Textures(stream(3, "background", 0), "leaves", size=128, share=1.0)
+    black = np.zeros((128, 128, 3), np.uint8)
+    for moment in range(6):
+        one, other = (planes.lay(black, at, (0, 0)) for at in (moment, moment + 1))
+        back, front = planes.moved(moment, moment + 1).reshape(2, 2).astype(int)
+        inner = (slice(16, -16), slice(16, -16))
+        followed = [(np.roll(one, (y, x), axis=(0, 1)) == other)[inner].all(axis=-1) for x, y in ((*back,), (*front,))]
+        assert (followed[0] | followed[1]).mean() > 0.9  # each pixel is of one of the two planes
+        assert min(one.mean() for one in followed) > 0.1
 
 
 def test_the_camera_moves_picture_masks_and_centres_together(world: Any, plain: Episode) -> None:

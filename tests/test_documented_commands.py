@@ -96,6 +96,7 @@ MENTIONED = (
     "dmbench leaderboard check",
     "dmbench leaderboard compare RUN RUN",
     "dmbench play",
+    "dmbench score --metrics control",
     "dmbench plan",
     "dmbench view",
 )

@@ -47,6 +47,11 @@ def _anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+def _lines(file: Path) -> set[str]:
+    """The anchors that GitHub and the site give to the lines of a source."""
+    return {f"L{number}" for number in range(1, len(file.read_text().splitlines()) + 1)}
+
+
 def _commands(page: Path) -> list[str]:
     """Every ``dmbench ...`` in a code block's line or between backticks, without comments."""
     text = page.read_text()
@@ -105,7 +110,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
         file = (page.parent / path).resolve() if path else page
         assert file.is_relative_to(ROOT), target
         assert file.exists(), target
-        assert not anchor or anchor in _anchors(file), target
+        assert not anchor or anchor in (_anchors(file) if file.suffix == ".md" else _lines(file)), target
 
 
 @pytest.mark.parametrize("page", [page for page in EVERY_PAGE if page.name != "CHANGELOG.md"], ids=_page_name)

@@ -97,6 +97,7 @@ MENTIONED = (
     "dmbench leaderboard check",
     "dmbench leaderboard compare RUN RUN",
     "dmbench play",
+    "dmbench score --metrics control",
     "dmbench plan",
     "dmbench share",
     "dmbench share pull",

@@ -24,9 +24,13 @@ from dmotion_bench.execution.executor import Executor, JobSize
 from dmotion_bench.execution.local_executor import LocalExecutor
 from dmotion_bench.execution.ray_executor import RayExecutor
 from dmotion_bench.execution.slurm_executor import SlurmExecutor
+from dmotion_bench.interrupts import ended_like_ctrl_c
+from dmotion_bench.recording.speed import RecordedFrames
 
-SECONDS: Final = (2.6, 3.4, 4.1, 5.2, 6.8)
-"""Of jobs, as they were measured: the shards of Robot Push, 20 episodes each, on one core."""
+WORLD: Final = "robot_push"
+"""Whose shards the jobs are as long as."""
+
+_MEASURED: Final = 4  # shards, the first of which also starts the simulator
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +82,17 @@ class Share:
     between_jobs: float
 
 
+def measured_lengths(environment: str, count: int) -> list[float]:
+    """How long one core takes for shards of an environment, 20 episodes each [s]."""
+    lengths = []
+    with RecordedFrames(environment) as record:
+        for _ in range(count):
+            began = time.process_time()
+            record()
+            lengths.append(time.process_time() - began)
+    return lengths
+
+
 def simulate(name: str, executor: Executor, workers: int, naps: Sequence[Nap]) -> Share:
     """Run sleeping jobs by an executor, and say what of the time they did not sleep."""
     called = time.monotonic()
@@ -107,14 +122,15 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run and print a line of JSON for each executor."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--workers", type=int, default=64)
-    parser.add_argument("--jobs", type=int, default=320)
+    parser.add_argument("--jobs", type=int, default=192)
     parser.add_argument("--executors", nargs="+", default=["local", "ray", "submitit"])
-    parser.add_argument("--times", type=float, default=1.0, help="so many times as long as the measured jobs")
+    parser.add_argument("--seconds", type=float, nargs="+", help="lengths of jobs, in place of measured ones")
     asked = parser.parse_args(words)
-    lengths = itertools.islice(itertools.cycle(SECONDS), asked.jobs)
-    naps = [Nap(seconds=asked.times * seconds) for seconds in lengths]
+    lengths = measured_lengths(WORLD, _MEASURED) if asked.seconds is None else asked.seconds
+    sys.stdout.write(json.dumps({"seconds of the jobs": lengths}) + "\n")
+    naps = [Nap(seconds=seconds) for seconds in itertools.islice(itertools.cycle(lengths), asked.jobs)]
     for name in asked.executors:
-        with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
+        with tempfile.TemporaryDirectory(prefix="dmbench-") as folder, ended_like_ctrl_c():  # which ends all workers
             share = simulate(name, _executor(name, asked.workers, Path(folder)), asked.workers, naps)
         sys.stdout.write(json.dumps(asdict(share)) + "\n")
         sys.stdout.flush()

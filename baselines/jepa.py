@@ -118,8 +118,11 @@ class Predictor(nn.Module):
 
 def _twice(batch: TripletBatch) -> TripletBatch:
     """Each triplet two times."""
-    names = ("previous", "current", "next", "action")
-    return dataclasses.replace(batch, **{name: torch.cat([getattr(batch, name)] * 2) for name in names}, episode=None)
+    assert batch.action is not None
+    previous, current, following, action = (
+        torch.cat([one, one]) for one in (batch.previous, batch.current, batch.next, batch.action)
+    )
+    return TripletBatch(previous=previous, current=current, next=following, action=action)
 
 
 def sketched_gaussianity(embeddings: Float[Tensor, "t b d"], directions: Float[Tensor, "d m"]) -> Float[Tensor, ""]:

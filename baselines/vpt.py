@@ -84,7 +84,8 @@ class InverseModel(nn.Module):
     def named(self, scores: Float[Tensor, "b a"]) -> Actions:
         """The likeliest action, or the estimate, within its bounds and in its units."""
         if isinstance(self.encoding.spec, Continuous):
-            return self.encoding.middle + scores.clamp(-1, 1) * self.encoding.reach
+            estimate: Tensor = self.encoding.middle + scores.clamp(-1, 1) * self.encoding.reach
+            return estimate
         return scores.argmax(1)
 
 

@@ -141,7 +141,8 @@ def test_a_column_and_a_planner_cannot_both_be_named() -> None:
 DOC = (Path(__file__).parents[2] / "docs/protocol.md").read_text()
 
 
-def test_the_document_has_the_hashes_of_the_test_tasks() -> None:
+def test_the_document_has_the_hashes_of_the_columns_and_of_the_test_tasks() -> None:
+    assert f"`{columns.columns_hash()}`" in DOC, "a column has changed: that is another protocol"
     assert columns.TEST_TASKS
     for world, known in columns.TEST_TASKS.items():
         assert f"| {world.replace('@', ', version ')} | `{known}` |" in DOC

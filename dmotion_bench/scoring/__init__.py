@@ -11,6 +11,8 @@
     pixels.py            MSE, PSNR and SSIM of two pictures
     position_errors.py   distances between predicted and true objects
     identification.py    whether a model found the agent and its motion
+    probes.py            what a latent action holds, by probes with a control beside each
+    true_factors.py      what is true of the triplets that probes read
     latent_ranking.py    whether a model predicts the right point of its own latent space
     explanation.py       what can be measured on video whose actions are not known
     gain.py              what the action sequence that a model prefers truly brings

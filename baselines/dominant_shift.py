@@ -26,8 +26,6 @@ SIDE: Final = 64
 """Frames are reduced to about so many pixels a side."""
 REACH: Final = 0.3
 """The largest shift along each axis, of the frame's side."""
-CHANGED: Final = 0.1  # in [-1, 1] units, the root of the squares over the channels: more is a change of a pixel
-MOST_CHANGED: Final = 0.25  # share of the frame; where more changes, it is not one thing that moves
 
 FAST: Final = 12  # spectra of sizes that it divides are quick
 
@@ -37,7 +35,8 @@ class Shift(NamedTuple):
 
     Attributes:
         pixels: (right, down), of the whole frame [px].
-        confidence: The share of the change that it explains; 0 where nothing changes, or too much.
+        confidence: From 0 where it explains half of the change or less, as some shift does between any two pictures,
+            to 1 where it explains all of it; 0 where nothing changes.
     """
 
     pixels: Float[Tensor, "b 2"]
@@ -62,11 +61,9 @@ def dominant_shift(before: Float[Tensor, "b c h w"], after: Float[Tensor, "b c h
         middle_row, middle_column = (place.clamp(1, side - 2) for place in (row, column))
         down = _parabola(*(left[rows, middle_row + step, column] for step in (-1, 0, 1)))
         right = _parabola(*(left[rows, row, middle_column + step] for step in (-1, 0, 1)))
-        share = (change.sqrt() > CHANGED).float().mean((1, 2, 3))
-        found = (share > 0) & (share < MOST_CHANGED)
         return Shift(
             pixels=scale * torch.stack([column - reach + right, row - reach + down], dim=1),
-            confidence=torch.where(found, 1 - least / still.clamp(min=1e-12), 0.0).clamp(0, 1),
+            confidence=torch.where(still > 0, 1 - 2 * least / still.clamp(min=1e-12), 0.0).clamp(0, 1),
         )
 
 

@@ -172,7 +172,7 @@ class Lapo(TwoFrameModel[LapoConfig]):
         previous: Float[Tensor, "b c h w"],
         current: Float[Tensor, "b c h w"],
         following: Float[Tensor, "b c h w"],
-    ) -> Int[Tensor, "b n h"]:
+    ) -> Int[Tensor, "b n m"]:
         """The codes nearest to z_t, as many of each codebook as it gives latents."""
         latent, config = self.latent_action(previous, current, following), self.config
         parts = rearrange(latent, "b (n h d) -> n (b h) d", n=config.codebooks, d=config.length)

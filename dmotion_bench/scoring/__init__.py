@@ -14,6 +14,8 @@
     identification.py    whether a model found the agent and its motion
     inverse.py           how often a model names the action between two frames
     label_use.py         labels that were used otherwise than is usual
+    probes.py            what a latent action holds, by probes with a control beside each
+    true_factors.py      what is true of the triplets that probes read
     latent_ranking.py    whether a model predicts the right point of its own latent space
     explanation.py       what can be measured on video whose actions are not known
     gain.py              what the action sequence that a model prefers truly brings

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from baselines.dominant_shift import MOST_CHANGED, _left_unexplained, dominant_shift
+from baselines.dominant_shift import _left_unexplained, dominant_shift
 from dmotion_bench.recording.rollout import record_episode
 from recorders.grid_world import GridWorld
 
@@ -32,7 +34,7 @@ def test_a_thing_that_moves_before_a_plain_background_is_found_exactly(x: int, y
         assert found.confidence.tolist() == [0]
     else:
         np.testing.assert_allclose(found.pixels[0], (x, y), atol=0.3)
-        assert found.confidence.item() > 0.7  # what it would come from beyond the edge is not seen
+        assert found.confidence.item() > 0.4  # what it would come from beyond the edge is not seen
 
 
 @pytest.mark.parametrize(
@@ -60,14 +62,16 @@ def test_larger_frames_are_reduced_and_their_shifts_are_in_their_own_pixels() ->
     np.testing.assert_allclose(dominant_shift(*large).pixels[0], (26, -16), atol=0.2)
 
 
-def test_nothing_is_said_where_nothing_or_too_much_changes() -> None:
+def test_nothing_is_said_where_nothing_or_everything_changes() -> None:
     generator = torch.Generator().manual_seed(0)
     noise = torch.rand(2, 1, 3, SIDE, SIDE, generator=generator)
     assert dominant_shift(noise[0], noise[0]).confidence.item() == 0
     assert dominant_shift(noise[0], noise[1]).confidence.item() == 0
-    half = noise[0].clone()
-    half[..., : int(SIDE * (MOST_CHANGED + 0.05))] = noise[1][..., : int(SIDE * (MOST_CHANGED + 0.05))]
-    assert dominant_shift(noise[0], half).confidence.item() == 0
+
+
+@pytest.mark.parametrize("distracting", [{"movers": 3}, {"shake": 2}, {"noise": 4.0}, {"scene": "distracted"}])
+def test_pale_things_that_move_by_themselves_hide_the_agent_seldom(distracting: dict[str, Any]) -> None:
+    assert np.mean(errors_in_grid_world(1, **distracting) < 2) > 0.8
 
 
 def test_the_spectra_come_to_the_sum_over_pixels() -> None:
@@ -90,10 +94,14 @@ def test_the_spectra_come_to_the_sum_over_pixels() -> None:
 
 
 def test_in_grid_world_it_is_the_agents_shift() -> None:
-    env, errors = GridWorld(), list[float]()
-    for seed in range(4):
+    assert np.mean(errors_in_grid_world(3) < 1) > 0.9
+
+
+def errors_in_grid_world(episodes: int, **settings: Any) -> np.ndarray:
+    env, errors = GridWorld(**settings), list[float]()
+    for seed in range(episodes):
         episode = record_episode(env, env.policies[env.default_policy](), seed, 20)
         frames = torch.from_numpy(episode.frames).permute(0, 3, 1, 2).float() / 127.5 - 1
         shift = dominant_shift(frames[:-1], frames[1:]).pixels.numpy()
         errors += np.linalg.norm(shift - np.diff(episode.labels.agent.pixel[:, 0], axis=0), axis=1).tolist()
-    assert np.mean(np.asarray(errors) < 1) > 0.9
+    return np.asarray(errors)

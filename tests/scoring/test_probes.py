@@ -168,11 +168,12 @@ def distracted(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     recipe = DatasetRecipe(
         environment="grid_world", parameters={"version": 2, "scene": "distracted"}, seed=4, episodes=60, frames=22
     )
-    with DatasetWriter.create_or_resume(tmp_path_factory.mktemp("data") / "distracted", recipe, FACTS) as writer:
+    folder = tmp_path_factory.mktemp("data") / "distracted"
+    with DatasetWriter.create_or_resume(folder, recipe, FACTS) as writer:
         for shard in writer.missing:
             writer.write_shard(shard, record_episodes(GridWorld, recipe, writer.episodes_of(shard)))
         writer.finish()
-    return Dataset.open(tmp_path_factory.getbasetemp() / "data0" / "distracted")
+    return Dataset.open(folder)
 
 
 class Holds(Known):

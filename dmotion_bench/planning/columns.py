@@ -164,7 +164,7 @@ def require_fitting_tasks(dataset: ReadableDataset) -> None:
     published = TEST_TASKS.get(world_of(dataset))
     if dataset.recipe.seed == TEST.seed and published is not None and tasks_hash(dataset) != published:
         raise InvalidSetting(
-            f"the tasks of {dataset.name!r} are not the test tasks of {PROTOCOL}; record them with: "
+            f"the tasks of {dataset.name!r} are not the test tasks of {PROTOCOL}; record them with "
             f"{TEST.words(dataset.recipe.environment)}."
         )
 

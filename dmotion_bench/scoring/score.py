@@ -298,7 +298,7 @@ def scored_data(
         if dataset.fingerprint == run.spec.fingerprint:
             raise InvalidSetting(
                 f"the tasks of {dataset.name!r} lie in episodes that {run.name!r} was trained on; score a column on "
-                f"another data set with '--data': {TEST.words(dataset.recipe.environment)}."
+                f"another data set with '--data', and record one with {TEST.words(dataset.recipe.environment)}."
             )
         require_fitting_tasks(dataset)
     if dataset.fingerprint != run.spec.fingerprint:

@@ -16,6 +16,7 @@ from dmotion_bench.planning.choices import make_objective, make_solver
 from dmotion_bench.planning.columns import COLUMNS, PROTOCOL, TEST, TaskData, tasks_hash
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.earlier_planning import present_planning, without_later
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.score import ScoreSettings, score_run
 from dmotion_bench.scoring.transfer import transfer_folders
@@ -159,3 +160,13 @@ def test_the_test_tasks_of_planar_push_are_those_of_the_protocol(tmp_path: Path)
 
     assert len(recorded.tasks()) == columns.TASKS
     assert tasks_hash(recorded) == columns.TEST_TASKS["planar_push"]
+
+
+def test_what_planned_before_some_fields_were_there_is_read_as_today(tasks: Dataset) -> None:
+    now = ControlScoring(planner="icem").planning(tasks, needs_pixels=True)
+    before = now | {"solver": {name: value for name, value in now["solver"].items() if name not in ("cost_at", "hold")}}
+
+    assert before != now
+    assert present_planning(before) == now
+    assert without_later(now) == before
+    assert without_later(ControlScoring(column="generic").planning(tasks, needs_pixels=True)) is None

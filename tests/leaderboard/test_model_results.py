@@ -90,7 +90,7 @@ def test_the_rows_of_all_boards_stand_beside_copying_and_control(boards: list[Bo
 
     control_head, control = rows[len(predicted) :]
     assert control_head == ["Data set", "Labels", "Tasks", "Distance left", "idle", "true simulator"]
-    assert control[2:] == ["60", "**0.500** (0.25\u00a0to\u00a01.00)", "1.00", "0.250"]
+    assert control[2:] == ["60", "**0.500** (0.25\u00a0to\u00a01.0)", "1.00", "0.250"]
 
 
 def test_a_model_without_entries_has_a_sentence(boards: list[Board]) -> None:

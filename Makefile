@@ -54,7 +54,8 @@ bench: install
 	$(BIN)/dmbench bench
 
 results: install
-	$(BIN)/dmbench leaderboard results README.md docs/results.md --from docs/leaderboard
+	$(BIN)/dmbench leaderboard results README.md docs/results.md docs/models/*.md --from docs/leaderboard
+	$(BIN)/python tests/test_model_pages.py
 
 site: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict

@@ -124,7 +124,9 @@ class _Scale:
         return self.start + (place - low) / (high - low) * (self.stop - self.start)
 
 
-def line_chart(title: str, x: Axis, y: Axis, series: Sequence[Series], guides: Sequence[Guide] = ()) -> Markup:
+def line_chart(
+    title: str, x: Axis, y: Axis, series: Sequence[Series], guides: Sequence[Guide] = (), *, sized: bool = False
+) -> Markup:
     """A chart of some series; what a logarithmic axis cannot show is left out.
 
     Args:
@@ -132,6 +134,7 @@ def line_chart(title: str, x: Axis, y: Axis, series: Sequence[Series], guides: S
         x, y: The axes.
         series: Drawn in their order.
         guides: Horizontal lines to measure by.
+        sized: Whether it has a size of its own, as within another picture; on a page it is as wide as its column.
     """
     series = [_drawable(one, x, y) for one in series]
     guides = [guide for guide in guides if not (y.log and guide.y < SMALLEST)]
@@ -149,6 +152,8 @@ def line_chart(title: str, x: Axis, y: Axis, series: Sequence[Series], guides: S
         joined(_names(guides, LEFT + 0.45 * (WIDTH - LEFT - RIGHT), "middle", up)),
         joined(_names(_ends(series), WIDTH - RIGHT, "end", up)),
         viewBox=f"0 0 {WIDTH} {HEIGHT}",
+        width=WIDTH if sized else None,
+        height=HEIGHT if sized else None,
         role="img",
         aria_label=title,
         class_="chart",

@@ -4,6 +4,7 @@ A page asks for results by a pair of comments, which a reader does not see; what
 
     <!-- results:boards -->      every board with its tables, then what was published
     <!-- results:summary -->     the summary across worlds
+    <!-- results:model:NAME -->  the rows of one model on all boards; its charts become files of ``curves/`` beside it
     <!-- results:chosen -->      the table of the chosen rows (``chosen.py``)
     <!-- results:NAME.interval -->   one number of a chosen row, within a sentence
     <!-- /results -->            the end of each
@@ -17,16 +18,19 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.registry import model_names
 from dmotion_bench.storage.atomic import write_atomically
 from leaderboard.board import Board, make_boards
 from leaderboard.board_tables import board_section, published_section
 from leaderboard.chosen import chosen_table, find_rows, numbers, read_choices
 from leaderboard.entry_file import read_entries
 from leaderboard.layout import CHOSEN, ENTRIES
+from leaderboard.model_results import CURVES, model_charts, model_lines
 from leaderboard.summary import summarise
 from leaderboard.summary_section import summary_lines
 
 _ASKED: Final = re.compile(r"(<!-- results:(\S+) -->)(.*?)(<!-- /results -->)", re.DOTALL)
+_OF_MODEL: Final = "model:"
 _OPENED: Final = re.compile(r"<!-- /?results\b")
 
 
@@ -39,7 +43,7 @@ def write_results(folder: Path, pages: Sequence[Path], *, check: bool = False) -
         check: Write nothing.
 
     Returns:
-        The pages that were changed or, of a check, that differ from the entries.
+        The pages and charts that were changed or, of a check, that differ from the entries.
 
     Raises:
         UsageError: A page cannot be read, asks for nothing, or leaves a comment open; the chosen rows are not there.
@@ -54,16 +58,26 @@ def write_results(folder: Path, pages: Sequence[Path], *, check: bool = False) -
     summary = summarise(boards)
     blocks = {"boards": _every_board(boards)} | ({"chosen": chosen_table(rows)} if rows else {})
     blocks |= {} if summary is None else {"summary": summary_lines(summary)}
+    blocks |= {f"{_OF_MODEL}{model}": model_lines(model, boards) for model in model_names()}
     found = {name: f"\n{chr(10).join(lines)}\n" for name, lines in blocks.items()} | dict(numbers(rows))
     changed = []
     for page in pages:
-        old = _read(page)
-        new = filled(old, found, str(page))
-        if new != old:
-            changed.append(page)
-            if not check:
-                write_atomically(page, new.encode())
+        text = _read(page)
+        for file, old, new in [(page, text, filled(text, found, str(page))), *_charts(page, text, boards)]:
+            if new != old:
+                changed.append(file)
+                if not check:
+                    file.parent.mkdir(exist_ok=True)
+                    write_atomically(file, new.encode())
     return changed
+
+
+def _charts(page: Path, text: str, boards: Sequence[Board]) -> list[tuple[Path, str, str]]:
+    """The charts that a page shows: where each is, what is there, and what has to be there."""
+    models = [found[2].removeprefix(_OF_MODEL) for found in _ASKED.finditer(text) if found[2].startswith(_OF_MODEL)]
+    made = {name: chart for model in models for name, chart in model_charts(model, boards).items()}
+    files = {page.parent / CURVES / name: chart for name, chart in made.items()}
+    return [(file, file.read_text() if file.is_file() else "", chart) for file, chart in files.items()]
 
 
 def filled(text: str, found: Mapping[str, str], page: str) -> str:

@@ -1,0 +1,257 @@
+"""What the entries hold of one model: its rows of all boards as Markdown, and two charts as files.
+
+The charts are files of their own, which a page shows as pictures. So their colours cannot follow the page's: they have
+the light ones of ``page.css``, on paper.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from importlib import resources
+from typing import Final
+
+from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board, Row
+from leaderboard.board_tables import figure, labels, mean, trainings, world
+from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
+from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.markdown import plain, table
+from leaderboard.markup import Markup, element, joined
+from leaderboard.value import Value
+
+CURVES: Final = "curves"
+"""The folder of the charts, beside the page."""
+USUAL: Final = ("one-shot", "100%")
+NOTHING: Final = "The leaderboard holds no result of this model yet."
+SHOWN: Final = (
+    "The charts show every step ahead and every control step. Of each data set they have the variant with the least "
+    "error, with the usual label budget and, dashed, with others."
+)
+MORE_SHOTS: Final = re.compile(r"\d+-shot")
+_STEP: Final = re.compile(r"(\w+)\[(\d+)\]")
+_LINE_HEIGHT: Final = 18
+_STYLED: Final = re.compile(r"^\.(?:chart|axis|grid|line|dashed|dotted|marker|guide|c-?\d)\b.*$", re.MULTILINE)
+Place = tuple[Board, Row]
+
+
+def model_lines(model: str, boards: Sequence[Board]) -> list[str]:
+    """The lines of a model's results in a Markdown page; a sentence where there are none."""
+    predicted = [place for place in _places(model, boards) if RANKED_BY in place[1].figures]
+    if not predicted:
+        return ["", NOTHING, ""]
+    lines = ["", *_predictions(predicted, boards)]
+    controlled = [place for place in predicted if _last(place[1]) is not None]
+    if controlled:
+        lines += ["", *_control(controlled, boards)]
+    if pictures := _pictures(model, boards):
+        lines += ["", *_wrapped(SHOWN)]
+    for kind, words in pictures.items():
+        lines += ["", f"![{words}]({CURVES}/{model}-{kind}.svg)"]
+    return [*lines, ""]
+
+
+def model_charts(model: str, boards: Sequence[Board]) -> dict[str, str]:
+    """The charts of a model, as the text of SVG files, by the files' names."""
+    drawn = {"rollout": _rollout, "control": _controlled}
+    return {
+        f"{model}-{kind}.svg": drawn[kind](model, boards, words) for kind, words in _pictures(model, boards).items()
+    }
+
+
+def _pictures(model: str, boards: Sequence[Board]) -> dict[str, str]:
+    """Which charts there are of a model, and what each shows."""
+    said = {
+        "rollout": f"{model}: error of the predicted frames over that of copying the last frame, by steps ahead",
+        "control": f"{model}: distance of the objects to their goals over that at the start, by control step",
+    }
+    able = {"rollout": _drawn(model, boards, "rollout_mse"), "control": _drawn(model, boards, "control_distance")}
+    return {kind: words for kind, words in said.items() if able[kind]}
+
+
+def _places(model: str, boards: Sequence[Board]) -> list[Place]:
+    """The measured rows of a model with their boards."""
+    return [(board, row) for board in boards for row in board.rows if row.kind == "measured" and row.model == model]
+
+
+def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
+    columns: dict[str, Callable[[Board, Row], str]] = {
+        "Data set": lambda board, row: plain(_named(board, boards)),
+        "Variant": lambda board, row: plain(row.variant),
+        "Labels": lambda board, row: labels(row),
+        "Trainings": lambda board, row: trainings(row, RANKED_BY),
+        "MSE": lambda board, row: figure(row.figures[RANKED_BY], strong=row.ties),
+        "copying": lambda board, row: mean(_reference(board, "copy_last").get(RANKED_BY)),
+        "paper": lambda board, row: mean(_published(board, row).get(RANKED_BY)),
+        "15 ahead": lambda board, row: mean(row.figures.get("rollout_mse[15]")),
+        "Position error [px]": lambda board, row: figure(row.figures.get("position_error_paper")),
+    }
+    note = (
+        "Error of the predicted next frame on the test episodes, with its 95% interval over them. Of several trainings "
+        "it is the mean; beside their number stand the lowest and the highest. Bold: the best of its board, or tied."
+    )
+    return _table(columns, places, note)
+
+
+def _control(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
+    columns: dict[str, Callable[[Board, Row], str]] = {
+        "Data set": lambda board, row: plain(_named(board, boards)),
+        "Variant": lambda board, row: plain(row.variant),
+        "Labels": lambda board, row: labels(row),
+        "Tasks": lambda board, row: f"{row.figures[_last(row) or ''].samples or ''}",
+        "Distance left": lambda board, row: figure(row.figures[_last(row) or ""], strong=_last(row) in row.leads),
+        "idle": lambda board, row: mean(_reference(board, "idle").get(_last(row) or "")),
+        "true simulator": lambda board, row: mean(_reference(board, "oracle").get(_last(row) or "")),
+        "paper": lambda board, row: mean(_published(board, row).get(_last(row) or "")),
+    }
+    return _table(
+        columns, places, "Control: the objects' distance to their goals after the last step, over that before."
+    )
+
+
+def _table(columns: dict[str, Callable[[Board, Row], str]], places: Sequence[Place], note: str) -> list[str]:
+    """A note and a table without the columns that say nothing."""
+    cells = {head: [cell(board, row) for board, row in places] for head, cell in columns.items()}
+    heads = [head for head, column in cells.items() if any(column)]
+    rows = [[cells[head][place] for head in heads] for place in range(len(places))]
+    return [*_wrapped(note), "", *table(heads, rows, words=2 if "Variant" in heads else 1)]
+
+
+def _wrapped(text: str) -> list[str]:
+    lines = [""]
+    for word in text.split(" "):
+        longer = f"{lines[-1]} {word}".strip(" ")
+        if len(longer) <= 120:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def _named(board: Board, boards: Sequence[Board]) -> str:
+    """A board's world and data set; the beginning of its hash where another board has the same name."""
+    return f"{world(board)}, {_dataset(board, boards)}"
+
+
+def _dataset(board: Board, boards: Sequence[Board]) -> str:
+    alike = {one.fingerprint for one in boards if one.dataset == board.dataset}
+    return f"{board.dataset} ({board.fingerprint[:8]})" if len(alike) > 1 else board.dataset
+
+
+def _reference(board: Board, name: str) -> dict[str, Value]:
+    words = REFERENCE_WORDS[name]
+    return next((dict(row.figures) for row in board.rows if row.kind == "reference" and row.name == words), {})
+
+
+def _published(board: Board, row: Row) -> dict[str, Value]:
+    found = (
+        one for one in board.rows if one.kind == "published" and (one.model, one.labels) == (row.model, row.labels)
+    )
+    return next((dict(one.figures) for one in found), {})
+
+
+def _last(row: Row) -> str | None:
+    """The name of the distance after the last control step; None of a row without control."""
+    found = _steps(row, "control_distance") if any(name.startswith(CONTROLLED) for name in row.figures) else {}
+    return f"control_distance[{max(found)}]" if found else None
+
+
+def _steps(row: Row, base: str) -> dict[int, float]:
+    places = ((_STEP.fullmatch(name), value.mean) for name, value in row.figures.items())
+    return dict(sorted((int(found[2]), value) for found, value in places if found and found[1] == base))
+
+
+def _drawn(model: str, boards: Sequence[Board], base: str) -> list[Place]:
+    """Of each board and label budget the row with the least error; what one demonstration does, more need not show."""
+    best: dict[tuple[str, str], Place] = {}
+    for board, row in _places(model, boards):
+        key = (board.fingerprint, row.labels)
+        if len(_steps(row, base)) < 2 or RANKED_BY not in row.figures or row.planned_otherwise:
+            continue
+        if key not in best or row.figures[RANKED_BY].mean < best[key][1].figures[RANKED_BY].mean:
+            best[key] = (board, row)
+    one_shot = {fingerprint for fingerprint, asked in best if asked == "one-shot"}
+    return [
+        place
+        for (fingerprint, asked), place in best.items()
+        if not (fingerprint in one_shot and MORE_SHOTS.fullmatch(asked))
+    ]
+
+
+def _rollout(model: str, boards: Sequence[Board], words: str) -> str:
+    series = []
+    for place in (places := _drawn(model, boards, "rollout_mse")):
+        copied = _reference(place[0], "copy_last")
+        own = _steps(place[1], "rollout_mse")
+        known = {step: copied[f"rollout_mse[{step}]"].mean for step in own if f"rollout_mse[{step}]" in copied}
+        points = [Point(x=float(step), y=own[step] / known[step]) for step in own if known.get(step)]
+        series.append(_series(place, places, boards, points))
+    ticks = sorted({point.x for one in series for point in one.points})
+    axes = Axis(label="steps ahead", ticks=ticks), Axis(label="MSE / that of copying", log=True)
+    return _file(line_chart(words, *axes, series, [Guide(REFERENCE_WORDS["copy_last"], 1.0)], sized=True), series)
+
+
+def _controlled(model: str, boards: Sequence[Board], words: str) -> str:
+    series = []
+    for place in (places := _drawn(model, boards, "control_distance")):
+        points = [Point(x=float(step), y=value) for step, value in _steps(place[1], "control_distance").items()]
+        start = [] if points[0].x == 0 else [Point(x=0.0, y=1.0)]
+        series.append(_series(place, places, boards, start + points))
+    for name in ("idle", "oracle"):
+        found = [one for one in (_reference(board, name) for board, _ in places) if one]
+        known = sorted((int(match[2]), value.mean) for one in found[:1] for match, value in _distances(one))
+        points = [Point(x=0.0, y=1.0), *(Point(x=float(step), y=value) for step, value in known)]
+        if known:
+            named = REFERENCE_WORDS[name]
+            line = Series(name=named, points=points, style=Style(-1), dash="dotted", marked=frozenset(), labelled=True)
+            series.append(line)
+    axes = Axis(label="control step"), Axis(label="distance to the goal / at the start", zero=True)
+    return _file(line_chart(words, *axes, series, sized=True), series)
+
+
+def _distances(figures: dict[str, Value]) -> list[tuple[re.Match[str], Value]]:
+    found = ((_STEP.fullmatch(name), value) for name, value in figures.items())
+    return [(match, value) for match, value in found if match and match[1] == "control_distance"]
+
+
+def _series(place: Place, places: Sequence[Place], boards: Sequence[Board], points: Sequence[Point]) -> Series:
+    """A line of a row: its colour is its board's, and it is dashed unless its labels are the usual ones."""
+    board, row = place
+    order = list(dict.fromkeys(one.fingerprint for one, _ in places))
+    variant = f" ({row.variant})" if row.variant else ""
+    steps = sorted(point.x for point in points)
+    every = 10 if steps[-1] >= 20 else 1
+    return Series(
+        name=f"{_dataset(board, boards)}{variant}, {row.labels if '-' in row.labels else f'labels {row.labels}'}",
+        points=points,
+        style=Style(order.index(board.fingerprint)),
+        dash="solid" if row.labels in USUAL else "dashed",
+        marked=frozenset(step for step in steps if step % every == 0 or step == steps[0]),
+    )
+
+
+def _file(chart: Markup, series: Sequence[Series]) -> str:
+    """A chart with its legend as the text of an SVG file; what is named in the chart is not in the legend."""
+    series = [one for one in series if not one.labelled]
+    css = resources.files(__package__).joinpath("page.css").read_text()
+    colors = css.partition("{")[2].partition("}")[0]
+    style = f":root {{{colors}}}\n" + "\n".join(_STYLED.findall(css))
+    height = HEIGHT + 8 + _LINE_HEIGHT * len(series)
+    legend = [_legend(one, HEIGHT + 14 + _LINE_HEIGHT * place) for place, one in enumerate(series)]
+    picture = element(
+        "svg",
+        element("style", Markup(style)),
+        element("rect", width="100%", height="100%", fill="var(--paper)"),
+        chart,
+        element("g", joined(legend), class_="chart"),
+        xmlns="http://www.w3.org/2000/svg",
+        viewBox=f"0 0 {WIDTH} {height}",
+        width=WIDTH,
+        height=height,
+    )
+    return f"{picture}\n"
+
+
+def _legend(one: Series, y: float) -> Markup:
+    line = element("path", d=f"M12 {y:g}H44", class_=f"line {one.dash}")
+    text = element("text", one.name, x=52, y=f"{y + 4:g}")
+    return element("g", line, marker(one.style, 28, y), text, class_=one.style.color)

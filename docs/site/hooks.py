@@ -51,7 +51,7 @@ def _expanded(entries: list[Any]) -> list[Any]:
     found: list[Any] = []
     for entry in entries:
         if isinstance(entry, str) and "*" in entry:
-            pages = sorted((ROOT / DOCS).glob(entry))
+            pages = sorted((ROOT / DOCS).glob(entry), key=lambda page: (page.parent, page.stem))
             found += [_address(page) for page in pages if page.name != "README.md"]
         elif isinstance(entry, dict):
             ((title, value),) = entry.items()

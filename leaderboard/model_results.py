@@ -12,7 +12,7 @@ from importlib import resources
 from typing import Final
 
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board, Row
-from leaderboard.board_tables import figure, labels, mean, trainings, world
+from leaderboard.board_tables import figure, labels, mean, trainings
 from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markdown import plain, table
@@ -61,8 +61,8 @@ def model_charts(model: str, boards: Sequence[Board]) -> dict[str, str]:
 def _pictures(model: str, boards: Sequence[Board]) -> dict[str, str]:
     """Which charts there are of a model, and what each shows."""
     said = {
-        "rollout": f"{model}: error of the predicted frames over that of copying the last frame, by steps ahead",
-        "control": f"{model}: distance of the objects to their goals over that at the start, by control step",
+        "rollout": f"{model}: error by steps ahead, over that of copying",
+        "control": f"{model}: distance to the goals by control step",
     }
     able = {"rollout": _drawn(model, boards, "rollout_mse"), "control": _drawn(model, boards, "control_distance")}
     return {kind: words for kind, words in said.items() if able[kind]}
@@ -75,10 +75,10 @@ def _places(model: str, boards: Sequence[Board]) -> list[Place]:
 
 def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
     columns: dict[str, Callable[[Board, Row], str]] = {
-        "Data set": lambda board, row: plain(_named(board, boards)),
+        "Data set": lambda board, row: plain(_dataset(board, boards)),
         "Variant": lambda board, row: plain(row.variant),
         "Labels": lambda board, row: labels(row),
-        "Trainings": lambda board, row: trainings(row, RANKED_BY),
+        "Trainings": lambda board, row: trainings(row, RANKED_BY).partition(":")[0],
         "MSE": lambda board, row: figure(row.figures[RANKED_BY], strong=row.ties),
         "copying": lambda board, row: mean(_reference(board, "copy_last").get(RANKED_BY)),
         "paper": lambda board, row: mean(_published(board, row).get(RANKED_BY)),
@@ -86,15 +86,15 @@ def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
         "Position error [px]": lambda board, row: figure(row.figures.get("position_error_paper")),
     }
     note = (
-        "Error of the predicted next frame on the test episodes, with its 95% interval over them. Of several trainings "
-        "it is the mean; beside their number stand the lowest and the highest. Bold: the best of its board, or tied."
+        "Error of the predicted next frame on the test episodes, with its 95% interval over them; of several trainings "
+        "the mean. Bold: the best on its data set, or tied with the best."
     )
     return _table(columns, places, note)
 
 
 def _control(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
     columns: dict[str, Callable[[Board, Row], str]] = {
-        "Data set": lambda board, row: plain(_named(board, boards)),
+        "Data set": lambda board, row: plain(_dataset(board, boards)),
         "Variant": lambda board, row: plain(row.variant),
         "Labels": lambda board, row: labels(row),
         "Tasks": lambda board, row: f"{row.figures[_last(row) or ''].samples or ''}",
@@ -127,12 +127,8 @@ def _wrapped(text: str) -> list[str]:
     return lines
 
 
-def _named(board: Board, boards: Sequence[Board]) -> str:
-    """A board's world and data set; the beginning of its hash where another board has the same name."""
-    return f"{world(board)}, {_dataset(board, boards)}"
-
-
 def _dataset(board: Board, boards: Sequence[Board]) -> str:
+    """The name of a board's data set; the beginning of its hash where another board has the same name."""
     alike = {one.fingerprint for one in boards if one.dataset == board.dataset}
     return f"{board.dataset} ({board.fingerprint[:8]})" if len(alike) > 1 else board.dataset
 

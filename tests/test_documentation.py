@@ -26,7 +26,8 @@ ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 EVERY_PAGE = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 README = ROOT / "README.md"
-WITH_RESULTS = [README, ROOT / "docs" / "results.md"]
+MODELS = sorted((ROOT / "docs" / "models").glob("*.md"))
+WITH_RESULTS = [README, ROOT / "docs" / "results.md", *MODELS]
 MOST_WORDS, MOST_CHARACTERS, MOST_BYTES = 900, 120, 2_000_000
 
 
@@ -66,10 +67,11 @@ def _is_example(command: str) -> bool:
     return not re.search(r"\.\.\.|\[|\||<", command)
 
 
-@pytest.mark.parametrize(
-    "setting", sorted(set(re.findall(r"--set (\w+=[\w.]+)", (ROOT / "docs" / "baselines.md").read_text())))
-)
-def test_every_setting_of_the_baselines_page_is_one_of_their_models(setting: str) -> None:
+SETTINGS = [re.findall(r"--set (\w+=[\w.]+)", page.read_text()) for page in (ROOT / "docs" / "baselines.md", *MODELS)]
+
+
+@pytest.mark.parametrize("setting", sorted({one for page in SETTINGS for one in page}))
+def test_every_setting_of_the_models_pages_is_one_of_their_models(setting: str) -> None:
     understood = []
     for name in model_names():
         model = model_class(name)

@@ -27,7 +27,7 @@ from known_model import result_of
 from object_storage import object_storage
 from pretend_slurm import install_slurm
 from storage.foreign import foxglove_file, steady, video
-from test_documentation import PAGES, ROOT, _commands, _is_example
+from test_documentation import MODELS, PAGES, ROOT, _commands, _is_example
 from walk import BLOCK, assert_printed, run_python, save, steps
 
 from dmotion_bench import registry
@@ -51,7 +51,7 @@ EPISODES, FRAMES = 13, 16  # the docs name episode 12
 PLANNED_IN_FULL = {"own_environment"}
 """Tutorials whose Python says what planning reaches; it takes a second there."""
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
-READ = [page for page in PAGES if page.name == "README.md" or page.parent.name == "docs"]
+READ = [*(page for page in PAGES if page.name == "README.md" or page.parent.name == "docs"), *MODELS]
 RECORDED = (
     ("grid_world", "small"),
     ("grid_world", "paper"),

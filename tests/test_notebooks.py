@@ -49,7 +49,9 @@ def test_a_notebook_holds_what_each_cell_gave_in_order_and_no_error(path: Path) 
     for cell in cells:
         if "".join(cell["source"]).rstrip().splitlines()[-1].startswith("print("):
             assert "".join(cell["outputs"][-1]["text"]).strip()
-    pictures = [base64.b64decode(output["data"]["image/png"]) for output in outputs if "image/png" in output.get("data", {})]
+    pictures = [
+        base64.b64decode(output["data"]["image/png"]) for output in outputs if "image/png" in output.get("data", {})
+    ]
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     assert sum(map(len, pictures)) < MOST_BYTES
     assert str(ROOT) not in path.read_text()

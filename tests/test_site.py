@@ -238,7 +238,12 @@ def test_a_notebook_is_a_page(tmp_path: Path) -> None:
         {
             "cell_type": "code",
             "source": "1 + 1",
-            "outputs": [{"data": {"text/plain": ["2"]}}, {"data": {"image/png": "aGk=\n"}}, {"text": "said\n"}],
+            "outputs": [
+                {"data": {"text/plain": ["2"]}},
+                {"data": {"image/png": "aGk=\n"}},
+                {"data": {"text/markdown": ["| a |\n", "| --- |"], "text/plain": "<Markdown>"}},
+                {"text": "said\n"},
+            ],
         },
     ]
     (tmp_path / "one.ipynb").write_text(json.dumps({"cells": cells}))
@@ -248,5 +253,6 @@ def test_a_notebook_is_a_page(tmp_path: Path) -> None:
         "````python\n1 + 1\n````",
         "````text\n2\n````",
         "![What the code above shows](data:image/png;base64,aGk=)",
+        "| a |\n| --- |",
         "````text\nsaid\n````\n",
     ]

@@ -33,6 +33,7 @@ ABOUT: Final = ("README.md", "CONTRIBUTING.md", "DECISIONS.md", "CHANGELOG.md", 
 
 LINKS: Final = Links(ROOT)
 SOURCES: Final = "source/"
+LINE: Final = re.compile(r'<span class="line" id="(L\d+)">')
 
 
 def slug(heading: str, separator: str = "-") -> str:
@@ -51,7 +52,7 @@ def _expanded(entries: list[Any]) -> list[Any]:
     found: list[Any] = []
     for entry in entries:
         if isinstance(entry, str) and "*" in entry:
-            pages = sorted((ROOT / DOCS).glob(entry))
+            pages = sorted((ROOT / DOCS).glob(entry), key=lambda page: (page.parent, page.stem))
             found += [_address(page) for page in pages if page.name != "README.md"]
         elif isinstance(entry, dict):
             ((title, value),) = entry.items()
@@ -118,7 +119,9 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
     path = address.removeprefix(SOURCES).removesuffix("/index.md")
     folder = ROOT / path
     if not folder.is_dir():
-        return html + source_html(ROOT / path.removesuffix(".md"))
+        shown = source_html(ROOT / path.removesuffix(".md"))
+        page.present_anchor_ids = (page.present_anchor_ids or set()) | set(LINE.findall(shown))  # links may lead there
+        return html + shown
     names = _tracked(folder)
     pages = {name: files.get_file_from_path(LINKS.page_of(f"{path}/{name}")) for name in names}
     known = {name: found.url_relative_to(page.file) for name, found in pages.items() if found is not None}

@@ -24,6 +24,8 @@ def _output(output: dict[str, Any]) -> str:
     for kind in ("image/png", "image/jpeg"):
         if kind in data:
             return f"![What the code above shows](data:{kind};base64,{''.join(_text(data[kind]).split())})"
+    if "text/markdown" in data:
+        return _text(data["text/markdown"])
     said = output.get("text") or data.get("text/plain") or output.get("evalue", "")
     return _fenced(_text(said), "text")
 

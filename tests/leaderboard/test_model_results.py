@@ -80,7 +80,7 @@ def test_the_rows_of_all_boards_stand_beside_copying_and_control(boards: list[Bo
     head, *rows = _rows(model_lines("dmotion", boards))
     predicted = rows[: next(place for place, row in enumerate(rows) if row[0] == "Data set")]
     assert head == ["Data set", "Variant", "Labels", "Trainings", "MSE", "copying"]
-    assert [(row[0].split(", ")[1], row[1], row[2], row[5]) for row in predicted] == [
+    assert [(row[0], row[1], row[2], row[5]) for row in predicted] == [
         ("grid_world-tiny", "", "20", "100"),
         ("grid_world-tiny", "warp true", "4", "100"),
         ("grid_world-tiny", "", "4", "100"),

@@ -216,9 +216,10 @@ class _Estimate:
         left, entries = 0, 0
         for columns in self.plan.pages():
             states = [state_of(self.plan, column) for column in columns]
-            known = {path for state in states for _, _, path in state.to_score}
-            known |= {path for state in states for path in state.to_enter}
-            unknown = {id(training): count for state in states for _, training, count in state.to_train}
+            by_report = list(zip([column.frozen for column in columns], states, strict=True))  # an entry for each
+            known = {(report, path) for report, state in by_report for _, _, path in state.to_score}
+            known |= {(report, path) for report, state in by_report for path in state.to_enter}
+            unknown = {(report, id(one)): count for report, state in by_report for _, one, count in state.to_train}
             missing = len(known) + sum(unknown.values())
             left += bool(missing)
             entries += missing

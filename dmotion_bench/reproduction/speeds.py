@@ -88,7 +88,7 @@ class Speeds:
         return self._of(f"train[{model}-{arch}]", lambda: self._training(model, arch))
 
     def control_steps_per_s(self, model: str) -> float:
-        """Of the paper's planner, one task at a time."""
+        """Of a model's planning, one task at a time (``planning_speed.py`` says by which planner)."""
         return self._of(f"plan[{model}]", lambda: self._planning(model))
 
     def oracle_steps_per_s(self, recording: Recording, scoring: ControlScoring) -> float:

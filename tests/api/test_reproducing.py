@@ -312,8 +312,8 @@ def test_hours_are_amounts_over_speeds(tmp_path: Path) -> None:
     lines = {(line.kind, line.what): line for line in cost_of(control, Known()).lines}
     steps = 2 * 4  # tasks, and steps of each
     assert lines["oracle", "first"].core_hours == pytest.approx(steps / 4 / 3600)
-    imagined = 3 * 2 / 1000  # of the frames of the paper's planner
-    assert lines["score", "first"].core_hours == pytest.approx((steps * imagined / 0.5 + steps / 100) / 3600)
+    planned = 3 * 2 / 1000  # of the actions that the timed planner tries
+    assert lines["score", "first"].core_hours == pytest.approx((steps * planned / 0.5 + steps / 100) / 3600)
     assert lines["score", "first"].jobs == 2  # a group of tasks, and the run
 
 

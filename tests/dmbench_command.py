@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import resource
+import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import psutil
 import pytest
 
 from dmotion_bench.cli import main
@@ -69,3 +72,17 @@ def finish(process: subprocess.Popen[str]) -> Outcome:
     """Wait for its end."""
     out, err = process.communicate(timeout=120)
     return Outcome(process.returncode, out, err)
+
+
+def interrupted_once(
+    process: subprocess.Popen[str], at_work: Callable[[], bool], number: signal.Signals
+) -> list[psutil.Process]:
+    """Send a signal to a command alone, as soon as it is at work; returns the processes that it had started."""
+    deadline = time.monotonic() + 120
+    while not at_work():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    children = psutil.Process(process.pid).children(recursive=True)
+    process.send_signal(number)
+    return children

@@ -293,7 +293,7 @@ class _Work:
 
             built = leaderboard_part("build")(new, kept, folder, on_progress=show)
             lacking = {path.name for column in columns for path in state_of(self.plan, column).to_enter}
-            self.failures |= {f"the entry of {run}": built.left_out.get(run, "it is not there") for run in lacking}
+            self.failures |= {f"the entry of {run}": _why_lacking(run, built.left_out) for run in lacking}
         if (page := folder / "index.html").is_file():
             self.pages.append(page)
 
@@ -383,6 +383,12 @@ def _workers(hands: Hands) -> int | None:
 
 def _on_gpu(device: str) -> bool:
     return device == "cuda" or (device == "auto" and torch.cuda.is_available())
+
+
+def _why_lacking(run: str, left_out: Mapping[str, str]) -> str:
+    """What was said of a run, or of it on other data, when its page was built."""
+    said = (why for name, why in left_out.items() if name == run or name.startswith(f"{run} on "))
+    return next(said, "it is not there")
 
 
 def _is_of(entry: Path, runs: Iterable[Path]) -> bool:

@@ -25,7 +25,6 @@ from dmotion_bench.execution.local_executor import LocalExecutor
 from dmotion_bench.execution.ray_executor import RayExecutor
 from dmotion_bench.execution.slurm_executor import SlurmExecutor
 from dmotion_bench.interrupts import ended_like_ctrl_c
-from dmotion_bench.recording.speed import RecordedFrames
 
 WORLD: Final = "robot_push"
 """Whose shards the jobs are as long as."""
@@ -84,6 +83,8 @@ class Share:
 
 def measured_lengths(environment: str, count: int) -> list[float]:
     """How long one core takes for shards of an environment, 20 episodes each [s]."""
+    from dmotion_bench.recording.speed import RecordedFrames  # which the workers, who import this module, do not need
+
     lengths = []
     with RecordedFrames(environment) as record:
         for _ in range(count):
@@ -118,21 +119,46 @@ def simulate(name: str, executor: Executor, workers: int, naps: Sequence[Nap]) -
     )
 
 
+_HEAD: Final = (
+    "| executor | workers | jobs | in all [s] | until all were at work [s] | not work | not work, from then on "
+    "| between jobs [ms] |\n|---|---|---|---|---|---|---|---|\n"
+)
+
+
+def _row(share: Share) -> str:
+    parts = (
+        share.executor,
+        str(share.workers),
+        str(share.jobs),
+        f"{share.wall:.1f}",
+        f"{share.starting:.1f}",
+        f"{share.not_work:.1%}",
+        f"{share.not_work_later:.1%}",
+        f"{1000 * share.between_jobs:.0f}",
+    )
+    return f"| {' | '.join(parts)} |\n"
+
+
 def main(words: Sequence[str] | None = None) -> None:
-    """Run and print a line of JSON for each executor."""
+    """Run, and print a table or a line of JSON for each executor."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--workers", type=int, default=64)
     parser.add_argument("--jobs", type=int, default=192)
     parser.add_argument("--executors", nargs="+", default=["local", "ray", "submitit"])
     parser.add_argument("--seconds", type=float, nargs="+", help="lengths of jobs, in place of measured ones")
+    parser.add_argument("--json", action="store_true", help="a line of JSON for each executor")
     asked = parser.parse_args(words)
+    say = sys.stdout.write
     lengths = measured_lengths(WORLD, _MEASURED) if asked.seconds is None else asked.seconds
-    sys.stdout.write(json.dumps({"seconds of the jobs": lengths}) + "\n")
+    if asked.json:
+        say(json.dumps({"seconds of the jobs": lengths}) + "\n")
+    else:
+        say(f"Jobs sleep for {', '.join(f'{one:.1f}' for one in lengths)} s in turn.\n\n{_HEAD}")
     naps = [Nap(seconds=seconds) for seconds in itertools.islice(itertools.cycle(lengths), asked.jobs)]
     for name in asked.executors:
         with tempfile.TemporaryDirectory(prefix="dmbench-") as folder, ended_like_ctrl_c():  # which ends all workers
             share = simulate(name, _executor(name, asked.workers, Path(folder)), asked.workers, naps)
-        sys.stdout.write(json.dumps(asdict(share)) + "\n")
+        say(json.dumps(asdict(share)) + "\n" if asked.json else _row(share))
         sys.stdout.flush()
 
 

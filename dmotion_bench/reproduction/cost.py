@@ -24,19 +24,20 @@ from dmotion_bench.storage.split import TEST_SHARE, VALIDATION_SHARE
 PREDICTIONS: Final = 3.0
 """Frames that a model predicts in the time in which it trains on a triplet: the gradient takes twice as long again."""
 
-PAPERS_FRAMES: Final = 50 * 5 * 4
-"""Frames that the paper's planner imagines for a control step, none of them twice."""
+PLANNED: Final = 50 * 5 * 4
+"""Actions in all sequences that the timed planner tries for a control step (``planning_speed.py``)."""
 
 ENTRY_S: Final = 2.0
 """CPU seconds for a run's entry on a page, with its pictures [s]."""
 
 ASSUMPTIONS: Final = (
     "Trainings see all training triplets of a data set (81% of its episodes) in each epoch, whatever the label budget.",
-    "A predicted frame takes a third of the time of a trained triplet, and control as long as the number of frames "
-    "that its planner imagines says, next to the paper's planner.",
-    "The oracle is charged with the speed of a task's first steps; later ones take less.",
+    "A predicted frame takes a third of the time of a trained triplet.",
+    "A model's control step is timed with one planner (iCEM, objective tabletop) on a made-up scene. Other planners are "
+    "charged by the number of actions that they try; what their objectives take is not counted.",
+    "The oracle's control step is timed on the first 2 steps of a task; later ones take less.",
     "An entry on a page takes 2 s. Validation, checkpoints and starting processes are not counted.",
-    "A training that was begun counts as a whole.",
+    "A training or a scoring that was begun counts as a whole.",
 )
 
 
@@ -207,7 +208,7 @@ class _Estimate:
         if frames:
             seconds += frames / (PREDICTIONS * self.speeds.triplets_per_s(model, training.request.arch))
         if "control" in metrics:
-            steps, share = scoring.tasks() * scoring.control.steps, imagined(scoring.control) / PAPERS_FRAMES
+            steps, share = scoring.tasks() * scoring.control.steps, planned(scoring.control) / PLANNED
             seconds += steps * share / self.speeds.control_steps_per_s(model)
             seconds += steps / self.speeds.episodes(recording).frames_per_s
         return seconds
@@ -216,9 +217,10 @@ class _Estimate:
         left, entries = 0, 0
         for columns in self.plan.pages():
             states = [state_of(self.plan, column) for column in columns]
-            known = {path for state in states for _, _, path in state.to_score}
-            known |= {path for state in states for path in state.to_enter}
-            unknown = {id(training): count for state in states for _, training, count in state.to_train}
+            by_report = list(zip([column.frozen for column in columns], states, strict=True))  # an entry for each
+            known = {(report, path) for report, state in by_report for _, _, path in state.to_score}
+            known |= {(report, path) for report, state in by_report for path in state.to_enter}
+            unknown = {(report, id(one)): count for report, state in by_report for _, one, count in state.to_train}
             missing = len(known) + sum(unknown.values())
             left += bool(missing)
             entries += missing
@@ -236,12 +238,12 @@ class _Estimate:
         return share * recording.recipe.episodes * max(0.0, self._length(recording) - 2)
 
 
-def imagined(scoring: ControlScoring) -> float:
-    """Frames that a planner imagines for a control step, none of them twice; the paper's where it does not say."""
+def planned(scoring: ControlScoring) -> float:
+    """Actions in all sequences that a planner tries for a control step; the usual number where it does not say."""
     solver: Solver = make_solver(scoring.planner, scoring.planner_set)
     parts: Sequence[float] = [getattr(solver, name, 0) for name in ("samples", "horizon", "iterations")]
     samples, horizon, iterations = parts
-    return samples * horizon * (iterations or 1) or PAPERS_FRAMES
+    return samples * horizon * (iterations or 1) or PLANNED
 
 
 def control_places(state: State) -> list[Scoring]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -252,16 +252,21 @@ class Plan:
 
     @property
     def _one_page(self) -> bool:
-        """Whether a run's report can hold all columns: it holds control of one planner."""
-        return sum("control" in column.metrics for column in self.table.columns) <= 1
+        """Whether the reports of a run can hold all columns: each holds control of one planner."""
+        return sum(column.overwrites for column in self.table.columns) <= 1
 
     def of_column(self, column: Column) -> list[Scoring]:
         """The scorings of a column."""
         return [scoring for scoring in self.scorings if scoring.column is column]
 
     def _recording(self, world: World) -> Recording:
-        name = "-".join(part for part in (world.environment.replace(":", "-").replace("/", "-"), world.name) if part)
-        return Recording(world, self.table.preset, self.workspace.data / f"{name}-{self.table.preset.value}")
+        preset, size = self.table.preset, self.table.preset.value
+        if world.fixed and preset is Preset.TINY:
+            world = world.trial()
+        elif world.fixed:
+            preset, size = Preset.SMALL, ""
+        parts = (world.environment.replace(":", "-").replace("/", "-"), world.name, size)
+        return Recording(world, preset, self.workspace.data / "-".join(part for part in parts if part))
 
     def _scorings(self, column: Column, recording: Recording, scored_on: Recording | None) -> Iterator[Scoring]:
         chosen = [
@@ -272,7 +277,8 @@ class Plan:
         for draws in (True, False):
             mine = tuple(training for training in chosen if model_class(training.model).needs_pixels is draws)
             if mine:
-                scoring = Scoring(column, recording, scored_on, mine, draws, self.table.preset)
+                other = scored_on if "control" in column.metrics else None
+                scoring = Scoring(column, recording, other, mine, draws, self.table.preset)
                 if scoring.metrics():
                     yield scoring
 
@@ -320,11 +326,16 @@ def _usable(
 
 def shares_of_training(entrant: Entrant, facts: EnvSpec) -> tuple[float, float]:
     """How much of a training needs no labels, and how much does; 1 is as many steps as the epochs say."""
-    kind: type[Any] = model_class(entrant.model)
-    arch = entrant.arch or kind.architectures[0]
-    config, _ = with_settings(entrant.settings, kind.configure(arch), kind.training_defaults(Preset.SMALL, arch))
+    inputs = ModelInputs(height=facts.height, width=facts.width, actions=facts.actions)
+    return _shares(model_class(entrant.model), entrant.arch, entrant.settings, inputs)
+
+
+@cache
+def _shares(kind: type[Any], arch: str | None, settings: tuple[str, ...], inputs: ModelInputs) -> tuple[float, float]:
+    arch = arch or kind.architectures[0]
+    config, _ = with_settings(settings, kind.configure(arch), kind.training_defaults(Preset.SMALL, arch))
     with torch.random.fork_rng():
-        model = kind(config, ModelInputs(height=facts.height, width=facts.width, actions=facts.actions))
+        model = kind(config, inputs)
     phases = model.phases()
     whole = sum(phase.fraction for phase in phases)
     if kind.supervision is Supervision.NONE:

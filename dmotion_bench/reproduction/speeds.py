@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -88,12 +88,13 @@ class Speeds:
         return self._of(f"train[{model}-{arch}]", lambda: self._training(model, arch))
 
     def control_steps_per_s(self, model: str) -> float:
-        """Of the paper's planner, one task at a time."""
+        """Of a model's planning, one task at a time (``planning_speed.py`` says by which planner)."""
         return self._of(f"plan[{model}]", lambda: self._planning(model))
 
     def oracle_steps_per_s(self, recording: Recording, scoring: ControlScoring) -> float:
         """Control steps of the true simulator in a model's place; the first ones of a task, which take longest."""
-        name = f"oracle[{recording.world.label}, {scoring.planner}]"
+        how = scoring.column or " ".join((scoring.planner, *scoring.planner_set))
+        name = f"oracle[{recording.world.label}, {how}]"
         return self._of(name, lambda: self._oracle(recording, scoring))
 
     def _of(self, name: str, measured: Callable[[], float]) -> float:
@@ -120,12 +121,7 @@ class Speeds:
 
     def _oracle(self, recording: Recording, scoring: ControlScoring) -> float:
         few = recording.few(_FEW_EPISODES)
-        scoring = ControlScoring(
-            tasks=1,
-            steps=_FEW_STEPS,
-            planner=scoring.planner,
-            planner_set=scoring.planner_set,
-        )
+        scoring = replace(scoring, tasks=1, steps=_FEW_STEPS)
         with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
             recorded = record_dataset(Path(folder) / "few", few)
             dataset = Dataset.open(recorded.dataset)

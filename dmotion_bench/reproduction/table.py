@@ -10,18 +10,23 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
+from dmotion_bench.planning.agents import REFERENCES
 from dmotion_bench.planning.choices import DEFAULT_SOLVER
+from dmotion_bench.planning.columns import TASKS, TaskData, column_named
 from dmotion_bench.planning.mpc import STEPS
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.score import METRICS, Metric
 from dmotion_bench.specs import Preset
 
 Kept = TypeVar("Kept")
-TRIAL_TASKS, TRIAL_STEPS = 2, 4
+TRIAL_TASKS, TRIAL_STEPS, TRIAL_EPISODES = 2, 4, 12
 """Of control at preset tiny, which is for trying a table out: no figure of it means anything."""
+
+ORACLE: Final = "oracle"
+"""The reference that is scored before the models, so that it stands beside them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +42,8 @@ class World:
         vary: Factors that differ between episodes.
         policy: Chooses the actions; None for the environment's own.
         control_on: Another recording whose tasks control is scored on; None for this one.
+        fixed: Whether it is the same in tables of every size, and named without one. Only at preset tiny, which is a
+            trial, it is replaced by a few episodes with the next seed.
     """
 
     environment: str
@@ -49,6 +56,7 @@ class World:
     vary: tuple[str, ...] = ()
     policy: str | None = None
     control_on: World | None = None
+    fixed: bool = False
 
     def __post_init__(self) -> None:
         if self.control_on is not None and self.control_on.control_on is not None:
@@ -58,6 +66,17 @@ class World:
     def label(self) -> str:
         """What it is called in output and by ``--worlds``."""
         return f"{self.environment}-{self.name}" if self.name else self.environment
+
+    @classmethod
+    def for_tasks(cls, environment: str, data: TaskData) -> World:
+        """The data set of a protocol's tasks, as its own command (``TaskData.words``) records it."""
+        return cls(
+            environment=environment, name=data.name, episodes=data.episodes, tasks=TASKS, seed=data.seed, fixed=True
+        )
+
+    def trial(self) -> World:
+        """A few episodes in its place, which are none of its own and none of those with the seed before."""
+        return dataclasses.replace(self, episodes=TRIAL_EPISODES, tasks=TRIAL_TASKS, seed=self.seed + 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,11 +102,13 @@ class Entrant:
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """How the runs of a table are scored, for one of its pages.
+    """How the runs of a table are scored.
 
     Attributes:
-        name: Of the page; with one column alone the page has the table's name.
+        name: Of its page, where it has one of its own.
         metrics: Groups of figures; those that a data set cannot have are left out of its runs.
+        frozen: The name of a frozen planner (``planning/columns.py``), which has a report of its own; then the next
+            four are left out. ``frozen_column`` makes such a column.
         planner, planner_set, objective, objective_set: Of control, as ``dmbench score`` takes them.
         tasks, steps: Of control: how many tasks (None for all), and actions in each.
         models: The models that are scored; empty for all of the table.
@@ -97,6 +118,7 @@ class Column:
 
     name: str
     metrics: tuple[Metric, ...]
+    frozen: str | None = None
     planner: str = DEFAULT_SOLVER
     planner_set: tuple[str, ...] = ()
     objective: str | None = None
@@ -110,6 +132,13 @@ class Column:
     def __post_init__(self) -> None:
         if unknown := [metric for metric in self.metrics if metric not in METRICS]:
             raise UnknownName("group of figures", unknown[0], METRICS)
+        if self.frozen is not None and self.metrics != ("control",):
+            raise InvalidSetting(f"the column {self.name!r} has a frozen planner, so it is of control alone.")
+
+    @property
+    def overwrites(self) -> bool:
+        """Whether it takes the place of another planner's control in a run's report."""
+        return "control" in self.metrics and self.frozen is None
 
     def scoring(self, preset: Preset) -> ControlScoring:
         """The settings of control; few tasks and steps where a table is only tried out."""
@@ -123,7 +152,20 @@ class Column:
             planner_set=self.planner_set,
             objective=self.objective,
             objective_set=self.objective_set,
+            column=self.frozen,
         )
+
+
+def frozen_column(name: str) -> Column:
+    """A column of the protocol's table of control, with its models, and the oracle beside them."""
+    known = column_named(name)
+    return Column(
+        name=name,
+        metrics=("control",),
+        frozen=name,
+        models=tuple(model for model in known.models if model not in REFERENCES),
+        references=(ORACLE,),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,8 +176,8 @@ class Table:
         title: What it is, in a line.
         worlds: To be recorded.
         entrants: To be trained on each of them.
-        columns: How they are scored, in this order. A run's report holds the control of one column at a time, so the
-            last one with control is what stays in the runs' folders; the pages hold all.
+        columns: How they are scored, in this order. Frozen ones have reports of their own. Of the others with control a
+            run's report holds one at a time: the last one stays in the runs' folders, and the pages hold all.
         preset: Size of recordings and trainings.
         seeds: Of the trainings.
     """

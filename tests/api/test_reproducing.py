@@ -24,7 +24,9 @@ from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning import table as learning_table
 from dmotion_bench.learning.run import Run
+from dmotion_bench.planning.columns import COLUMNS, PROTOCOL, TASKS, TEST, TEST_TASKS, TRAININGS
 from dmotion_bench.recording import session
+from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.reproduction.cost import cost_of
 from dmotion_bench.reproduction.plan import Plan
 from dmotion_bench.reproduction.speeds import Episodes, Speeds
@@ -40,8 +42,8 @@ TABLE = Table(
     title="three budgets of a model of video, two of a model of actions",
     worlds=(World(environment="grid_world", episodes=12, frames=7),),
     entrants=(
-        Entrant(model="lapo", labels=("one-shot", "1", "8", "all"), settings=SHORT),
-        Entrant(model="ed-cnn", labels=("2", "100%"), settings=SHORT),
+        Entrant(model="lapo", labels=("one-shot", "1", "8"), settings=SHORT),
+        Entrant(model="ed-cnn", labels=("one-shot", "2", "100%"), settings=SHORT),
     ),
     columns=(Column(name="prediction", metrics=("prediction",)),),
     preset=Preset.TINY,
@@ -56,6 +58,18 @@ CONTROL = Table(
         Column(name="second", metrics=("prediction", "control"), objective="tracked", planner_set=FEW),
     ),
     preset=Preset.TINY,
+)
+FROZEN = dataclasses.replace(
+    registry.table("control"),
+    worlds=tuple(
+        dataclasses.replace(one, episodes=12, frames=30)
+        for one in registry.table("control").worlds
+        if one.environment == "planar_push"
+    ),
+    entrants=CONTROL.entrants,
+    columns=tuple(dataclasses.replace(one, tasks=1, steps=1) for one in registry.table("control").columns),
+    preset=Preset.TINY,
+    seeds=(0,),
 )
 
 
@@ -140,8 +154,8 @@ def test_a_dry_run_counts_what_is_done_and_nothing_is_done_twice(tmp_path: Path,
     told = dm.reproduce(TABLE, workspace=tmp_path, dry_run=True).cost
     assert not list(tmp_path.iterdir())
     assert {line.what: line.amount for line in told.lines if line.kind == "train"} == {
-        "lapo": "3 runs, 1 whole trainings",  # 'all' is for models of actions
-        "ed-cnn": "2 runs, 2 whole trainings",
+        "lapo": "3 runs, 1 whole trainings",
+        "ed-cnn": "2 runs, 2 whole trainings",  # which cannot use demonstrations
     }
     made = dm.reproduce(TABLE, workspace=tmp_path, workers=1)
     assert not made.failures
@@ -178,15 +192,15 @@ def test_one_that_is_stopped_in_each_part_goes_on_and_ends_the_same(whole: Path,
     assert not list(tmp_path.glob(".jobs-*"))
 
 
-def _until(part: str, at: float, root: Path) -> None:
-    """Kill this process in the middle of a part of the table."""
+def _until(part: str, at: float, root: Path, table: Table = TABLE, workers: int = 2) -> None:
+    """Kill this process in the middle of a part of a table."""
 
     def kill(told: JobProgress) -> None:
         if told.what == part and told.done >= at:
             os.kill(os.getpid(), signal.SIGKILL)
 
     reproducing.Speeds = lambda **_: Known()  # type: ignore[assignment, misc]
-    dm.reproduce(TABLE, workspace=root, workers=2, progress=kill)
+    dm.reproduce(table, workspace=root, workers=workers, progress=kill)
 
 
 @pytest.mark.slow
@@ -229,6 +243,61 @@ def test_each_column_of_control_keeps_its_page(tmp_path: Path, done: Counter[str
     assert not any(line.jobs for line in again.cost.lines)
 
 
+@pytest.mark.slow
+def test_frozen_columns_stand_on_one_page_although_killed_between_them(tmp_path: Path, done: Counter[str]) -> None:
+    told = dm.reproduce(FROZEN, workspace=tmp_path, dry_run=True).cost
+    runs, groups = 3, 3  # of prediction one and of three columns one each, whose tasks are a group
+    assert [told.jobs(kind) for kind in ("record", "oracle", "page")] == [2, 3, 1]
+    assert told.jobs("score") == 1 + runs + groups
+    (page,) = (line for line in told.lines if line.kind == "page")
+    assert page.amount == "4 entries"
+
+    context = multiprocessing.get_context("spawn")
+    process = context.Process(target=_until, args=("scoring paper", 0, tmp_path, FROZEN, 1))
+    process.start()
+    process.join(180)
+    assert process.exitcode == -signal.SIGKILL
+    left = dm.reproduce(FROZEN, workspace=tmp_path, dry_run=True).cost
+    kinds = ("record", "train", "oracle", "score", "page")
+    assert [left.jobs(kind) for kind in kinds] == [0, 0, 2, 4, 1]
+    made = dm.reproduce(FROZEN, workspace=tmp_path, workers=1)
+    assert not made.failures
+    assert [done[kind] for kind in kinds] == [0, 0, 2, 4, 1]
+
+    (index,) = made.pages
+    entries = [json.loads(path.read_bytes()) for path in (index.parent / "entries").glob("ed-cnn*.json")]
+    measured = {one["settings"].get("control_column"): one for one in entries if one["kind"] == "measured"}
+    assert {*measured} == {None, *COLUMNS}
+    for name in COLUMNS:
+        assert measured[name]["protocol"] == PROTOCOL
+        assert measured[name]["dataset"]["name"] == "planar_push-test-tiny"
+        assert {"oracle", "idle", "random"} <= {*measured[name]["reference"]}
+        assert measured[name]["figures"]["control_distance[1]"]["n"] == 1
+    assert "mse" in measured[None]["figures"]
+    assert measured[None]["dataset"]["name"] == "planar_push-tiny"
+    assert not any(line.jobs for line in dm.reproduce(FROZEN, workspace=tmp_path, dry_run=True).cost.lines)
+
+
+def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
+    plan = reproducing.plan_table("control", workspace=tmp_path)
+    assert (plan.table.preset, plan.table.seeds) == (Preset.SMALL, tuple(range(TRAININGS)))
+    tests = {one.folder.name: one.recipe for one in plan.recordings if one.world.fixed}
+    assert tests == {
+        f"{name}-test": recipe_for(name, episodes=TEST.episodes, tasks=TASKS, seed=TEST.seed) for name in TEST_TASKS
+    }
+    assert all(f"--out data/{name}" in TEST.words(name.removesuffix("-test")) for name in tests)
+    frozen = {scoring.control.column for scoring in plan.scorings} - {None}
+    assert frozen == {*COLUMNS}
+    for scoring in plan.scorings:
+        models, name = {one.model for one in scoring.trainings}, scoring.column.frozen
+        assert (scoring.data is None) == (name is None)
+        if name is not None:
+            assert models <= {*(COLUMNS[name].models or [one.model for one in plan.table.entrants])}
+            assert scoring.tasks() == TASKS
+    trial = reproducing.plan_table("control", preset="tiny", workspace=tmp_path)
+    assert {one.recipe.seed for one in trial.recordings if one.world.fixed} == {TEST.seed + 1}
+
+
 def test_hours_are_amounts_over_speeds(tmp_path: Path) -> None:
     lines = {(line.kind, line.what): line for line in cost_of(Plan(TABLE, "own", Workspace(tmp_path)), Known()).lines}
     triplets = 0.81 * 12 * (7 - 2)
@@ -243,8 +312,8 @@ def test_hours_are_amounts_over_speeds(tmp_path: Path) -> None:
     lines = {(line.kind, line.what): line for line in cost_of(control, Known()).lines}
     steps = 2 * 4  # tasks, and steps of each
     assert lines["oracle", "first"].core_hours == pytest.approx(steps / 4 / 3600)
-    imagined = 3 * 2 / 1000  # of the frames of the paper's planner
-    assert lines["score", "first"].core_hours == pytest.approx((steps * imagined / 0.5 + steps / 100) / 3600)
+    planned = 3 * 2 / 1000  # of the actions that the timed planner tries
+    assert lines["score", "first"].core_hours == pytest.approx((steps * planned / 0.5 + steps / 100) / 3600)
     assert lines["score", "first"].jobs == 2  # a group of tasks, and the run
 
 
@@ -310,8 +379,7 @@ def test_every_table_can_be_planned(name: str, tmp_path: Path) -> None:
     plan = reproducing.plan_table(name, workspace=tmp_path, preset="tiny")
     assert {training.model for training in plan.trainings} == {one.model for one in plan.table.entrants}
     assert all(scoring.control for scoring in plan.scorings)
-    last = [column for column in plan.table.columns if "control" in column.metrics][-1:]
-    assert not last or last[0] is plan.table.columns[-1]
+    assert len(plan.pages()) == 1
 
 
 def test_budgets_of_the_label_curve_end_with_all_labels(tmp_path: Path) -> None:

@@ -1,0 +1,192 @@
+"""Prediction and control scored by the real engines, workers killed in the middle: the reports of scoring in turn."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import psutil
+import pytest
+from dmbench_command import finish, interrupted_once, start_dmbench
+from known_model import result_of
+from mortal_workers import Deadly
+
+from dmotion_bench.execution.executor import Executor, JobSize
+from dmotion_bench.execution.local_executor import LocalExecutor, local_executor
+from dmotion_bench.execution.ray_executor import RayExecutor
+from dmotion_bench.execution.slurm_executor import SlurmExecutor
+from dmotion_bench.interrupts import INTERRUPTED
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.start import TrainingRequest, open_run
+from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.control import ControlScoring, shares_of
+from dmotion_bench.scoring.report import read_report
+from dmotion_bench.scoring.score import ScoreSettings
+from dmotion_bench.scoring.side_by_side import ScoreJob, control_shares, score_side_by_side
+from dmotion_bench.specs import DatasetRecipe, Preset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.workspace import Workspace
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+MODELS = ("ed-cnn", "cswm")
+FEW = ("samples=3", "horizon=2", "iterations=1", "elites=2")
+SETTINGS = ScoreSettings(
+    resamples=100, control=ControlScoring(tasks=3, steps=3, group=2, objective="centres", planner_set=FEW)
+)
+
+RAY = """
+import sys
+from pathlib import Path
+from scoring.test_side_by_side_engines import scored_by
+scored_by("ray", Path(sys.argv[1]))
+"""
+
+
+@dataclass(frozen=True)
+class DeadlyEachTime:
+    """An executor that kills a worker at the second job of every call: among the groups of tasks, and the runs."""
+
+    executor: Executor
+    folder: Path
+
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+        mark = self.folder / f"died-{len(list(self.folder.glob('died-*')))}"
+        yield from Deadly(self.executor, mark).map_unordered(function, jobs)
+
+
+def jobs_in(workspace: Path) -> list[ScoreJob]:
+    """A job for each run."""
+    return [
+        ScoreJob(
+            run=path,
+            metrics=("prediction", "control"),
+            settings=SETTINGS,
+            renew=False,
+            data=None,
+            batch_size=64,
+            device="cpu",
+        )
+        for path in sorted((workspace / "runs").iterdir())
+    ]
+
+
+def reports_in(workspace: Path) -> dict[str, tuple[object, bytes]]:
+    """What each report says, and the bytes of its samples."""
+    found: dict[str, tuple[object, bytes]] = {}
+    for path in sorted((workspace / "runs").iterdir()):
+        report = read_report(path / "report")
+        assert report is not None
+        samples = (path / "report" / "samples.parquet").read_bytes()
+        found[path.name] = ((report.figures, report.reference, report.settings), samples)
+        assert not shares_of(path / "report" / "control.json")
+    return found
+
+
+def scored_by(name: str, workspace: Path) -> None:
+    """Score all runs by an executor whose workers are killed, one among the groups of tasks and one among the runs."""
+    engine: Executor
+    if name == "ray":
+        engine = RayExecutor(2, JobSize(processors=1))
+    elif name == "submitit":
+        engine = SlurmExecutor(2, workspace / "slurm", cluster="local")
+    else:
+        engine = LocalExecutor(2)
+    jobs = jobs_in(workspace)
+    assert [[share.tasks for share in control_shares(job)] for job in jobs] == [[(0, 1), (2,)]] * len(MODELS)
+    outcomes = list(score_side_by_side(jobs, DeadlyEachTime(engine, workspace)))
+    assert [outcome.error for outcome in outcomes] == [None] * len(MODELS)
+    assert len(list(workspace.glob("died-*"))) == 2
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A workspace with a Grid World that has tasks, and runs whose weights are those of the start."""
+    root = tmp_path_factory.mktemp("trained")
+    recipe = DatasetRecipe(
+        environment="grid_world", parameters={"version": 2}, policy="random", episodes=20, frames=32, tasks=3
+    )
+    record_dataset(root / "data" / "grid", recipe)
+    dataset = Dataset.open(root / "data" / "grid")
+    with using_threads(1):
+        for model in MODELS:
+            request = TrainingRequest(model=model, labels="100%", preset=Preset.TINY)
+            run = open_run(request, dataset, None, Workspace(root))
+            weights = run.spec.build().state_dict()
+            checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
+            run.finish(result_of(weights) | {"threads": 1})
+    return root
+
+
+@pytest.fixture(scope="module")
+def in_turn(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[object, bytes]]:
+    workspace = copied(trained, tmp_path_factory.mktemp("in-turn"))
+    assert [one.error for one in score_side_by_side(jobs_in(workspace), local_executor(1))] == [None] * len(MODELS)
+    return reports_in(workspace)
+
+
+def copied(trained: Path, workspace: Path) -> Path:
+    """The runs in another workspace, which reads the same data set."""
+    shutil.copytree(trained / "runs", workspace / "runs")
+    return workspace
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["local", "submitit"])
+def test_a_killed_worker_changes_no_figure(
+    name: str,
+    trained: Path,
+    in_turn: dict[str, tuple[object, bytes]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
+    scored_by(name, copied(trained, tmp_path))
+    assert reports_in(tmp_path) == in_turn
+    assert len(in_turn) == len(MODELS)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is not installed")
+def test_a_killed_worker_of_ray_changes_no_figure(
+    trained: Path, in_turn: dict[str, tuple[object, bytes]], tmp_path: Path
+) -> None:
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", RAY, str(copied(trained, tmp_path))],
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert reports_in(tmp_path) == in_turn
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_all_jobs_and_says_how_to_go_on(trained: Path, tmp_path: Path) -> None:
+    copied(trained, tmp_path)
+    words = ("score", "--all", "--metrics", "control", "--tasks", "3", "--workers", "2")
+    process = start_dmbench(words, tmp_path)
+
+    def shares() -> list[Path]:
+        return list(tmp_path.glob("runs/*/report/control-*.json"))
+
+    workers = interrupted_once(process, lambda: bool(shares()), signal.SIGINT)
+    outcome = finish(process)
+    assert outcome.code == 130
+    assert outcome.err.splitlines()[-1] == f"dmbench: {INTERRUPTED}"
+    assert len(workers) >= 2
+    assert not psutil.wait_procs(workers, timeout=20)[1]
+    assert not list(tmp_path.glob(".jobs-*"))
+    assert shares()  # from which the same command goes on

@@ -196,6 +196,7 @@ def test_links_lead_to_pages_of_the_site() -> None:
         ("README.md", "docs/experiments"): "../experiments/README.md",
         ("CONTRIBUTING.md", "docs/site/diagrams.py"): "../source/docs/site/diagrams.py.md",
         ("README.md", "LICENSE"): "../source/LICENSE.md",
+        ("docs/baselines.md", "notebooks/look_at_data_and_model.ipynb"): "notebooks/look_at_data_and_model.ipynb.md",
         ("README.md", "https://arxiv.org/abs/2103.04301"): "https://arxiv.org/abs/2103.04301",
         ("README.md", "#results"): "#results",
         ("README.md", "../outside.md"): "../outside.md",

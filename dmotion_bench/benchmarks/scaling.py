@@ -33,10 +33,37 @@ from dmotion_bench.benchmarks.scene import scene_frames
 PARTS: Final = ("record", "import", "train", "score", "control", "check", "processes")
 WORLD: Final = "planar_push"
 SLOW_WORLD: Final = "robot_push"
-CONTROLLED: Final = 4  # runs whose control is scored
-CLIPS, CLIP_FRAMES = 24, 250
 _PLANNER: Final = ("samples=4", "horizon=2", "iterations=1", "elites=2")
 _MAIN: Final = "from dmotion_bench.cli import main; main()"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """How much work each part is.
+
+    Attributes:
+        recorded: Episodes that ``record`` makes, 20 a job.
+        clips, clip_frames: Videos that ``import`` reads.
+        episodes, frames: Of the data set that is trained on.
+        tasks: Of control, for each run.
+        controlled: Runs whose control is scored.
+        shared_epochs: Of the training by one process and by two.
+    """
+
+    recorded: int = 80
+    clips: int = 24
+    clip_frames: int = 250
+    episodes: int = 40
+    frames: int = 14
+    tasks: int = 8
+    controlled: int = 4
+    shared_epochs: int = 2
+
+
+TINY: Final = Sizes(
+    recorded=21, clips=2, clip_frames=30, episodes=20, frames=14, tasks=2, controlled=2, shared_epochs=1
+)
+"""To try every part out; its seconds mean nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,31 +106,32 @@ class Shared:
     mse: tuple[float, float]
 
 
-def scaling(folder: Path, parts: Sequence[str]) -> Iterator[Scaled | Shared]:
+def scaling(folder: Path, parts: Sequence[str], sizes: Sizes) -> Iterator[Scaled | Shared]:
     """Measure some parts in folders that must not be there yet."""
     if "record" in parts:
-        words = ["record", SLOW_WORLD, "--episodes", "80", "--preset", "small"]
+        words = ["record", SLOW_WORLD, "--episodes", str(sizes.recorded), "--preset", "small"]
         yield _scaled(folder, "record", words, lambda _: None, alone=["--workers", "1"])
     if "import" in parts:
         clips = folder / "clips"
-        for number in range(CLIPS):
-            _write_clip(clips / f"clip-{number:02d}.mp4", number)
+        for number in range(sizes.clips):
+            _write_clip(clips / f"clip-{number:02d}.mp4", sizes.clip_frames, number)
         yield _scaled(folder, "import", ["data", "import", str(clips), "--out", "imported"], lambda _: None)
     later = {"train", "score", "control", "check"} & {*parts}
     if later:
         data = folder / "recorded"
-        _typed(data, ["record", WORLD, "--preset", "tiny", "--episodes", "40", "--frames", "14", "--tasks", "8"])
+        words = ["record", WORLD, "--preset", "tiny", "--episodes", str(sizes.episodes)]
+        _typed(data, [*words, "--frames", str(sizes.frames), "--tasks", str(sizes.tasks)])
 
         def with_data(place: Path) -> None:
             shutil.copytree(data, place)
 
         yield _scaled(folder, "train", ["train", "--all"], with_data, alone=["--workers", "1"], json_rows=True)
-        yield from _scored(folder, parts)
+        yield from _scored(folder, parts, sizes)
     if "processes" in parts:
-        yield _shared(folder / "processes")
+        yield _shared(folder / "processes", sizes.shared_epochs)
 
 
-def _scored(folder: Path, parts: Sequence[str]) -> Iterator[Scaled]:
+def _scored(folder: Path, parts: Sequence[str], sizes: Sizes) -> Iterator[Scaled]:
     """Scoring of the runs that were trained, and the check of their entries."""
     trained = folder / "train-1"
 
@@ -112,14 +140,14 @@ def _scored(folder: Path, parts: Sequence[str]) -> Iterator[Scaled]:
 
     def some_runs(place: Path) -> None:
         all_runs(place)
-        for path in sorted((place / "runs").iterdir())[CONTROLLED:]:
+        for path in sorted((place / "runs").iterdir())[sizes.controlled :]:
             shutil.rmtree(path)
 
     words = ["score", "--all", "--metrics", "prediction"]
     if {"score", "check"} & {*parts}:
         yield _scaled(folder, "score", words, all_runs, alone=["--workers", "1"])
     if "control" in parts:
-        words = ["score", "--all", "--metrics", "control", "--tasks", "8", "--objective", "centres"]
+        words = ["score", "--all", "--metrics", "control", "--tasks", str(sizes.tasks), "--objective", "centres"]
         words += [word for setting in _PLANNER for word in ("--planner-set", setting)]
         yield _scaled(folder, "control", words, some_runs, alone=["--workers", "1"])
     if "check" in parts:
@@ -155,10 +183,10 @@ def _scaled(
     )
 
 
-def _shared(folder: Path) -> Shared:
+def _shared(folder: Path, epochs: int) -> Shared:
     """Trains with one process and with two."""
     _typed(folder, ["record", WORLD, "--preset", "tiny", "--episodes", "60", "--frames", "30", "--tasks", "0"])
-    words = ["train", "ed-cnn", "--labels", "100%", "--set", "epochs=2", "--set", "precision=float32"]
+    words = ["train", "ed-cnn", "--labels", "100%", "--set", f"epochs={epochs}", "--set", "precision=float32"]
     words += ["--threads", "1", "--device", "cpu", "--json"]
     results, weights, mse = [], [], []
     for count in (1, 2):
@@ -201,14 +229,14 @@ def _typed(workspace: Path, words: Sequence[str], *, may_fail: bool = False) -> 
     return done.stdout
 
 
-def _write_clip(path: Path, seed: int) -> None:
+def _write_clip(path: Path, frames: int, seed: int) -> None:
     """A short video of the made-up scene."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
         stream: Any = container.add_stream("libx264", rate=10, options={"crf": "20", "preset": "veryfast"})
         stream.width = stream.height = 128
         stream.pix_fmt, stream.time_base = "yuv420p", Fraction(1, 10)
-        for picture in scene_frames(CLIP_FRAMES, seed):
+        for picture in scene_frames(frames, seed):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         container.mux(stream.encode())
 
@@ -218,13 +246,15 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--json", action="store_true", help="a line of JSON for each measurement")
+    parser.add_argument("--tiny", action="store_true", help="try every part out with little work")
     asked = parser.parse_args(words)
+    sizes = TINY if asked.tiny else Sizes()
     say = sys.stdout.write
     if not asked.json:
         say(f"{processor()}, {len(os.sched_getaffinity(0))} cores\n\n")
         say("| command | 1 worker [s] | 2 workers [s] | times as fast |\n|---|---|---|---|\n")
     with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
-        for found in scaling(Path(folder), asked.parts):
+        for found in scaling(Path(folder), asked.parts, sizes):
             if asked.json:
                 say(json.dumps(asdict(found)) + "\n")
             elif isinstance(found, Scaled):

@@ -33,9 +33,9 @@ def reproduce(
         str,
         typer.Argument(
             metavar=listed(TABLES),
-            help="The table. paper: tables I and II of the DMotion paper. control: control in three columns, by the "
-            "paper's planner, with knowledge of the task, and generic. labels: figures by the number of labelled "
-            "transitions. A package of your own can add others.",
+            help="The table. paper: tables I and II of the DMotion paper. control: control by frozen planners on test "
+            "tasks (protocol dmbench-2), and prediction. labels: figures by the number of labelled transitions. A "
+            "package of your own can add others.",
         ),
     ],
     preset: Annotated[

@@ -56,7 +56,7 @@ class Links:
                 return f"{path}/README.md".removeprefix(DOCS)
             return f"source/{path}/index.md"
         if published:
-            return path.removeprefix(DOCS)
+            return path.removeprefix(DOCS) + (".md" if path.endswith(".ipynb") else "")
         if path.endswith(".md") and "/" not in path:
             return f"project/{path.lower()}" if path != "README.md" else "project/about.md"
         return f"source/{path}.md"

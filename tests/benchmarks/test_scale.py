@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -81,6 +82,19 @@ def test_a_real_executor_is_measured() -> None:
     assert share.work >= 6 * 0.05
     assert 0 <= share.not_work_later <= 1
     assert share.wall >= share.starting
+
+
+def test_the_simulated_cluster_prints_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--workers", "2", "--jobs", "4", "--seconds", "0.05", "0.12", "--executors", "local"]
+    cluster.main(words)
+    said, _, head, rule, row = capsys.readouterr().out.splitlines()
+    assert said == "Jobs sleep for 0.1, 0.1 s in turn."
+    assert {line.count("|") for line in (head, rule, row)} == {9}
+    assert row.startswith("| local | 2 | 4 | ")
+    cluster.main([*words, "--json"])
+    lengths, share = map(json.loads, capsys.readouterr().out.splitlines())
+    assert lengths == {"seconds of the jobs": [0.05, 0.12]}
+    assert share["work"] >= 2 * (0.05 + 0.12)
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dmotion_bench.api.reproducing import Reproduced, Watch
     from dmotion_bench.execution.job_progress import JobProgress
     from dmotion_bench.reproduction.cost import Cost, Line
+    from dmotion_bench.reproduction.plan import Plan
 
 
 def register(app: typer.Typer) -> None:
@@ -101,7 +102,7 @@ def reproduce(
         task = bar.add_task("measuring speeds", total=None, status="")
         cost = what_it_costs(plan, device, speeds, lambda what: bar.update(task, status=what))
     if not as_json:
-        _show_cost(cost)
+        _show_cost(cost, plan)
     if dry_run:
         if as_json:
             typer.echo(json.dumps({"table": plan.name, "left": cost.to_json()}))
@@ -152,16 +153,19 @@ def _watching() -> Iterator[Watch]:
         yield Watch(count=count, jobs=jobs, note=note)
 
 
-def _show_cost(cost: Cost) -> None:
+def _show_cost(cost: Cost, plan: Plan) -> None:
     from dmotion_bench.cli.tables import show_rows
 
+    table = plan.table
     if not any(line.jobs for line in cost.lines):
-        typer.echo("Nothing is left to do.")
+        typer.echo(f"Nothing is left to do of the table {plan.name!r}.")
         return
+    seeds = ", ".join(map(str, table.seeds))
+    typer.echo(f"Left of the table {plan.name!r}, {table.title}; preset {table.preset.value}, seeds {seeds}:")
     gpu = any(line.gpu_hours for line in cost.lines)
     head = ("what", "of", "jobs", "amount", "core-hours", *(("GPU-hours",) if gpu else ()))
     rows = [_row(line, gpu) for line in cost.lines if line.jobs]
-    total = ("in all", "", str(sum(line.jobs for line in cost.lines)), "", _hours(cost.core_hours))
+    total = ("in all", "", f"{sum(line.jobs for line in cost.lines):,}", "", _hours(cost.core_hours))
     show_rows(
         head, [*rows, (*total, *((_hours(cost.gpu_hours),) if gpu else ()))], right=frozenset(head[2:3] + head[4:])
     )

@@ -169,7 +169,7 @@ class _Estimate:
                 total += triplets / self.speeds.triplets_per_s(model, training.request.arch)
             return total
 
-        amount = f"{runs} runs, {whole:.4g} whole trainings"
+        amount = f"{_counted(runs, 'run')}, {_counted(whole, 'whole training')}"
         self._add("train", model, len(left), amount, seconds, gpu=self.gpu)
 
     def _reference(self, column: Column, reference: str, state: State) -> None:
@@ -191,7 +191,7 @@ class _Estimate:
         def seconds() -> float:
             return sum(self._scoring_seconds(*run) for run in runs)
 
-        amount = f"{len(runs)} runs" + (f", {groups} groups of control tasks" if groups else "")
+        amount = _counted(len(runs), "run") + (f", {_counted(groups, 'group')} of control tasks" if groups else "")
         self._add("score", column.name, len(runs) + groups, amount, seconds, gpu=self.gpu)
 
     def _scoring_seconds(self, scoring: Scoring, training: Training) -> float:
@@ -236,6 +236,10 @@ class _Estimate:
         recording = training.recording
         share = (1 - TEST_SHARE) * (1 - VALIDATION_SHARE)
         return share * recording.recipe.episodes * max(0.0, self._length(recording) - 2)
+
+
+def _counted(count: float, what: str) -> str:
+    return f"{count:,.4g} {what}" + ("" if count == 1 else "s") if count < 1000 else f"{count:,.0f} {what}s"
 
 
 def planned(scoring: ControlScoring) -> float:

@@ -154,7 +154,7 @@ def test_a_dry_run_counts_what_is_done_and_nothing_is_done_twice(tmp_path: Path,
     told = dm.reproduce(TABLE, workspace=tmp_path, dry_run=True).cost
     assert not list(tmp_path.iterdir())
     assert {line.what: line.amount for line in told.lines if line.kind == "train"} == {
-        "lapo": "3 runs, 1 whole trainings",
+        "lapo": "3 runs, 1 whole training",
         "ed-cnn": "2 runs, 2 whole trainings",  # which cannot use demonstrations
     }
     made = dm.reproduce(TABLE, workspace=tmp_path, workers=1)
@@ -430,8 +430,9 @@ def test_the_command_says_the_cost_and_what_is_wrong(
         return dmbench(["reproduce", *words], capsys, monkeypatch)
 
     out = ran("mine", "--dry-run").out
+    assert "Left of the table 'mine', three budgets of" in out.replace("\n", " ")
     assert "grid_world" in out
-    assert "3 runs, 1 whole trainings" in out
+    assert "3 runs, 1 whole training" in out
     assert "CPU seconds of one core" in out
     left: Mapping[str, Any] = json.loads(ran("mine", "--dry-run", "--json").out)["left"]
     assert sum(line["jobs"] for line in left["lines"]) == 1 + 3 + 5 + 1

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import sys
 import tempfile
 import time
@@ -233,6 +232,8 @@ def _imported(dataset: Dataset, folder: Path) -> tuple[float, float]:
 
 def _cpu() -> float:
     """CPU seconds of this process and of those that it waited for."""
+    import resource  # Windows has none, and imports every module all the same
+
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 

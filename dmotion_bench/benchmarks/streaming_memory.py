@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import resource
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -66,6 +65,8 @@ def measure_memory(path: Path, window: int, most: int) -> Memory:
 
 
 def _peak() -> float:
+    import resource  # Windows has none, and imports every module all the same
+
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _UNIT / 2**10
 
 

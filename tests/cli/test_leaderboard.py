@@ -15,6 +15,7 @@ import typer
 from click.testing import Result
 from typer.testing import CliRunner
 
+from dmotion_bench import registry
 from dmotion_bench.cli import leaderboard as command
 from dmotion_bench.errors import DmbenchError, RunError, UnknownName, UsageError
 from dmotion_bench.scoring.statistics import Estimate
@@ -138,7 +139,7 @@ def test_compare_as_json(run: Callable[..., Result], parts: Parts) -> None:
 
 
 def test_every_part_is_an_entry_point_that_exists() -> None:
-    points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][command.GROUP]
+    points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][registry.LEADERBOARD]
 
     assert set(points) == {"build", "check", "compare", "results", "serve"}
     for value in points.values():
@@ -147,7 +148,7 @@ def test_every_part_is_an_entry_point_that_exists() -> None:
 
 
 def test_a_missing_package_is_said(run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "entry_points", lambda group: [])
+    monkeypatch.setattr(registry, "entry_points", lambda group: [])
 
     result = run("serve")
 

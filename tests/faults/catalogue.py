@@ -38,8 +38,8 @@ FAULTS = (
     Fault(
         name="demonstrations are drawn from pushes, too",
         file="dmotion_bench/learning/labels.py",
-        right="if not labels.pushed[step]:",
-        wrong="if True:",
+        right="self._labelled(triplets, order) if not pushed)",
+        wrong="self._labelled(triplets, order))",
         tests=("tests/learning/test_labels.py",),
     ),
     Fault(
@@ -136,8 +136,8 @@ FAULTS = (
     Fault(
         name="the prefix tree mixes up the tasks' states",
         file="dmotion_bench/planning/solvers/prefix_tree.py",
-        right="above.gather(parent[part]), torch.from_numpy(task[part])",
-        wrong="above.gather(np.sort(parent[part] * 0)), torch.from_numpy(task[part])",
+        right="above.gather(nodes), *(",
+        wrong="above.gather(nodes * 0), *(",
         tests=("tests/planning/test_prefix_tree.py",),
     ),
     Fault(

@@ -266,7 +266,7 @@ def test_a_copy_of_the_data_set_under_another_name_is_not_taken_for_it(workspace
 
 
 def test_a_changed_frame_cache_is_found(workspace: Workspace, sound: Entry) -> None:
-    (path,) = (workspace.data / "grid_world-tiny/cache").iterdir()
+    (path,) = (workspace.data / "grid_world-tiny/cache").glob("*.arrow")
     raw = bytearray(path.read_bytes())
     raw[len(raw) // 2] ^= 255
     path.write_bytes(raw)

@@ -11,7 +11,7 @@ from planning.worlds import PerfectGridModel
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, UnknownName
-from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.temporal_distance import TemporalDistance, TemporalDistanceConfig
 from dmotion_bench.planning.choices import make_objective
 from dmotion_bench.planning.dynamics.model import ModelDynamics
@@ -146,6 +146,7 @@ def test_steps_to_go_prefer_what_looks_fewer_steps_from_the_goal(monkeypatch: py
 
     def cost(frames: torch.Tensor) -> StepCost:
         monkeypatch.setattr(dynamics, "frames", lambda state: to_model(frames))
+        monkeypatch.setattr(dynamics, "pixels", lambda state: to_pixels(to_model(frames)))
         return evaluator.step(dynamics, (), FIRST, FIRST, ())[0]
 
     assert cost(goal).bonus.item() == pytest.approx(3 * 20, abs=1e-3)  # no step left

@@ -136,7 +136,10 @@ def test_a_report_without_control_is_kept_where_the_environment_is_not_installed
 
 
 @pytest.mark.slow
-def test_what_is_up_to_date_is_kept_and_what_is_not_is_scored_again(make_run: MakeRun, tmp_path: Path) -> None:
+def test_what_is_up_to_date_is_kept_and_what_is_not_is_scored_again(
+    make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DMBENCH_CACHE", str(tmp_path / "cache"))  # in the usual one others left references
     path = make_run(tmp_path / "run").path
 
     def score(settings: ScoreSettings = QUICK, *metrics: str) -> list[str]:

@@ -5,10 +5,10 @@ Two things make z an action (its section 3). The divergence from the unit Gaussi
 what x_t tells already. And a composition network merges the latent actions of several steps into one, nu, from which
 the predictor must reach the last frame in a single step from the first.
 
-Settled so (docs/baselines.md): sequences are the benchmark's triplets, so two latent actions are composed, and of the
+Settled so (docs/models): sequences are the benchmark's triplets, so two latent actions are composed, and of the
 step-by-step predictions the last one is trained. Inference, predictor and decoder are of the shared backbone: the
 predictor's state enters a U-Net, whose skip connections are the original's, and z beside it: through the recurrent
-state alone z stayed unused for 700 steps (docs/baselines.md). The alignment is ``ActionToLatent``.
+state alone z stayed unused for 700 steps (decision 025). The alignment is ``ActionToLatent``.
 """
 
 from __future__ import annotations
@@ -144,8 +144,7 @@ class Clasp(ForwardModel[ClaspConfig]):
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn the z of each action."""
-        shown = demonstrations
-        self.table.fit(shown.read(self.latent_action), shown.action)
+        self.table.fit(demonstrations.read(self.latent_action), demonstrations.action)
 
     def begin(
         self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]

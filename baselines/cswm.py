@@ -12,7 +12,7 @@ der Pol and Kipf found necessary (The Impact of Negative Sampling on Contrastive
 stands still tells episodes apart, so negatives of other episodes alone teach nothing of what moves. Then all that is
 frozen and a decoder of the states is trained on video; the prediction decodes z_t + T(z_t, a_t).
 
-Settled so (docs/baselines.md): two frames go in, as the paper says; the action is copied to every slot. The extractor
+Settled so (docs/models): two frames go in, as the paper says; the action is copied to every slot. The extractor
 and the decoder are of the shared backbone.
 """
 

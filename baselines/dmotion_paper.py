@@ -1,6 +1,6 @@
 """DMotion's networks as published: section III-D of the paper.
 
-``docs/baselines.md`` says how everything that the paper leaves open is settled.
+``docs/models`` says how everything that the paper leaves open is settled.
 
 Every convolution but the last of a network is followed by batch normalisation (gain 1) and a LeakyReLU of slope 0.2,
 and has no bias of its own. 2,684,142 parameters with eight maps, six-parameter motions and three entries

@@ -2,7 +2,7 @@
 
 The paper's strongest supervised baseline. To make the comparison one of *methods*, its network is DMotion's interaction
 learner with the agent's moved map replaced by the action itself: the one-hot action, tiled, enters at the same three
-depths (settled so in docs/baselines.md; the paper gives no layers). Loss: mean squared error of the next frame.
+depths (settled so in docs/models; the paper gives no layers). Loss: mean squared error of the next frame.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ do to look into theirs. Nothing of it reaches the embedding.
 Batches are of a few episodes, sixteen moments of each. Where every episode has a scene of its own, a code of the scene
 alone is as Gaussian over many episodes as one could wish, and the easiest of all to predict; among a few it is not.
 
-Settled so (docs/baselines.md): the encoder is of the shared backbone instead of a ViT; the predictor sees two frames,
+Settled so (docs/models): the encoder is of the shared backbone instead of a ViT; the predictor sees two frames,
 not three, and is a residual MLP instead of a transformer; it is modulated by the action (AdaLN) as theirs. The
 projector with its batch normalisation, lambda, knots, projections, dropout and length of the embedding are theirs.
 """

@@ -15,7 +15,7 @@ LAOM changes four things (its section 4):
 The benchmark wants frames: in a second phase all that is frozen and a decoder of embeddings is trained on video, as
 for C-SWM and JEPA. Nothing of it reaches the embedding.
 
-Settled so (docs/baselines.md): the encoder is of the shared backbone, over single frames; k is 1 or 2, since a
+Settled so (docs/models): the encoder is of the shared backbone, over single frames; k is 1 or 2, since a
 training sees triplets, and the authors' is 1 to 10; of the authors' augmentations there are small shifts alone, the
 same for all frames of a batch; the embeddings and their predictions are normalised to variance 1, as in the authors'
 program when its ``encoder_norm_out`` is set; and the alignment goes from an action to z_t by ``ActionToLatent``, from
@@ -193,8 +193,7 @@ class Laom(ForwardModel[LaomConfig]):
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn the z_t of each action."""
-        shown = demonstrations
-        self.table.fit(shown.read(self.latent_action), shown.action)
+        self.table.fit(demonstrations.read(self.latent_action), demonstrations.action)
 
     def embed(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b e"]:
         """A frame's embedding."""

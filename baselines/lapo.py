@@ -4,7 +4,7 @@ The inverse model infers z_t from (x_{t-1}, x_t, x_{t+1}); z_t is quantised; the
 (x_{t-1}, x_t, z_t). The loss is the squared error of x_{t+1} plus the commitment of z_t to its codes. What the
 past cannot tell the forward model, z_t must; the codebooks limit how much that may be.
 
-Its sizes are the authors': two codebooks of 64 codes of length 16, four latents each. Settled so (docs/baselines.md):
+Its sizes are the authors': two codebooks of 64 codes of length 16, four latents each. Settled so (docs/models):
 the inverse and the forward model are of the shared backbone; codes that nothing chooses are put where something is
 (Jukebox's random restarts, Dhariwal et al. 2020); and the alignment, for which LAPO trains a decoder of z into actions
 for a policy, goes the other way: from an action to z_t by ``ActionToLatent``, quantised when used.
@@ -49,7 +49,7 @@ class LapoConfig:
         commitment: Weight of the distance between z_t and its codes.
         decay: Of the running means that the codes are; the authors' 0.999 is for 50,000 steps.
         restart: A code whose running count is below this is put on a part of the batch, drawn at random; so the first
-            batch places them. Without it 7 of 128 codes were in use after training (docs/baselines.md).
+            batch places them. Without it 7 of 128 codes were in use (docs/experiments/baseline-repairs.md).
         warp: Whether the forward model can carry what moves, by a flow, instead of painting it anew.
     """
 
@@ -181,8 +181,7 @@ class Lapo(TwoFrameModel[LapoConfig]):
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn the z_t of each action."""
-        shown = demonstrations
-        self.table.fit(shown.read(self.latent_action), shown.action)
+        self.table.fit(demonstrations.read(self.latent_action), demonstrations.action)
 
     def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
         frames, last = [previous, current], rows_of(current, parent)

@@ -4,7 +4,7 @@ From two frames the encoder infers a Gaussian over a short latent action; the de
 first and a draw of it. The divergence from the unit Gaussian, weighted by beta, leaves in the latent action only what
 the first frame cannot tell.
 
-AdaWorld's sizes: 32 numbers, beta 2e-4, against the squared error of images in [0, 1]. Settled so (docs/baselines.md):
+AdaWorld's sizes: 32 numbers, beta 2e-4, against the squared error of images in [0, 1]. Settled so (docs/models):
 encoder and decoder are of the shared backbone instead of spatio-temporal transformers, and the decoder sees
 (x_{t-1}, x_t), like every model here; the alignment is a table of the mean latent action of each action's
 demonstrations.
@@ -103,8 +103,7 @@ class LatentActionVAE(TwoFrameModel[LatentActionConfig]):
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
         """Learn the latent action of each action."""
-        shown = demonstrations
-        self.table.fit(shown.read(self.latent_action), shown.action)
+        self.table.fit(demonstrations.read(self.latent_action), demonstrations.action)
 
     def _drawn(self, previous: Tensor, current: Tensor, parent: Tensor | None, latent: Tensor) -> Packed:
         frames, last = [previous, current], rows_of(current, parent)

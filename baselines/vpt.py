@@ -5,7 +5,7 @@ frames; it may look at the frames after the action too, so it needs far fewer la
 it names every action of the video, and what follows learns from these names as if they were labels. VPT clones a
 policy; the benchmark wants a forward model, so here E-D CNN (``encoder_decoder.py``) learns from the named video.
 
-Settled so (docs/baselines.md): the inverse model is the trunk by which the other models infer latent actions, over
+Settled so (docs/models): the inverse model is the trunk by which the other models infer latent actions, over
 (x_t, x_{t+1}), in place of a ResNet and a transformer over 128 frames; while it learns, the frames of a batch are
 rolled by the same random shift, since few labels show few places; the names are its most likely actions, as VPT's, or
 its estimates of continuous ones; and it is no longer trained once it names. An action that no label shows is never

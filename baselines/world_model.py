@@ -4,7 +4,7 @@ Two phases. First an autoencoder of single frames, deterministic or variational,
 actions. Then it is frozen and a transition model learns z_{t+1} from (z_{t-1}, z_t, a_t) with the action labels.
 The prediction decodes z_{t+1}.
 
-Settled so (docs/baselines.md): the transition is a deterministic network, not the original's mixture-density RNN over
+Settled so (docs/models): the transition is a deterministic network, not the original's mixture-density RNN over
 whole sequences: the paper predicts one step from two frames. It predicts the change of z. The code is a
 linear map of the encoder's last features and read by one, as in the original.
 """
@@ -41,7 +41,7 @@ class WorldModelConfig:
         latent: Length of the code z; 32 in the original, for smaller frames of one road.
         hidden: Width of the transition's two hidden layers.
         beta: Weight of the VAE's KL divergence against the squared error summed over the pixels of images in [0, 1]; 1
-            in the original, which blurs small objects (docs/baselines.md); the deterministic autoencoder has none.
+            in the original, which blurs small objects (docs/models); the deterministic autoencoder has none.
     """
 
     latent: int = 256

@@ -15,19 +15,15 @@ from typing import Final
 
 import numpy as np
 import torch
-from torch.utils.flop_counter import FlopCounterMode
 
-from dmotion_bench.benchmarks.planning_speed import PlanningTogether
+from dmotion_bench.benchmarks.planning_speed import PlanningTogether, planned_model
 from dmotion_bench.benchmarks.result import Result
 from dmotion_bench.benchmarks.rounds import Yardstick, measure_in_rounds
 from dmotion_bench.benchmarks.scene import SIZE, scene_facts, scene_frames
-from dmotion_bench.benchmarks.training_step import TrainingStep, untrained
+from dmotion_bench.benchmarks.training_step import TrainingStep
 from dmotion_bench.learning.batches import TripletBatches
-from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.triplets import TripletSet
-from dmotion_bench.registry import model_class
-from dmotion_bench.specs import Preset
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
 
 _EPISODES, _FRAMES = 100, 30  # of the cache that is loaded from
@@ -84,13 +80,8 @@ def training_on(name: str, arch: str, seconds: float, device: torch.device) -> R
 
 def planning_on(name: str, seconds: float, device: torch.device) -> Result:
     """Control steps a second of the paper's planner, tasks side by side."""
-    kind, images = model_class(name), scene_frames(_IMAGES)
-    arch = kind.architectures[0]
-    channels_last = kind.training_defaults(Preset.SMALL, arch).channels_last
-    model = untrained(name, arch).laid_out(channels_last=channels_last).eval()
-    with FlopCounterMode(display=False) as counter, torch.inference_mode():
-        image = to_model(torch.from_numpy(images[:1]))
-        model.advance(model.begin(image, image), torch.zeros(1, dtype=torch.long))
+    images = scene_frames(_IMAGES)
+    model, operations = planned_model(name, images)
     planning = PlanningTogether(model, scene_facts(), images, tasks=_TASKS, device=device)
 
     def work() -> float:
@@ -99,7 +90,7 @@ def planning_on(name: str, seconds: float, device: torch.device) -> Result:
         return done
 
     precision = "bf16" if has_bf16(device) else "float32"
-    yardstick = matrix_products_on(device, precision, counter.get_total_flops() * planning.frames_per_step)
+    yardstick = matrix_products_on(device, precision, operations * planning.frames_per_step)
     return measure_in_rounds(f"plan[{name}]@{device.type}", "control steps/s", work, seconds, yardstick)
 
 

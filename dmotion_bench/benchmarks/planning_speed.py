@@ -14,18 +14,39 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Int, UInt8
+from torch.utils.flop_counter import FlopCounterMode
 
 from dmotion_bench.actions import require_discrete
+from dmotion_bench.benchmarks.training_step import untrained
+from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.agents import ModelAgent
-from dmotion_bench.planning.choices import HEADLINE
+from dmotion_bench.planning.columns import HEADLINE
 from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.mpc import GROUP
 from dmotion_bench.planning.objectives.base import Evaluator
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Sequences
 from dmotion_bench.planning.solvers.cem import CrossEntropy
-from dmotion_bench.specs import EnvSpec
+from dmotion_bench.registry import model_class
+from dmotion_bench.specs import EnvSpec, Preset
+
+
+def planned_model(name: str, images: UInt8[np.ndarray, "n h w 3"]) -> tuple[ForwardModel[Any], float]:
+    """An untrained model as a planner has it, and the floating-point operations of a prediction.
+
+    Args:
+        name: Registry name.
+        images: One of them is predicted from.
+    """
+    kind = model_class(name)
+    arch = kind.architectures[0]
+    channels_last = kind.training_defaults(Preset.SMALL, arch).channels_last
+    model = untrained(name, arch).laid_out(channels_last=channels_last).eval()
+    with FlopCounterMode(display=False) as counter, torch.inference_mode():
+        image = to_model(torch.from_numpy(images[:1]))
+        model.advance(model.begin(image, image), torch.zeros(1, dtype=torch.long))
+    return model, counter.get_total_flops()
 
 
 class PlanningTogether:
@@ -51,7 +72,7 @@ class PlanningTogether:
         tasks: int = GROUP,
         device: torch.device | None = None,
     ) -> None:
-        solver, objective = HEADLINE.made(needs_pixels=model.needs_pixels)
+        solver, objective = HEADLINE.made(spec, needs_pixels=model.needs_pixels)
         self._agent = ModelAgent(model, spec, solver, objective, device=device)
         self._memory: Sequences | None = None
         self._seen, self._tasks, self._number = _observation(images, tasks), tasks, 0
@@ -86,7 +107,7 @@ class PlanningOneByOne:
     ) -> None:
         self._dynamics = ModelDynamics(model.to(device or torch.device("cpu")).eval(), device=device)
         self._seen = _observation(images, 1)
-        solver, objective = HEADLINE.made(needs_pixels=model.needs_pixels)
+        solver, objective = HEADLINE.made(spec, needs_pixels=model.needs_pixels)
         assert isinstance(solver, CrossEntropy), "whose candidates are counted here"
         self._evaluator = objective.reset(spec, self._seen.current, self._seen.goals)
         actions = len(require_discrete(spec.actions, "planning"))

@@ -16,17 +16,15 @@ from typing import Final
 
 import numpy as np
 import torch
-from torch.utils.flop_counter import FlopCounterMode
 
 from dmotion_bench.benchmarks import machine
 from dmotion_bench.benchmarks.device_speeds import device_works
-from dmotion_bench.benchmarks.planning_speed import PlanningOneByOne, PlanningTogether
+from dmotion_bench.benchmarks.planning_speed import PlanningOneByOne, PlanningTogether, planned_model
 from dmotion_bench.benchmarks.result import Failure, Result
 from dmotion_bench.benchmarks.rounds import measure_in_rounds
 from dmotion_bench.benchmarks.scene import SIZE, scene_dataset, scene_facts, scene_frames
-from dmotion_bench.benchmarks.training_step import TrainingStep, untrained
+from dmotion_bench.benchmarks.training_step import TrainingStep
 from dmotion_bench.errors import DmbenchError, UnknownName
-from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
 from dmotion_bench.learning.triplets import TripletSet
@@ -182,15 +180,10 @@ def training(name: str, arch: str, seconds: float) -> Result:
 
 def planning(name: str, seconds: float, *, together: bool) -> Result:
     """Control steps a second of the first column's planner: as the loop takes them, or candidate by candidate."""
-    kind, images = model_class(name), scene_frames(_IMAGES)
-    arch = kind.architectures[0]
-    channels_last = kind.training_defaults(Preset.SMALL, arch).channels_last
-    model = untrained(name, arch).laid_out(channels_last=channels_last).eval()
-    with FlopCounterMode(display=False) as counter, torch.inference_mode():
-        image = to_model(torch.from_numpy(images[:1]))
-        model.advance(model.begin(image, image), torch.zeros(1, dtype=torch.long))
+    images = scene_frames(_IMAGES)
+    model, operations = planned_model(name, images)
     work = (PlanningTogether if together else PlanningOneByOne)(model, scene_facts(), images)
-    operations = counter.get_total_flops() * work.frames_per_step
+    operations *= work.frames_per_step
     precision = "bf16" if has_bf16(torch.device("cpu")) else "float32"
     yardstick = machine.matrix_products(precision, operations) if operations else None
     label = f"plan[{name}{'' if together else '-one-by-one'}]"

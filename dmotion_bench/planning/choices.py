@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import is_dataclass
 from types import MappingProxyType, ModuleType
 from typing import Any, Final
 
@@ -19,28 +19,6 @@ from dmotion_bench.specs import EnvSpec
 
 DEFAULT_SOLVER: Final = "cem"
 
-
-@dataclass(frozen=True, kw_only=True)
-class Planner:
-    """A solver and an objective by their names.
-
-    Attributes:
-        solver: The solver.
-        objective: The objective for models that draw frames.
-        without_pixels: The objective for models that draw none.
-    """
-
-    solver: str
-    objective: str
-    without_pixels: str = "feature"
-
-    def made(self, *, needs_pixels: bool) -> tuple[Solver, Objective]:
-        """Both of them, for a model of this kind."""
-        return make_solver(self.solver), make_objective(self.objective if needs_pixels else self.without_pixels)
-
-
-HEADLINE: Final = Planner(solver="icem", objective="tabletop")
-"""The planner of the control table's first column on Robot Push, which ``dmbench bench`` measures."""
 
 SIMULATOR: Final = "simulator"
 """The name of the oracle's own objective, ``TrueCost``."""

@@ -18,7 +18,11 @@ from types import MappingProxyType
 from typing import Final
 
 from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.planning.choices import generic_objective, make_objective, make_solver
 from dmotion_bench.planning.mpc import CONTROL_VERSION
+from dmotion_bench.planning.objectives.base import Objective
+from dmotion_bench.planning.solvers.base import Solver
+from dmotion_bench.specs import EnvSpec
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.wording import command
 
@@ -55,6 +59,16 @@ class Column:
     objective_set: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
 
+    def made(self, spec: EnvSpec, *, needs_pixels: bool) -> tuple[Solver, Objective]:
+        """The solver and the objective for a model of this kind.
+
+        Args:
+            spec: The environment's facts.
+            needs_pixels: The model's.
+        """
+        objective = self.objective or generic_objective(spec, needs_pixels=needs_pixels)
+        return make_solver(self.planner, self.planner_set), make_objective(objective, self.objective_set)
+
 
 COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
     {
@@ -88,6 +102,9 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
     }
 )
 """By name, in the order of the table; the first is the headline."""
+
+HEADLINE: Final = next(iter(COLUMNS.values()))
+"""The planner that ``dmbench bench`` measures."""
 
 
 @dataclass(frozen=True, kw_only=True)

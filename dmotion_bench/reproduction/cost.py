@@ -33,7 +33,7 @@ ENTRY_S: Final = 2.0
 ASSUMPTIONS: Final = (
     "Trainings see all training triplets of a data set (81% of its episodes) in each epoch, whatever the label budget.",
     "A predicted frame takes a third of the time of a trained triplet.",
-    "A model's control step is timed with one planner (iCEM, objective tabletop) on a made-up scene. Another planner "
+    "A model's control step is timed with the planner of the column 'generic' on a made-up scene. Another planner "
     "takes longer by as much as it tries more actions; differences between objectives are not counted.",
     "The oracle's control step is timed on the first 2 steps of a task; later ones take less.",
     "An entry on a page takes 2 s. Validation, checkpoints and starting processes are not counted.",

@@ -150,3 +150,9 @@ def _folder(path: Path, address: str) -> Published:
         (path / name).write_bytes(content)
 
     return Published(address, files, put, lambda name: (path / name).unlink())
+
+
+@pytest.fixture(autouse=True)
+def _no_leftovers(tmp_path: Path) -> Iterator[None]:
+    yield
+    assert not list(tmp_path.rglob("*.part"))

@@ -1,32 +1,25 @@
-"""What is published is what a check needs, under its hashes; what is fetched is that, byte for byte, or nothing."""
+"""What is published is what a check needs, under its hashes; what is fetched is that, byte for byte."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from dmbench_command import dmbench
-from object_storage import Storage
 from sharing.conftest import Published
+from sharing.workspaces import contents, entry_of, fingerprint, nothing_in, weights
 
 import dmotion_bench as dm
 from dmotion_bench.errors import (
-    DatasetCorrupt,
     DatasetMissing,
     DmbenchError,
     EntryInvalid,
     PackageNotInstalled,
-    PlaceUnreachable,
-    RunCorrupt,
     RunMissing,
-    ShareCorrupt,
     ShareMissing,
-    StorageFull,
     UnknownName,
     UsageError,
 )
@@ -39,36 +32,6 @@ from dmotion_bench.storage.shard import FileFacts
 from dmotion_bench.workspace import Workspace
 
 PUBLISHED = ("run.json", "best.safetensors", "metrics.jsonl", "report/report.json", "report/samples.parquet")
-
-
-def weights(workspace: Workspace) -> str:
-    return str((Run.open(workspace.runs / "known").result or {})["weights"])
-
-
-def fingerprint(workspace: Workspace) -> str:
-    return Dataset.open(workspace.data / "noise").fingerprint
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {one.relative_to(folder).as_posix(): one.read_bytes() for one in folder.rglob("*") if one.is_file()}
-
-
-def nothing_in(workspace: Workspace) -> bool:
-    """Whether no run and no data set has appeared, nor a file that is not what it should be."""
-    there = [one.name for folder in (workspace.runs, workspace.data) for one in folder.glob("*")]
-    return set(there) <= {".arriving"} and not workspace.all_runs() and not workspace.datasets()
-
-
-def entry_of(workspace: Workspace, path: Path, **changes: Any) -> Path:
-    samples = (workspace.runs / "known" / "report" / "samples.parquet").read_bytes()
-    content = {
-        "kind": "measured",
-        "weights": weights(workspace),
-        "samples": {"sha256": hashlib.sha256(samples).hexdigest()},
-        "dataset": {"name": "noise", "fingerprint": fingerprint(workspace)},
-    }
-    path.write_text(json.dumps(content | changes))
-    return path
 
 
 def test_an_outsider_gets_the_same_bytes_from_every_kind_of_place(
@@ -260,269 +223,6 @@ def test_a_pull_that_breaks_off_goes_on(
     assert contents(outsider.data / "noise") == contents(workspace.data / "noise")
 
 
-class Faults:
-    """Spoils the first few answers to a method, for paths with a part."""
-
-    def __init__(self, kind: str, times: int, method: str, part: str) -> None:
-        self.kind, self.left, self.method, self.part = kind, times, method, part
-
-    def __call__(self, method: str, path: str) -> str | None:
-        if method != self.method or self.part not in path.partition("?")[0] or not self.left:
-            return None
-        self.left -= 1
-        return self.kind
-
-
-@pytest.mark.parametrize("kind", ["500", "503", "truncated", "short", "wrong"])
-def test_what_fails_for_a_while_is_asked_for_again(
-    workspace: Workspace, outsider: Workspace, storage: Storage, bucket: Published, kind: str
-) -> None:
-    if kind in ("500", "503"):
-        storage.fault = Faults(kind, 2, "PUT", "/files/")
-    dm.share_push(["known", "noise"], bucket.address)
-    for part, wanted in (("/files/", weights), (".mcap", fingerprint)):
-        storage.fault = faults = Faults(kind, 2, "GET", part)
-        dm.share_pull(wanted(workspace), bucket.address, workspace=outsider.root)
-        assert not faults.left
-    assert contents(outsider.data / "noise") == contents(workspace.data / "noise")
-
-
-@pytest.mark.parametrize("kind", ["500", "503", "truncated", "short", "wrong"])
-def test_what_fails_for_good_costs_a_sentence_and_leaves_nothing_wrong(
-    workspace: Workspace, outsider: Workspace, storage: Storage, bucket: Published, kind: str
-) -> None:
-    dm.share_push(["known", "noise"], bucket.address)
-    error = ShareCorrupt if kind in ("short", "wrong") else PlaceUnreachable
-    for part, wanted in (("/files/", weights), (".mcap", fingerprint)):
-        storage.fault = Faults(kind, 1000, "GET", part)
-        with pytest.raises(error, match=r"is damaged: .* Nothing of it is used|failed 4 times"):
-            dm.share_pull(wanted(workspace), bucket.address, workspace=outsider.root)
-        assert nothing_in(outsider)
-    storage.fault = lambda _method, _path: None
-    assert set(contents(outsider.root).values()) <= set(bucket.files().values())  # what has arrived is right
-    dm.share_pull([weights(workspace), fingerprint(workspace)], bucket.address, workspace=outsider.root)
-    assert contents(outsider.data / "noise") == contents(workspace.data / "noise")
-
-
-def test_a_bucket_that_is_not_there_or_closed_is_said(workspace: Workspace, storage: Storage) -> None:
-    with pytest.raises(PlaceUnreachable, match="there is no such bucket or repository; make it first"):
-        dm.share_push("known", "s3://nobody-has-this/place")
-    storage.fault = Faults("503", 1000, "PUT", "")
-    with pytest.raises(PlaceUnreachable, match="failed 4 times"):
-        dm.share_push("known", storage.address)
-
-
-def test_damage_in_a_place_is_never_passed_on_and_can_be_mended(
-    workspace: Workspace, outsider: Workspace, place: Published
-) -> None:
-    dm.share_push(["known", "noise"], place.address)
-    before = place.files()
-    largest = max((name for name in before if "/files/" in name), key=lambda name: len(before[name]))
-    shard = next(name for name in before if name.endswith("video/shard-00002.mcap"))
-    table = next(name for name in before if name.endswith("tasks.parquet"))
-    for name in (largest, shard, table):
-        content = bytearray(before[name])
-        content[len(content) // 2] ^= 1
-        place.put(name, bytes(content))
-        wanted = weights(workspace) if name == largest else fingerprint(workspace)
-        with pytest.raises(ShareCorrupt, match=r"damaged: .* Nothing of it is used\. .*--mend"):
-            dm.share_pull(wanted, place.address, workspace=outsider.root)
-        assert nothing_in(outsider)
-        dm.share_push(["known", "noise"], place.address)  # a file of the right size is believed
-        assert place.files()[name] != before[name]
-        dm.share_push(["known", "noise"], place.address, mend=True)
-        assert place.files() == before
-
-
-def test_a_dataset_json_that_is_another_is_refused_by_who_pushes_and_who_pulls(
-    workspace: Workspace, outsider: Workspace, folder: Published
-) -> None:
-    dm.share_push("noise", folder.address)
-    name = next(name for name in folder.files() if name.endswith("dataset.json"))
-    sound = folder.files()[name]
-    forged = json.loads(sound)
-    forged["recipe"]["seed"] += 1
-    for content, said in ((json.dumps(forged).encode(), "has the fingerprint"), (b"{", "cannot be used")):
-        folder.put(name, content)
-        with pytest.raises(ShareCorrupt, match=said):
-            dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root)
-        with pytest.raises(ShareCorrupt, match="Nothing was replaced"):
-            dm.share_push("noise", folder.address)
-        assert folder.files()[name] == content
-        assert [one.damage != "" for one in dm.share_list(folder.address)] == [True]
-    dm.share_push("noise", folder.address, mend=True)
-    assert folder.files()[name] == sound
-
-
-def test_tables_that_no_fingerprint_tells_are_held_against_the_shards(
-    workspace: Workspace, outsider: Workspace, folder: Published
-) -> None:
-    """Whoever stores a data set could list other episodes, with the right hash of the wrong table."""
-    dm.share_push("noise", folder.address)
-    root = f"datasets/{fingerprint(workspace)}/noise"
-    import pyarrow.parquet as pq
-
-    table = Path(folder.address) / root / "episodes.parquet"
-    rows = pq.read_table(table)
-    seeds = [seed + 1 for seed in rows["seed"].to_pylist()]
-    pq.write_table(rows.set_column(rows.schema.get_field_index("seed"), rows.schema.field("seed"), [seeds]), table)
-    manifest = json.loads(folder.files()[f"{root}/dataset.json"])
-    content = table.read_bytes()
-    manifest["tables"]["episodes.parquet"] = {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-    folder.put(f"{root}/dataset.json", json.dumps(manifest).encode())
-    with pytest.raises(ShareCorrupt, match=r"is not what its name says: .*episode"):
-        dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root)
-    assert contents(outsider.root) == {}
-
-
-def hostile(changes: dict[str, Any], **files: Any) -> Any:
-    return lambda share: share | changes | {"files": share["files"] | files}
-
-
-FACTS = {"size": 3, "sha256": hashlib.sha256(b"bad").hexdigest()}
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (hostile({}, **{"../../.bashrc": FACTS}), r"'../../.bashrc', which no run has"),
-        (hostile({}, **{"/etc/passwd": FACTS}), "'/etc/passwd', which no run has"),
-        (hostile({}, **{"report/on/../report.json": FACTS}), "which no run has"),
-        (hostile({}, **{"report/on/a/b/report.json": FACTS}), "which no run has"),
-        (hostile({}, **{"report\\..\\x": FACTS}), "which no run has"),
-        (hostile({}, **{"model.pt": FACTS}), "'model.pt', which no run has"),
-        (hostile({}, **{"metrics.jsonl": FACTS | {"size": 2**40}}), "at most 1,073,741,824 can be"),
-        (hostile({}, **{"metrics.jsonl": FACTS | {"size": -1}}), "has -1 bytes"),
-        (hostile({}, **{"metrics.jsonl": FACTS | {"size": True}}), "size is True"),
-        (hostile({}, **{"metrics.jsonl": FACTS | {"sha256": "../../x"}}), "is the SHA-256 of"),
-        (hostile({}, **{f"report/on/{number}/report.json": FACTS for number in range(300)}), "at most 200"),
-        (hostile({"run": "../known"}), "can be no folder's name"),
-        (hostile({"run": ".ssh"}), "can be no folder's name"),
-        (hostile({"run": ""}), "can be no folder's name"),
-        (hostile({"run": 3}), "run is 3"),
-        (hostile({"weights": "0" * 64}), "is of the weights 000000000000"),
-        (hostile({"format": "dmbench-share/9"}), "this dmbench reads 'dmbench-share/1'"),
-        (lambda share: share | {"files": {}}, "lists no run.json"),
-        (lambda share: [share], "not a JSON object"),
-    ],
-)
-def test_a_hostile_manifest_is_refused_before_anything_is_fetched(
-    workspace: Workspace, outsider: Workspace, folder: Published, change: Any, said: str
-) -> None:
-    dm.share_push("known", folder.address)
-    name, content = next((name, content) for name, content in folder.files().items() if name.endswith(".json"))
-    folder.delete(name)
-    forged = json.dumps(change(json.loads(content))).encode()
-    folder.put(f"{name.rpartition('/')[0]}/{hashlib.sha256(forged).hexdigest()}.json", forged)
-    with pytest.raises(ShareCorrupt, match=said):
-        dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
-    assert list(outsider.root.iterdir()) == []
-    assert [one.damage != "" for one in dm.share_list(folder.address)] == [True]
-
-
-def test_a_manifest_under_another_name_than_its_hash_is_refused(
-    workspace: Workspace, outsider: Workspace, folder: Published
-) -> None:
-    dm.share_push("known", folder.address)
-    name, content = next((name, content) for name, content in folder.files().items() if name.endswith(".json"))
-    folder.put(name, content.replace(b'"model": "dmotion"', b'"model": "another"'))
-    with pytest.raises(ShareCorrupt, match="does not hold the bytes that its name"):
-        dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
-
-
-def test_other_weights_with_a_manifest_that_lies_are_deleted_again(
-    workspace: Workspace, outsider: Workspace, folder: Published
-) -> None:
-    """Every hash of the manifest is right, and the weights are still not those of the name."""
-    dm.share_push("known", folder.address)
-    content = next(content for name, content in folder.files().items() if name.endswith(".json"))
-    share = json.loads(content)
-    run = json.loads((workspace.runs / "known/run.json").read_text())
-    run["result"]["weights"] = share["weights"] = "1" * 64
-    forged = json.dumps(run).encode()
-    digest = hashlib.sha256(forged).hexdigest()
-    share["files"]["run.json"] = {"size": len(forged), "sha256": digest}
-    for old, file in list(folder.files().items()):
-        if "/files/" in old:
-            folder.put(f"runs/{'1' * 64}/files/{old.rpartition('/')[2]}", file)
-    folder.put(f"runs/{'1' * 64}/files/{digest}", forged)
-    manifest = json.dumps(share).encode()
-    folder.put(f"runs/{'1' * 64}/{hashlib.sha256(manifest).hexdigest()}.json", manifest)
-    with pytest.raises(ShareCorrupt, match=r"is not what its name says: .*other weights"):
-        dm.share_pull("1" * 64, folder.address, workspace=outsider.root)
-    assert contents(outsider.root) == {}
-
-
-@pytest.mark.parametrize("part", ["/files/", "dataset.json", "video/shard-00000.mcap"])
-def test_links_in_a_place_are_not_followed(
-    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path, part: str
-) -> None:
-    dm.share_push(["known", "noise"], folder.address)
-    path = next(Path(folder.address) / name for name in folder.files() if part in name)
-    path.rename(tmp_path / "secret")
-    path.symlink_to(tmp_path / "secret")
-    with pytest.raises((ShareCorrupt, ShareMissing)):
-        dm.share_pull([weights(workspace), fingerprint(workspace)], folder.address, workspace=outsider.root)
-    assert not (outsider.data / "noise").exists() or not (outsider.runs / "known").exists()
-
-
-def test_links_in_the_workspace_are_not_written_through(
-    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path
-) -> None:
-    dm.share_push(["known", "noise"], folder.address)
-    for path, wanted in ((outsider.runs / "known", weights), (outsider.data / "noise", fingerprint)):
-        path.parent.mkdir()
-        path.symlink_to(tmp_path / "anywhere")
-        with pytest.raises(UsageError, match="is there already"):
-            dm.share_pull(wanted(workspace), folder.address, workspace=outsider.root)
-        path.unlink()
-    (outsider.runs / ".arriving").symlink_to(tmp_path)
-    with pytest.raises(UsageError, match="is a link; delete it"):
-        dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
-    assert not (tmp_path / "anywhere").exists()
-
-
-def test_what_does_not_fit_is_not_begun(
-    workspace: Workspace, outsider: Workspace, folder: Published, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    dm.share_push("known", folder.address)
-    monkeypatch.setattr("shutil.disk_usage", lambda _path: shutil._ntuple_diskusage(10, 9, 1))  # type: ignore[attr-defined]
-    with pytest.raises(StorageFull, match="are to be fetched"):
-        dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
-
-
-def test_nothing_damaged_is_published(workspace: Workspace, folder: Published) -> None:
-    shard = workspace.data / "noise/video/shard-00001.mcap"
-    shard.write_bytes(bytes(len(shard.read_bytes())))
-    with pytest.raises(DatasetCorrupt, match="is not what was recorded, so it is not published"):
-        dm.share_push("noise", folder.address)
-    best = workspace.runs / "known/best.safetensors"
-    best.write_bytes(best.read_bytes()[:-1] + b"\0")
-    with pytest.raises(RunCorrupt):
-        dm.share_push("known", folder.address)
-    (workspace.runs / "known/run.json").write_text(
-        json.dumps(json.loads((workspace.runs / "known/run.json").read_text()) | {"result": None})
-    )
-    with pytest.raises(RunMissing, match="not trained to its end"):
-        dm.share_push("known", folder.address)
-    assert dm.share_list(folder.address) == []
-
-
-def test_a_run_that_changes_while_it_is_published_leaves_nothing(
-    workspace: Workspace, folder: Published, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write = FolderPlace.write
-
-    def change(self: FolderPlace, file: Path, name: str) -> None:
-        (workspace.runs / "known/metrics.jsonl").write_text("another row")
-        write(self, file, name)
-
-    monkeypatch.setattr(FolderPlace, "write", change)
-    with pytest.raises(DmbenchError, match="changed while it was published"):
-        dm.share_push("known", folder.address)
-    assert folder.files() == {}
-
-
 @pytest.mark.parametrize(
     ("what", "error", "said"),
     [
@@ -625,9 +325,3 @@ def test_the_commands_say_what_was_done_and_what_to_type_next(
     assert f"'dmbench leaderboard check {entry}'" in said("pull", str(entry), "--from", folder.address)
     found = json.loads(said("list", folder.address, "--json"))["shared"]
     assert [one["fingerprint"] for one in found] == [fingerprint(workspace), weights(workspace)]
-
-
-@pytest.fixture(autouse=True)
-def _no_leftovers(tmp_path: Path) -> Iterator[None]:
-    yield
-    assert not list(tmp_path.rglob("*.part"))

@@ -9,6 +9,7 @@ Two ways of doing the same work, one control step of the planner of the control 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,7 @@ def planned_model(name: str, images: UInt8[np.ndarray, "n h w 3"]) -> tuple[Forw
 
 
 class PlanningTogether:
-    """Called, it takes one control step of several tasks side by side, as the control loop does.
+    """Called, it takes control steps of several tasks side by side, from one search to the next.
 
     Args:
         model: Aligned or not: the work is the same.
@@ -78,18 +79,23 @@ class PlanningTogether:
         self._seen, self._tasks, self._number = _observation(images, tasks), tasks, 0
         self._actions = len(require_discrete(spec.actions, "planning"))
         self._agent.reset(self._seen.current, self._seen.goals)
-        self._act()  # remembers nothing yet, as only the first of a task's steps does
-        self.frames_per_step = self._act().frames / tasks
+        self._turn = getattr(solver, "replan_every", 1)
+        self._take_turn()  # remembers nothing yet, as only the first of a task's steps does
+        self.frames_per_step = self._take_turn() / self._turn / tasks
 
     def __call__(self) -> float:
-        """Take the step; how many it was, one of each task."""
-        self._act()
-        return self._tasks
+        """Take the steps from one search to the next; how many they were, for all tasks."""
+        self._take_turn()
+        return self._turn * self._tasks
+
+    def _take_turn(self) -> int:
+        """Take these steps; the frames that they predicted."""
+        return sum(self._act().frames for _ in range(self._turn))
 
     def _act(self) -> Plan:
-        self._number += 1
         plan = self._agent.act(_context(self._seen, self._actions, self._number, self._memory)).plan
         assert plan is not None, "an agent that has a model plans"
+        self._number += 1
         self._memory = plan.memory
         return plan
 
@@ -147,7 +153,7 @@ def _observation(images: UInt8[np.ndarray, "n h w 3"], tasks: int) -> Observatio
 def _context(seen: Observation, actions: int, number: int, memory: Sequences | None) -> PlanContext:
     tasks = len(seen.current)
     return PlanContext(
-        observation=seen,
+        observation=replace(seen, step=number),
         generators=tuple(np.random.default_rng([number, task]) for task in range(tasks)),
         blocked=np.zeros((tasks, actions), np.bool_),
         memory=memory,

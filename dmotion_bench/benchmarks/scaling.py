@@ -51,7 +51,7 @@ class Sizes:
     """
 
     recorded: int = 80
-    clips: int = 24
+    clips: int = 96
     clip_frames: int = 250
     episodes: int = 40
     frames: int = 14

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -33,6 +33,7 @@ from dmotion_bench.storage.imports.importing import (
     require_same,
     standing_in,
 )
+from dmotion_bench.storage.imports.limits import MIB
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Recording, Survey
 from dmotion_bench.storage.imports.sources import Source, open_recording, require_once, sources_in
@@ -43,20 +44,22 @@ from dmotion_bench.storage.writer import DatasetWriter
 MOST_PARTS: Final = 64
 """Jobs into which the shards are divided; each opens its recordings anew, so many small ones cost more."""
 
+MOST_TOGETHER: Final = 16
+BYTES_TOGETHER: Final = 64 * MIB
+"""Recordings that one job looks through, and their bytes: a reader takes a quarter of a second to start."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyJob:
-    """A recording to be looked through.
+    """Recordings to be looked through.
 
     Attributes:
-        number: Its place among those that were named.
-        source: Where it is.
+        sources: Where they are, by their places among those that were named.
         options: Of the import.
         progress: The file in which the job says how far it is; None: nowhere.
     """
 
-    number: int
-    source: Source
+    sources: dict[int, Source]
     options: ImportOptions
     progress: Path | None = None
 
@@ -66,7 +69,7 @@ class Surveyed:
     """What was found in a recording.
 
     Attributes:
-        number, source: As in the job.
+        number, source: Its place, and where it is.
         digest: SHA-256 of its bytes; empty for a damaged one.
         survey: None for a damaged one.
         unreadable: Pictures that could not be read.
@@ -90,27 +93,35 @@ class Surveyed:
         return self.digest
 
 
-def survey_job(job: SurveyJob) -> Surveyed:
-    """Look through a recording in the present process."""
+def survey_job(job: SurveyJob) -> tuple[Surveyed, ...]:
+    """Look through recordings in the present process."""
     told = ProgressFile(job.progress)
 
-    def show(pictures: int) -> None:
-        what = f"looking through {job.source.path.name}"
+    def show(name: str, pictures: int) -> None:
+        what = f"looking through {name}"
         told.tell(JobProgress(what=what, done=pictures, total=None, status=f"{pictures:,} pictures"))
 
+    with Confinement(job.options) as confinement:
+        try:
+            return tuple(_surveyed(number, source, confinement, show) for number, source in job.sources.items())
+        finally:
+            told.end()
+
+
+def _surveyed(number: int, source: Source, confinement: Confinement, show: Callable[[str, int], None]) -> Surveyed:
+    """What is found in a recording; one that is damaged does not harm those after it."""
     try:
-        with Confinement(job.options) as confinement:
-            recording = open_recording(job.source, job.options, confinement)
-            survey, digest = recording.survey(show), recording.sha256()
-            unreadable = recording.unreadable
+        recording = open_recording(source, confinement.options, confinement)
+        survey = recording.survey(lambda pictures: show(source.path.name, pictures))
+        digest, unreadable = recording.sha256(), recording.unreadable
     except RecordingImportError as error:
-        return Surveyed(number=job.number, source=job.source, fault=error)
+        fault = error
     except OSError as error:
-        said = RecordingImportError(f"cannot read {str(job.source.path)!r}: {error.strerror or error}.")
-        return Surveyed(number=job.number, source=job.source, fault=said)
-    finally:
-        told.end()
-    return Surveyed(number=job.number, source=job.source, digest=digest, survey=survey, unreadable=unreadable)
+        fault = RecordingImportError(f"cannot read {str(source.path)!r}: {error.strerror or error}.")
+    else:
+        return Surveyed(number=number, source=source, digest=digest, survey=survey, unreadable=unreadable)
+    confinement.close()  # its process may be gone, or in the middle of an answer; the next recording starts another
+    return Surveyed(number=number, source=source, fault=fault)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,7 +260,7 @@ def import_fleet(
     """
     standing, executor = standing_in(out), executor or SerialExecutor()
     skipped: dict[Path, RecordingImportError] = {}
-    found = _surveyed(_found(paths, options, skip_damaged, skipped), options, executor, progress, jobs)
+    found = _looked_through(_found(paths, options, skip_damaged, skipped), options, executor, progress, jobs)
     while True:
         sound = _sound(found, skip_damaged, skipped)
         plan = plan_import(sound, [one.survey for one in sound if one.survey is not None], options)
@@ -283,27 +294,43 @@ def _found(
     return found
 
 
-def _surveyed(
+def _looked_through(
     sources: Sequence[Source], options: ImportOptions, executor: Executor, progress: Progress, jobs: Path | None
 ) -> list[Surveyed]:
     """What is in the recordings, in their order."""
     asked = [
-        SurveyJob(
-            number=number,
-            source=source,
-            options=options,
-            progress=None if jobs is None else jobs / f"survey-{number}.json",
-        )
-        for number, source in enumerate(sources)
+        SurveyJob(sources=part, options=options, progress=None if jobs is None else jobs / f"survey-{number}.json")
+        for number, part in enumerate(_parts_of_sources(sources))
     ]
     done: dict[int, Surveyed] = {}
-    progress("looking through the recordings", 0, len(asked))
+    progress("looking through the recordings", 0, len(sources))
     results = executor.map_unordered(survey_job, asked)
     with contextlib.closing(results):  # type: ignore[type-var]
         for found in results:
-            done[found.number] = found
-            progress("looking through the recordings", len(done), len(asked))
-    return [done[number] for number in range(len(asked))]
+            done |= {one.number: one for one in found}
+            progress("looking through the recordings", len(done), len(sources))
+    return [done[number] for number in range(len(sources))]
+
+
+def _parts_of_sources(sources: Sequence[Source]) -> list[dict[int, Source]]:
+    """Recordings that are looked through together: small ones in company, large ones and folders alone."""
+    parts, room = list[dict[int, Source]](), 0
+    for number, source in enumerate(sources):
+        size = _size(source)
+        if not parts or len(parts[-1]) == MOST_TOGETHER or size > room:
+            parts.append({})
+            room = BYTES_TOGETHER
+        parts[-1][number] = source
+        room -= size
+    return parts
+
+
+def _size(source: Source) -> int:
+    """In bytes; more than any part may have for what is no file."""
+    try:
+        return source.path.stat().st_size if source.path.is_file() else BYTES_TOGETHER + 1
+    except OSError:
+        return 0  # whoever opens it says why it cannot be read
 
 
 def _sound(found: Sequence[Surveyed], skip: bool, skipped: dict[Path, RecordingImportError]) -> list[Surveyed]:

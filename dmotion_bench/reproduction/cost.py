@@ -243,11 +243,11 @@ def _counted(count: float, what: str) -> str:
 
 
 def planned(scoring: ControlScoring) -> float:
-    """Actions in all sequences that a planner tries for a control step; the usual number where it does not say."""
+    """Actions in all sequences that a planner tries, on average, for a control step; ``PLANNED`` if it does not say."""
     solver: Solver = make_solver(scoring.planner, scoring.planner_set)
     parts: Sequence[float] = [getattr(solver, name, 0) for name in ("samples", "horizon", "iterations")]
     samples, horizon, iterations = parts
-    return samples * horizon * (iterations or 1) or PLANNED
+    return samples * horizon * (iterations or 1) / getattr(solver, "replan_every", 1) or PLANNED
 
 
 def control_places(state: State) -> list[Scoring]:

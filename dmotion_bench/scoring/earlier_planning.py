@@ -110,7 +110,7 @@ CONSTANTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 
 
 LATER: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
-    {name: MappingProxyType({"cost_at": "best", "hold": 1}) for name in ("cem", "icem")}
+    {name: MappingProxyType({"cost_at": "best", "hold": 1, "replan_every": 1}) for name in ("cem", "icem")}
 )
 """Fields of solvers that reports of before lack, and what solvers did then."""
 

@@ -76,7 +76,7 @@ def log_step(
     recording.set_time(STEP, sequence=step)
     recording.log("camera", rr.Image(camera))
     recording.log("distance", rr.Scalars([distance]))
-    if plan is not None:
+    if plan is not None and plan.frames:  # else an earlier plan, which is still shown, is carried on
         recording.log("cost", rr.BarChart(plan.progress[0]))
         recording.log(
             "candidates",

@@ -255,24 +255,22 @@ class Killed(Exception):
 
 
 FEW = CrossEntropy(samples=8, horizon=4, iterations=1, elites=3, kept_elites=3)
+SELDOM = replace(FEW, replan_every=3)
 PAIRS = ControlSettings(steps=6, group=2)
 
 
-@pytest.fixture(scope="module")
-def whole(problems: list[Problem]) -> ControlResult:
-    """What comes of four tasks in pairs that nothing interrupts."""
-    return control(tracking(FEW), problems[:4], GridWorld, PAIRS)
-
-
-@pytest.mark.parametrize("dies_at", [1, 5, 8, 11])
+@pytest.mark.parametrize(
+    ("solver", "dies_at"), [(FEW, 1), (FEW, 5), (FEW, 8), (FEW, 11), (SELDOM, 1), (SELDOM, 3), (SELDOM, 8)]
+)
 def test_a_killed_run_goes_on_with_the_same_result(
-    problems: list[Problem], whole: ControlResult, tmp_path: Path, dies_at: int, monkeypatch: pytest.MonkeyPatch
+    solver: CrossEntropy, problems: list[Problem], tmp_path: Path, dies_at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
+    whole = control(tracking(solver), problems[:4], GridWorld, PAIRS)
 
     def run(watch: Callable[[Scene], None] = lambda _: None) -> ControlResult:
         journal = Journal(tmp_path / "journal.json", {"who": "me"})
-        return control(tracking(FEW), problems[:4], GridWorld, PAIRS, journal=journal, watch=watch)
+        return control(tracking(solver), problems[:4], GridWorld, PAIRS, journal=journal, watch=watch)
 
     steps: Iterator[int] = iter(range(100))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -163,10 +163,34 @@ def test_what_was_best_is_tried_again_one_step_later() -> None:
     walks.plan(solver, context(1, memory=memory))
     tried = {history for _, history in walks.expanded}
     for shifted in ([3, 3, 3, 0, 0], [1, 1, 1, 1, 1], [0, 0, 0, 2, 2]):
-        history = 0
-        for action in shifted:
-            history = history * 5 + action + 1
-        assert history in tried
+        assert walks_to(shifted) in tried
+
+
+def walks_to(actions: Sequence[int]) -> int:
+    """The history of a walk that takes these actions."""
+    history = 0
+    for action in actions:
+        history = history * 5 + int(action) + 1
+    return history
+
+
+@pytest.mark.parametrize("kept_elites", [0, 3])
+def test_a_plan_is_carried_on_until_the_next_search(kept_elites: int) -> None:
+    tasks = (3, 5)
+    walks = SmoothWalks(tasks)
+    solver = CrossEntropy(samples=6, elites=3, iterations=2, kept_elites=kept_elites, replan_every=3)
+    first = walks.plan(solver, context(2))
+    known, plan = len(walks.expanded), first
+    for step in (1, 2):
+        plan = walks.plan(solver, context(2, memory=plan.memory, observation=replace(unseen(2), step=step)))
+        np.testing.assert_array_equal(plan.action, first.candidates[:, 0, step])
+        assert plan.frames == 0
+        assert len(walks.expanded) == known
+    again = walks.plan(solver, context(2, memory=plan.memory, observation=replace(unseen(2), step=3)))
+    assert again.frames
+    if kept_elites:  # what was best is tried again, three steps later
+        best = first.candidates[0, 0]
+        assert walks_to([*best[3:], *[best[-1]] * 3]) in {history for _, history in walks.expanded[known:]}
 
 
 def test_sequences_are_drawn_with_the_chances_given() -> None:
@@ -217,6 +241,8 @@ def test_a_push_is_planned_through_images() -> None:
         {"iterations": 0},
         {"kept_elites": 51},
         {"action_repeat_prob": 1.0},
+        {"replan_every": 0},
+        {"replan_every": 6},
     ],
 )
 def test_settings_that_cannot_be(wrong: dict[str, float]) -> None:

@@ -22,7 +22,7 @@ from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.objectives.base import Evaluator
 from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, Ranked, Sequences, best_first
-from dmotion_bench.planning.solvers.proposals import Categorical, Gaussian, search, shifted
+from dmotion_bench.planning.solvers.proposals import Categorical, Gaussian, carried_on, search, shifted
 from dmotion_bench.planning.solvers.search import Search
 from dmotion_bench.values import require_bounds
 
@@ -46,8 +46,9 @@ class CrossEntropy:
         step_discount: Added to a step's cost, as a share of it, for each step before it: of two sequences that come
             equally near, the one that does so sooner is better.
         cost_at: Which steps a sequence's cost is of: ``"best"``, ``"last"``, or ``"sum"`` of all.
-        hold: Steps that each drawn action is held for: with 3 a sequence of 15 actions has five to choose. Still only
-            its first action is taken.
+        hold: Steps that each drawn action is held for: with 3 a sequence of 15 actions has five to choose.
+        replan_every: Actions of a plan that are carried out before the next search; the paper's 1 searches at every
+            step. Nothing is predicted at the steps between.
         initial_std: Of continuous actions in [-1, 1]: the standard deviation at first.
         noise_exponent: Of continuous actions: beta, by which the noise's power falls with frequency; 0 is white noise.
         momentum: Of continuous actions: the share of the distribution before that a fit keeps.
@@ -62,6 +63,7 @@ class CrossEntropy:
     step_discount: float = 0.0
     cost_at: CostAt = "best"
     hold: int = 1
+    replan_every: int = 1
     initial_std: float = 0.5
     noise_exponent: float = 0.0
     momentum: float = 0.0
@@ -69,7 +71,7 @@ class CrossEntropy:
     def __post_init__(self) -> None:
         require_bounds(
             self,
-            from_one=("samples", "horizon", "iterations", "elites", "hold"),
+            from_one=("samples", "horizon", "iterations", "elites", "hold", "replan_every"),
             above_zero=("initial_std",),
             from_zero=("step_discount", "noise_exponent"),
             below_one=("action_repeat_prob", "momentum"),
@@ -79,11 +81,18 @@ class CrossEntropy:
                 f"elites is {self.elites} and kept_elites {self.kept_elites}; neither can be more than the "
                 f"{self.samples} samples, or below zero."
             )
+        if self.replan_every > self.horizon:
+            raise InvalidSetting(
+                f"replan_every is {self.replan_every}, and a plan has {self.horizon} actions (horizon); carry out as "
+                "many or fewer."
+            )
         if self.cost_at not in get_args(CostAt):
             raise InvalidSetting(f"cost_at is {self.cost_at!r}; it can be {', '.join(get_args(CostAt))}.")
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
-        """Draw sequences, compute their costs and refit the distribution, ``iterations`` times."""
+        """Draw sequences, compute their costs and refit the distribution, ``iterations`` times; or carry on a plan."""
+        if context.memory is not None and context.observation.step % self.replan_every:
+            return carried_on(context.memory)
         sought = search(dynamics, evaluator, context.observation, self.horizon)
         best, price = self._warm_start(dynamics, context, sought)
         proposal = self._proposal(dynamics, context, best)
@@ -105,7 +114,7 @@ class CrossEntropy:
             price[:, :SHOWN],
             progress,
             cheapest=self._step_of(sought.costs(shown)),
-            memory=best[:, : self.kept_elites] if self.kept_elites else None,
+            memory=best[:, : max(1, self.kept_elites)] if self.kept_elites or self.replan_every > 1 else None,
         )
 
     def _proposal(self, dynamics: Dynamics, context: PlanContext, before: Sequences) -> Categorical | Gaussian:
@@ -153,7 +162,7 @@ class CrossEntropy:
         tasks, actions = len(context.generators), dynamics.actions
         if context.memory is None or not self.kept_elites:
             return np.zeros((tasks, 0, self.horizon, *actions.shape), actions.dtype), np.zeros((tasks, 0))
-        before = shifted(context.memory)
+        before = shifted(context.memory)[:, : self.kept_elites]
         costs = self._of_sequences(sought.costs(before))
         if isinstance(actions, Continuous):
             return before, costs

@@ -18,6 +18,7 @@ from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
 from dmotion_bench.planning.objectives.base import Evaluator
+from dmotion_bench.planning.solvers.base import Plan
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.planning.solvers.rollouts import Rollouts
 from dmotion_bench.planning.solvers.search import Search
@@ -164,3 +165,10 @@ def draw(
 def shifted(memory: Any) -> Any:
     """Sequences of the step before, one action on, with the last action repeated; the steps are the third axis."""
     return np.concatenate([memory[:, :, 1:], memory[:, :, -1:]], axis=2)
+
+
+def carried_on(memory: Any) -> Plan:
+    """The plan of the step before, one action on: nothing is predicted, so what it costs now is not known."""
+    left = shifted(memory)
+    unknown = np.full(left.shape[:2], np.nan)
+    return Plan(action=left[:, 0, 0], candidates=left, costs=unknown, progress=unknown[:, :1], frames=0, memory=left)

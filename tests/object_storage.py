@@ -11,6 +11,10 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+import pytest
+
+from dmotion_bench.storage import object_store
+
 FAULTS = ("500", "503", "silent", "broken", "truncated", "short", "wrong")
 BUCKET = "data"
 
@@ -42,6 +46,20 @@ class Storage:
             "AWS_DEFAULT_REGION": "us-east-1",
             "AWS_EC2_METADATA_DISABLED": "true",
         }
+
+    def as_found(self, monkeypatch: pytest.MonkeyPatch, prefix: str, *, patience_s: float) -> Storage:
+        """Itself, as a test finds it: a prefix of its own, no fault, short pauses, and so much patience.
+
+        A busy machine takes a second for an answer, so only where the server is to be silent is there less patience.
+        """
+        for name, value in self.environment.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setattr(object_store, "PATIENCE_S", patience_s)
+        monkeypatch.setattr(object_store, "PAUSES", (0.001, 0.002, 0.004))
+        self.address = f"s3://{BUCKET}/{prefix}"
+        self.fault = lambda _method, _path: None
+        self.seen.clear()
+        return self
 
     def count(self, method: str, ending: str = "") -> int:
         """How many requests of this kind there were."""

@@ -60,13 +60,14 @@ class SlurmExecutor:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a job of Slurm")
         at_once = _ARRAY if self._cluster == "slurm" else self._workers or 1
+        fill_below = at_once // 2 if self._cluster == "slurm" else at_once - 1  # Slurm likes few and large arrays
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         executor = self._executor()
         running: list[_Submitted[Job]] = []
         failed = False
         try:
             while True:
-                if len(running) <= at_once // 2:
+                if len(running) <= fill_below:
                     running += _submit(executor, function, queue, at_once - len(running))
                 if not running:
                     break

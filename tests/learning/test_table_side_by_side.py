@@ -21,9 +21,7 @@ from dmotion_bench.learning.start import TrainingRequest
 from dmotion_bench.learning.table import Row, TableJob, train_jobs, train_rows
 from dmotion_bench.specs import Preset
 
-SUBMITIT = pytest.param(
-    "submitit", marks=pytest.mark.skip(reason="failed twice, in tests on a busy machine; the cause is not known yet")
-)
+SUBMITIT = pytest.param("submitit")
 ROWS = (("lapo", ("one-shot", "8")), ("ed-cnn", ("100%",)), ("cswm", ("100%",)))
 SETTINGS = ("epochs=1", "precision=float32", "batch_size=8")
 

@@ -73,15 +73,8 @@ def server() -> Iterator[Storage]:
 
 @pytest.fixture
 def storage(server: Storage, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Storage:
-    """The S3 server as a test finds it: a prefix of its own, no fault, no patience."""
-    for name, value in server.environment.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr(object_store, "PATIENCE_S", 0.2)
-    monkeypatch.setattr(object_store, "PAUSES", (0.001, 0.002, 0.004))
-    server.address = f"s3://data/{request.node.name}"
-    server.fault = lambda _method, _path: None
-    server.seen.clear()
-    return server
+    """The S3 server, as ``as_found`` says."""
+    return server.as_found(monkeypatch, request.node.name, patience_s=10.0)
 
 
 @pytest.fixture

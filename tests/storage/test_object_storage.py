@@ -45,16 +45,10 @@ def noise(tmp_path_factory) -> Dataset:
 
 @pytest.fixture
 def storage(server, tmp_path, monkeypatch, request) -> Storage:
-    """The server as a test finds it: a prefix of its own, no fault, no copies, and no patience."""
-    for name, value in server.environment.items():
-        monkeypatch.setenv(name, value)
+    """The server as a test finds it: a prefix of its own, no fault, and no copies."""
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
-    monkeypatch.setattr(object_store, "PATIENCE_S", 0.2)
-    monkeypatch.setattr(object_store, "PAUSES", (0.001, 0.002, 0.004))
-    server.address = f"s3://data/{request.node.name}"
-    server.fault = lambda _method, _path: None
-    server.seen.clear()
-    return server
+    impatient = "silent" in request.node.name
+    return server.as_found(monkeypatch, request.node.name, patience_s=0.2 if impatient else 10.0)
 
 
 @pytest.fixture(scope="module")

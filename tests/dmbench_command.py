@@ -17,6 +17,7 @@ import psutil
 import pytest
 
 from dmotion_bench.cli import main
+from dmotion_bench.interrupts import INTERRUPTED
 
 _MAIN = "from dmotion_bench.cli import main; main()"
 
@@ -86,3 +87,13 @@ def interrupted_once(
     children = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(number)
     return children
+
+
+def ended_by_ctrl_c(process: subprocess.Popen[str], workers: Sequence[psutil.Process], workspace: Path) -> None:
+    """Check that a command with workers says how to go on, and leaves neither processes nor notes of jobs."""
+    outcome = finish(process)
+    assert outcome.code == 130
+    assert outcome.err.splitlines()[-1] == f"dmbench: {INTERRUPTED}"
+    assert len(workers) >= 2
+    assert not psutil.wait_procs(workers, timeout=20)[1]
+    assert not list(workspace.glob(".jobs-*"))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -93,3 +95,32 @@ class Deadly:
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
         listed = list(jobs)
         yield from self.executor.map_unordered(DiesOnce(function, self.mark, listed[1]), listed)
+
+
+def engine(name: str, scratch: Path) -> Executor:
+    """Two workers of an engine; ``submitit`` is Slurm's, on this machine."""
+    from dmotion_bench.execution.executor import JobSize
+    from dmotion_bench.execution.local_executor import LocalExecutor
+    from dmotion_bench.execution.ray_executor import RayExecutor
+    from dmotion_bench.execution.slurm_executor import SlurmExecutor
+
+    if name == "ray":
+        return RayExecutor(2, JobSize(processors=1))
+    if name == "submitit":
+        return SlurmExecutor(2, scratch, cluster="local")
+    return LocalExecutor(2)
+
+
+def called_apart(module: str, function: str, *paths: Path) -> None:
+    """Call a test's function in a process of its own: Ray would leave threads behind in this one."""
+    call = f"import sys; from pathlib import Path; import {module} as m; m.{function}('ray', *map(Path, sys.argv[1:]))"
+    found = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", call, *map(str, paths)],
+        env=os.environ | {"PYTHONPATH": found},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr

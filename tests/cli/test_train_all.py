@@ -8,12 +8,10 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
-import psutil
 import pytest
-from dmbench_command import Outcome, dmbench, finish, interrupted_once, start_dmbench
+from dmbench_command import Outcome, dmbench, ended_by_ctrl_c, interrupted_once, start_dmbench
 from walking_square import record_walks
 
-from dmotion_bench.interrupts import INTERRUPTED
 from dmotion_bench.learning import table
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
@@ -102,12 +100,7 @@ def test_ctrl_c_ends_all_jobs_and_says_how_to_go_on(tmp_path: Path) -> None:
     record_walks(tmp_path / "data" / "walk-tiny")
     process = start_dmbench(("train", "--all", "--workers", "2"), tmp_path)
     workers = interrupted_once(process, lambda: len(list(tmp_path.glob("runs/*/run.json"))) >= 2, signal.SIGINT)
-    outcome = finish(process)
-    assert outcome.code == 130
-    assert outcome.err.splitlines()[-1] == f"dmbench: {INTERRUPTED}"
-    assert len(workers) >= 2
-    assert not psutil.wait_procs(workers, timeout=20)[1]
-    assert not list(tmp_path.glob(".jobs-*"))
+    ended_by_ctrl_c(process, workers, tmp_path)
 
 
 @pytest.mark.parametrize(

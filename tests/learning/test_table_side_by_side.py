@@ -4,33 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from mortal_workers import Deadly
+from mortal_workers import Deadly, called_apart, engine
 from walking_square import record_walks
 
-from dmotion_bench.execution.executor import Executor, JobSize
-from dmotion_bench.execution.local_executor import LocalExecutor
-from dmotion_bench.execution.ray_executor import RayExecutor
-from dmotion_bench.execution.slurm_executor import SlurmExecutor
 from dmotion_bench.learning.start import TrainingRequest
 from dmotion_bench.learning.table import Row, TableJob, train_jobs, train_rows
 from dmotion_bench.specs import Preset
 
-SUBMITIT = pytest.param("submitit")
 ROWS = (("lapo", ("one-shot", "8")), ("ed-cnn", ("100%",)), ("cswm", ("100%",)))
 SETTINGS = ("epochs=1", "precision=float32", "batch_size=8")
-
-RAY = """
-import sys
-from pathlib import Path
-from learning.test_table_side_by_side import trained_by
-trained_by("ray", Path(sys.argv[1]), Path(sys.argv[2]))
-"""
 
 
 def jobs_in(data: Path, workspace: Path) -> list[TableJob]:
@@ -58,14 +43,8 @@ def weights_in(workspace: Path) -> dict[str, str]:
 
 def trained_by(name: str, data: Path, workspace: Path) -> None:
     """Train all jobs by an executor whose first worker at the second job is killed."""
-    engine: Executor
-    if name == "ray":
-        engine = RayExecutor(2, JobSize(processors=1))
-    elif name == "submitit":
-        engine = SlurmExecutor(2, workspace / "slurm", cluster="local")
-    else:
-        engine = LocalExecutor(2)
-    outcomes = list(train_jobs(jobs_in(data, workspace), Deadly(engine, workspace / "died")))
+    doomed = Deadly(engine(name, workspace / "slurm"), workspace / "died")
+    outcomes = list(train_jobs(jobs_in(data, workspace), doomed))
     assert [outcome.error for outcome in outcomes] == [None] * 4
     assert (workspace / "died").exists()
 
@@ -84,7 +63,7 @@ def in_turn(data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["local", SUBMITIT])
+@pytest.mark.parametrize("name", ["local", "submitit"])
 def test_a_killed_worker_costs_one_job(
     name: str, data: Path, in_turn: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,14 +76,5 @@ def test_a_killed_worker_costs_one_job(
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is not installed")
 def test_a_killed_worker_of_ray_costs_one_job(data: Path, in_turn: dict[str, str], tmp_path: Path) -> None:
-    paths = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", RAY, str(data), str(tmp_path)],
-        env=os.environ | {"PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    called_apart("learning.test_table_side_by_side", "trained_by", data, tmp_path)
     assert weights_in(tmp_path) == in_turn

@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import shutil
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-import psutil
 import pytest
-from dmbench_command import finish, interrupted_once, start_dmbench
+from dmbench_command import ended_by_ctrl_c, interrupted_once, start_dmbench
 from known_model import result_of
-from mortal_workers import Deadly
+from mortal_workers import Deadly, called_apart, engine
 
-from dmotion_bench.execution.executor import Executor, JobSize
-from dmotion_bench.execution.local_executor import LocalExecutor, local_executor
-from dmotion_bench.execution.ray_executor import RayExecutor
-from dmotion_bench.execution.slurm_executor import SlurmExecutor
-from dmotion_bench.interrupts import INTERRUPTED
+from dmotion_bench.execution.executor import Executor
+from dmotion_bench.execution.local_executor import local_executor
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.start import TrainingRequest, open_run
 from dmotion_bench.learning.threads import using_threads
@@ -38,19 +31,11 @@ from dmotion_bench.workspace import Workspace
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-SUBMITIT = pytest.param("submitit")
 MODELS = ("ed-cnn", "cswm")
 FEW = ("samples=3", "horizon=2", "iterations=1", "elites=2")
 SETTINGS = ScoreSettings(
     resamples=100, control=ControlScoring(tasks=3, steps=3, group=2, objective="centres", planner_set=FEW)
 )
-
-RAY = """
-import sys
-from pathlib import Path
-from scoring.test_side_by_side_engines import scored_by
-scored_by("ray", Path(sys.argv[1]))
-"""
 
 
 @dataclass(frozen=True)
@@ -95,16 +80,9 @@ def reports_in(workspace: Path) -> dict[str, tuple[object, bytes]]:
 
 def scored_by(name: str, workspace: Path) -> None:
     """Score all runs by an executor whose workers are killed, one among the groups of tasks and one among the runs."""
-    engine: Executor
-    if name == "ray":
-        engine = RayExecutor(2, JobSize(processors=1))
-    elif name == "submitit":
-        engine = SlurmExecutor(2, workspace / "slurm", cluster="local")
-    else:
-        engine = LocalExecutor(2)
     jobs = jobs_in(workspace)
     assert [[share.tasks for share in control_shares(job)] for job in jobs] == [[(0, 1), (2,)]] * len(MODELS)
-    outcomes = list(score_side_by_side(jobs, DeadlyEachTime(engine, workspace)))
+    outcomes = list(score_side_by_side(jobs, DeadlyEachTime(engine(name, workspace / "slurm"), workspace)))
     assert [outcome.error for outcome in outcomes] == [None] * len(MODELS)
     assert len(list(workspace.glob("died-*"))) == 2
 
@@ -142,7 +120,7 @@ def copied(trained: Path, workspace: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["local", SUBMITIT])
+@pytest.mark.parametrize("name", ["local", "submitit"])
 def test_a_killed_worker_changes_no_figure(
     name: str,
     trained: Path,
@@ -161,16 +139,7 @@ def test_a_killed_worker_changes_no_figure(
 def test_a_killed_worker_of_ray_changes_no_figure(
     trained: Path, in_turn: dict[str, tuple[object, bytes]], tmp_path: Path
 ) -> None:
-    paths = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", RAY, str(copied(trained, tmp_path))],
-        env=os.environ | {"PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    called_apart("scoring.test_side_by_side_engines", "scored_by", copied(trained, tmp_path))
     assert reports_in(tmp_path) == in_turn
 
 
@@ -184,10 +153,5 @@ def test_ctrl_c_ends_all_jobs_and_says_how_to_go_on(trained: Path, tmp_path: Pat
         return list(tmp_path.glob("runs/*/report/control-*.json"))
 
     workers = interrupted_once(process, lambda: bool(shares()), signal.SIGINT)
-    outcome = finish(process)
-    assert outcome.code == 130
-    assert outcome.err.splitlines()[-1] == f"dmbench: {INTERRUPTED}"
-    assert len(workers) >= 2
-    assert not psutil.wait_procs(workers, timeout=20)[1]
-    assert not list(tmp_path.glob(".jobs-*"))
+    ended_by_ctrl_c(process, workers, tmp_path)
     assert shares()  # from which the same command goes on

@@ -388,11 +388,13 @@ def test_budgets_of_the_label_curve_end_with_all_labels(tmp_path: Path) -> None:
     rows = {training.model: [] for training in plan.trainings}
     for training in plan.trainings:
         rows[training.model] += [row.labels for row in training.rows]
-    assert rows["dmotion"] == [str(2**power) for power in range(13)]
+    assert rows["dmotion"] == [*(str(2**power) for power in range(13)), "100%"]
     assert rows["ed-cnn"] == [*(str(4**power) for power in range(1, 7)), "100%"]
     assert len([training for training in plan.trainings if training.model == "dmotion"]) == 1
     assert len([training for training in plan.trainings if training.model == "ed-cnn"]) == 7
     assert len([training for training in plan.trainings if training.model == "wm-ae"]) == 1  # its autoencoder is shared
+    assert rows["idm-ed-cnn"] == rows["wm-ae"] == rows["ed-cnn"]
+    assert len(rows) == 8
 
 
 def test_on_a_gpu_one_training_runs_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:

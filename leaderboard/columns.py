@@ -48,6 +48,14 @@ _SINGLE: Final = (
     ),
     Column(figure="miss_rate", heading="Missed", meaning="Share of the objects that the prediction does not show."),
 )
+UNWANTED: Final = {
+    "agent_place": "agent's place",
+    "camera": "camera",
+    "background": "background",
+    "movers": "movers",
+}
+"""What a latent action should not hold (``scoring/true_factors.py``), in words."""
+
 _AFTER: Final = (
     Column(
         figure="agent_iou",
@@ -72,12 +80,7 @@ _AFTER: Final = (
             heading=f"Probe, {words}",
             meaning=f"R² with which a small network reads {words}, beyond what the action tells of it; should be 0.",
         )
-        for factor, words in (
-            ("agent_place", "agent's place"),
-            ("camera", "camera"),
-            ("background", "background"),
-            ("movers", "movers"),
-        )
+        for factor, words in UNWANTED.items()
     ),
     Column(
         figure="planning_gain",

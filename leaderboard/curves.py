@@ -9,7 +9,7 @@ from typing import Final
 
 from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board, Row
 from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
-from leaderboard.columns import count, number
+from leaderboard.columns import UNWANTED, count, number
 from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, needed_of_rows
 from leaderboard.markup import Markup, element, joined
 
@@ -57,6 +57,7 @@ def charts(board: Board, styles: Styles) -> Markup:
         _labels(board, styles, "position_error_paper", "position error, paper's [px]", where),
         _relative(board, styles, "mse", where),
         _against_copying(board, styles, "mse", where),
+        _probes(board, styles, where),
         _ahead(board, styles, "rollout_mse", "MSE", "steps ahead", f"Error over the rollout: {where}", log=True),
         _ahead(
             board,
@@ -154,6 +155,45 @@ def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> M
         ],
     )
     return _figure(chart, title, numbers)
+
+
+def _probes(board: Board, styles: Styles, where: str) -> Markup | None:
+    """What probes read of the action against the most that they read of anything else: one point a row."""
+    action, chance = "probe_mlp[action]", "probe_mlp_shuffled[action]"
+    read = [
+        (row, row.figures[action].mean, *most)
+        for row in board.rows
+        if row.model and action in row.figures and not _is_covered(row, board) and (most := _most_unwanted(row))
+    ]
+    if not read:
+        return None
+    title = f"What the latent action holds: {where}"
+    series = [
+        Series(
+            name=f"{row.title}, labels {row.labels}: action {number(good)}, {what} {number(bad)}",
+            points=[_point(bad, row, action)],
+            style=styles[row.model, row.variant],
+        )
+        for row, good, what, bad in read
+    ]
+    chances = [row.figures[chance].mean for row, *_ in read if chance in row.figures]
+    guides = [Guide("chance", sum(chances) / len(chances))] if chances else []
+    x, y = Axis(label="read of what it should not hold [R²]"), Axis(label="read of the action", zero=True)
+    numbers = _numbers(
+        ("model", "labels", "read of the action", "most read of the rest [R²]", "which is"),
+        [(row.title, row.labels, number(good), number(bad), what) for row, good, what, bad in read],
+    )
+    return _figure(line_chart(title, x, y, series, guides), title, numbers, note="Best is at the top left.")
+
+
+def _most_unwanted(row: Row) -> tuple[str, float] | None:
+    """What a latent action should not hold and a probe reads best of it, and how well."""
+    found = {
+        words: row.figures[name].mean
+        for factor, words in UNWANTED.items()
+        if (name := f"probe_mlp[{factor}]") in row.figures
+    }
+    return max(found.items(), key=lambda one: one[1]) if found else None
 
 
 def _divided(rows: Sequence[Row], figure: str, style: Style, by: float) -> Series:

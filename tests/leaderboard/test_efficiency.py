@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 
 import numpy as np
 import pytest
@@ -120,3 +121,30 @@ def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(sound: E
     assert "against copying" in drawn
     (board,) = make_boards(two_points)
     assert "Worth of labels" not in str(charts(board, assign_styles([board])))
+
+
+def test_the_page_draws_what_is_read_of_the_action_against_the_most_of_the_rest(sound: Entry) -> None:
+    def entry(model: str, **read: float) -> Entry:
+        figures = {name.replace("_OF_", "[") + "]": value for name, value in read.items()}
+        probes = {
+            name: {"mean": value, "std": 0.1, "low": value, "high": value, "n": 9} for name, value in figures.items()
+        }
+        made = copy.deepcopy(dict(sound.content))
+        return Entry(made | {"model": model, "run": f"{model}-s0", "figures": made["figures"] | probes})
+
+    told = entry(
+        "a",
+        probe_mlp_OF_action=0.9,
+        probe_mlp_shuffled_OF_action=0.25,
+        probe_mlp_OF_movers=0.125,
+        probe_mlp_OF_camera=0.5,
+    )
+    (board,) = make_boards([told, entry("b", probe_mlp_OF_action=0.75)])
+    drawn = str(charts(board, assign_styles([board])))
+    (chart,) = re.findall(r"<figure>(?:(?!</figure>).)*What the latent action holds.*?</figure>", drawn, re.DOTALL)
+    assert "a, labels one-shot: action 0.900, camera 0.500" in chart
+    assert re.findall(r'class="name"[^>]*>([^<]*)', chart) == ["chance"]
+    assert "<td>camera</td>" in chart
+    assert "b, labels" not in chart  # of whose world nothing else is known
+    (board,) = make_boards([entry("b", probe_mlp_OF_action=0.75)])
+    assert "What the latent action holds" not in str(charts(board, assign_styles([board])))

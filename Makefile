@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-PARALLEL := -n auto --dist worksteal  # a process a core; long tests come first (tests/conftest.py)
+PARALLEL := -n auto --dist worksteal  # more processes than cores; long tests come first (tests/conftest.py)
 
 unexport PYTHONDONTWRITEBYTECODE  # else each of the processes that tests start compiles every module anew
 

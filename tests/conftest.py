@@ -40,6 +40,12 @@ _hook = install_import_hook(
 )
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """Of ``-n auto``: half more than there are cores, because many tests wait for processes that they start."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(2, cores + cores // 2)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Modules with slow tests first, so that no process is left alone with one at the end.
 

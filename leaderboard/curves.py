@@ -178,7 +178,11 @@ def _probes(board: Board, styles: Styles, where: str) -> Markup | None:
     ]
     chances = [row.figures[chance].mean for row, *_ in read if chance in row.figures]
     guides = [Guide("chance", sum(chances) / len(chances))] if chances else []
-    x, y = Axis(label="read of what it should not hold [R²]"), Axis(label="read of the action", zero=True)
+    whole = (0, 0.25, 0.5, 0.75, 1)
+    x, y = (
+        Axis(label="read of what it should not hold [R²]", ticks=whole),
+        Axis(label="read of the action", ticks=whole),
+    )
     numbers = _numbers(
         ("model", "labels", "read of the action", "most read of the rest [R²]", "which is"),
         [(row.title, row.labels, number(good), number(bad), what) for row, good, what, bad in read],

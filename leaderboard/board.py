@@ -24,6 +24,7 @@ from leaderboard.column_table import ColumnTable, column_table
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.entry import Entry
+from leaderboard.run_names import settings_of, without_seed
 from leaderboard.value import Value, values_of
 
 RANKED_BY: Final = "mse"
@@ -215,11 +216,7 @@ def _planner_of(entries: Iterable[Entry]) -> Version | None:
 def _row_key(entry: Entry) -> tuple[str, ...]:
     content = entry.content
     own = entry.trained_on or ""
-    return entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own, _without_seed(entry)
-
-
-def _without_seed(entry: Entry) -> str:
-    return re.sub(r"-s\d+$", "", entry.name)
+    return entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own, without_seed(entry)
 
 
 def _measured_row(entries: Sequence[Entry], planner: Version | None) -> Row:
@@ -276,16 +273,8 @@ def _by_weights(row: Row) -> Row:
 
 
 def _beyond(row: Row) -> str:
-    """The part of a run's name after model, data set and budget, such as ``small, epochs 3``; else the whole name."""
-    entry = row.entries[0]
-    name, dataset = _without_seed(entry), entry.trained_on or str(entry.content["dataset"]["name"])
-    prefixes = (f"{entry.model}-{dataset}", f"{entry.model}-{entry.content['arch']}-{dataset}")
-    known = next((one for one in prefixes if f"{name}-".startswith(f"{one}-")), None)
-    if known is None:
-        return name
-    beyond = name.removeprefix(known).strip("-").removeprefix(entry.labels.replace("%", "pct")).strip("-")
-    changed = re.sub(r"-(?=[a-z])", ", ", beyond.replace("_", " "))
-    return ", ".join(part for part in (row.variant, changed) if part)
+    """The row's variant, and what its run's name says of its settings."""
+    return ", ".join(part for part in (row.variant, settings_of(row.entries[0])) if part)
 
 
 def _published_row(entry: Entry) -> Row:

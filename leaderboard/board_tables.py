@@ -28,10 +28,8 @@ def board_section(board: Board) -> list[str]:
     """The lines of a board: its heading, what it was measured on, and its tables."""
     lines = [f"### {world(board)}: {plain(board.dataset)} ({board.fingerprint[:8]})", ""]
     protocols = sorted({str(entry.content["protocol"]) for entry in board.entries if entry.is_measured})
-    lines += [
-        f"Protocol {', '.join(map(plain, protocols))}, split by {plain(board.protocol)}, "
-        f"{board.triplets or 0:,} predicted frames."
-    ]
+    told = [f"Protocol {', '.join(map(plain, protocols))}", f"split by {plain(board.protocol)}"]
+    lines.append(", ".join([*told, *([f"{board.triplets:,} predicted frames"] if board.triplets else [])]) + ".")
     if board.measured:
         lines += ["", *_predictions(board)]
     if board.agreement:

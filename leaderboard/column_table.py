@@ -26,6 +26,7 @@ from dmotion_bench.scoring.statistics import (
     wilson,
 )
 from leaderboard.entry import Entry
+from leaderboard.run_names import settings_of
 
 SUCCEEDED: Final = "control_success"
 LOST: Final = "control_lost"
@@ -140,13 +141,10 @@ def _last(entry: Entry) -> int:
 
 
 def _key(entry: Entry) -> RowKey:
-    """Model, variant and budget; the variant is what its run's name says beyond these and the seed."""
-    run = re.sub(r"-s\d+$", "", entry.name)
-    prefix = f"{entry.model}-{entry.trained_on}-{entry.content['preset']}"
-    beyond = run.removeprefix(prefix).strip("-") if run.startswith(prefix) else run
-    beyond = beyond.removeprefix(entry.labels.replace("%", "pct")).strip("-")
+    """Model, variant and budget; the variant is what its run's name says beyond these, the preset and the seed."""
     arch = entry.content["arch"]
-    parts = [f"{arch} architecture"] * (arch != "compact") + [re.sub(r"-(?=[a-z])", ", ", beyond.replace("_", " "))]
+    settings = settings_of(entry).removeprefix(entry.content["preset"]).removeprefix(", ")
+    parts = [f"{arch} architecture"] * (arch != "compact") + [settings]
     return entry.model, ", ".join(part for part in parts if part), entry.labels
 
 

@@ -117,6 +117,35 @@ def test_each_model_is_a_row_and_each_column_a_cell(board: Board, left: dict[tup
     assert "paper" not in table.rows[1].cells
 
 
+@pytest.mark.parametrize(
+    ("data", "run", "variant"),
+    [
+        ("grid", "dmotion-grid-small-s0", ""),
+        ("grid-small", "dmotion-grid-small-s0", ""),
+        ("grid-small", "dmotion-grid-small-threads_1-s0", ""),
+        ("grid-small", "dmotion-grid-small-5-shot-warp_true-epochs_3-threads_2-s0", "warp true, epochs 3"),
+        ("grid", "dmotion-grid-small-5-shot-warp_true-s0", "warp true"),
+        ("grid-small", "of-another-kind-s0", "of-another-kind"),
+    ],
+)
+def test_a_rows_variant_is_what_its_run_was_set_to(
+    controlled: MakeEntry, data: str, run: str, variant: str, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    dataset = {"name": "grid-test", "environment": "grid_world", "fingerprint": "1" * 64}
+    dataset |= {"trained_on": {"name": data, "fingerprint": "0" * 64}}  # type: ignore[dict-item]
+    entry = controlled(
+        "dmotion",
+        left["dmotion", 0],
+        run=run,
+        preset="small",
+        dataset=dataset,
+        labels="5-shot" if "5-shot" in run else "one-shot",
+    )
+    (board,) = make_boards([entry])
+    assert board.control is not None
+    assert board.control.rows[0].variant == variant
+
+
 def test_the_oracle_has_a_cell_for_each_column_and_idle_the_same(board: Board) -> None:
     assert board.control is not None
     idle, oracle = board.control.rows[-2:]

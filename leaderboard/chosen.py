@@ -12,6 +12,7 @@
     labels = "one-shot"                # label budget
     figure = "control_distance[100]"
     baseline = "idle"                  # a reference of the board
+    column = "generic"                 # of control by a frozen planner; left out for all other figures
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from typing import Any, Final
 from dmotion_bench.errors import UsageError
 from leaderboard.board import REFERENCE_WORDS, Board, Row
 from leaderboard.board_tables import between, figure, labels, mean, trainings, tuned, world
+from leaderboard.column_table import Outcome
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markdown import plain, table
 from leaderboard.value import Value
@@ -46,6 +48,7 @@ class Choice:
     figure: str
     baseline: str
     variant: str = ""
+    column: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,11 +117,12 @@ def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
     near = {f"{one.dataset}@{one.fingerprint[:8]}": one for one in boards if one.dataset}
     matching = [one for one in near.values() if one.dataset == name and one.fingerprint.startswith(fingerprint)]
     board = _only(choice, "board", choice.board, matching, list(near))
-    able = {_key(row): row for row in board.rows if row.kind == "measured" and choice.figure in row.figures}
+    rows = _rows_of_column(board, choice) if choice.column else board.rows
+    able = {_key(row): row for row in rows if row.kind == "measured" and choice.figure in row.figures}
     wanted = (choice.model, choice.variant, choice.labels)
     row = _only(choice, "row", wanted, [row for key, row in able.items() if key == wanted], list(able))
     words = REFERENCE_WORDS.get(choice.baseline, choice.baseline)
-    references = {one.name: one for one in board.rows if one.kind == "reference" and choice.figure in one.figures}
+    references = {one.name: one for one in rows if one.kind == "reference" and choice.figure in one.figures}
     baseline = _only(choice, "baseline", words, [one for one in [references.get(words)] if one], list(references))
     paper = [
         one for one in board.rows if one.kind == "published" and (one.model, one.labels) == (row.model, row.labels)
@@ -130,6 +134,40 @@ def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
         value=row.figures[choice.figure],
         baseline=baseline.figures[choice.figure],
         paper=paper[0].figures.get(choice.figure) if paper else None,
+    )
+
+
+def _rows_of_column(board: Board, choice: Choice) -> list[Row]:
+    """The rows of control by a frozen planner, as a board has its other rows."""
+    table = board.control
+    found = (
+        [] if table is None else [(row, row.cells[choice.column]) for row in table.rows if choice.column in row.cells]
+    )
+    return [
+        Row(
+            kind="measured" if row.entries else "reference",
+            name=row.name,
+            model=row.name if row.entries else "",
+            variant=row.variant,
+            labels=row.labels,
+            label_count=row.label_count,
+            entries=row.entries,
+            figures={choice.figure: _value(cell)},
+        )
+        for row, cell in found
+    ]
+
+
+def _value(cell: Outcome) -> Value:
+    left = cell.left
+    return Value(
+        mean=left.mean,
+        low=left.low,
+        high=left.high,
+        std=None,
+        seeds=cell.trainings,
+        interval=None if left.low is None or left.high is None else (left.low, left.high),
+        samples=cell.tasks,
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dmotion_bench.errors import UsageError
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.score import ScoreSettings, score_run
@@ -23,6 +24,7 @@ from leaderboard.board import Board, make_boards
 from leaderboard.board_tables import board_section, written
 from leaderboard.build import entry_of_run
 from leaderboard.check import check_entry
+from leaderboard.chosen import chosen_table, find_rows, read_choices
 from leaderboard.entry import Entry
 from leaderboard.page import make_page
 
@@ -196,6 +198,25 @@ def test_control_of_the_earlier_protocol_stands_apart(
     assert "Control of protocol dmbench-1, by planners that were tuned on some of its tasks" in lines
     assert "Control, protocol dmbench-1" in page
     assert "Control, protocol dmbench-2" in page
+
+
+def test_a_front_page_can_show_a_cell(board: Board, tmp_path: Path) -> None:
+    (tmp_path / "chosen.toml").write_text(
+        '[[row]]\nname = "control"\ntitle = "control"\nmodel_title = "DMotion"\nboard = "grid-test"\n'
+        'model = "dmotion"\nlabels = "one-shot"\nfigure = "control_distance[2]"\ncolumn = "generic"\n'
+        'baseline = "idle"\n'
+    )
+    (found,) = find_rows(read_choices(tmp_path / "chosen.toml"), [board])
+    assert board.control is not None
+    cell = board.control.rows[0].cells["generic"]
+    assert found.value.mean == cell.left.mean
+    assert found.value.interval == (cell.left.low, cell.left.high)
+    assert (found.value.samples, found.value.seeds, found.baseline.mean) == (25, 3, 1.0)
+    (line,) = [line for line in chosen_table([found]) if "DMotion" in line]
+    assert "control, 25 tasks" in line
+    (tmp_path / "chosen.toml").write_text((tmp_path / "chosen.toml").read_text().replace("generic", "tuned"))
+    with pytest.raises(UsageError, match="asks for the row"):
+        find_rows(read_choices(tmp_path / "chosen.toml"), [board])
 
 
 def test_the_page_and_the_tables_show_it(board: Board) -> None:

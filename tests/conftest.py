@@ -25,6 +25,8 @@ os.environ["DMBENCH_QUIET"] = "1"
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the other cores have other tests
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job; children would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # as under nohup
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 _hook = install_import_hook(
     [

@@ -89,7 +89,8 @@ class SlurmExecutor:
                 shutil.rmtree(self._folder, ignore_errors=True)
 
     def _executor(self) -> Any:
-        executor = self._submitit.AutoExecutor(folder=str(self._folder / "%j"), cluster=self._cluster)
+        # Without '%j', a folder for each job: it is made after the job was started, which may look for it earlier.
+        executor = self._submitit.AutoExecutor(folder=str(self._folder), cluster=self._cluster)
         size = self._size
         executor.update_parameters(
             name="dmbench", timeout_min=size.minutes, cpus_per_task=size.processors, mem_gb=size.gigabytes

@@ -31,6 +31,7 @@ from leaderboard.run_names import settings_of
 SUCCEEDED: Final = "control_success"
 LOST: Final = "control_lost"
 _DISTANCE: Final = re.compile(r"control_distance\[(\d+)\]")
+_THREADS: Final = re.compile(r"threads \d+")
 SOLVED_AT: Final = SUCCESS
 RowKey = tuple[str, str, str]
 """Model, variant and label budget."""
@@ -141,10 +142,13 @@ def _last(entry: Entry) -> int:
 
 
 def _key(entry: Entry) -> RowKey:
-    """Model, variant and budget; the variant is what its run's name says beyond these, the preset and the seed."""
-    arch = entry.content["arch"]
-    settings = settings_of(entry).removeprefix(entry.content["preset"]).removeprefix(", ")
-    parts = [f"{arch} architecture"] * (arch != "compact") + [settings]
+    """Model, variant and budget; the variant is what its run's name says beyond these, the preset and the seed.
+
+    The number of threads is left out: it changes rounding, and of two results of a seed one counts.
+    """
+    arch, preset = entry.content["arch"], entry.content["preset"]
+    parts = [f"{arch} architecture"] * (arch != "compact")
+    parts += [part for part in settings_of(entry).split(", ") if part != preset and not _THREADS.fullmatch(part)]
     return entry.model, ", ".join(part for part in parts if part), entry.labels
 
 

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import Final
 
 from leaderboard.entry import Entry
 
-_THREADS: Final = re.compile(r"-threads_\d+(?=-|$)")
-"""Their number changes how sums are rounded, and nothing else."""
-
 
 def without_seed(entry: Entry) -> str:
-    """The run's name without seed and threads: the same for trainings that differ by chance and rounding alone."""
-    return re.sub(_THREADS, "", re.sub(r"-s\d+$", "", entry.name))
+    """The run's name without its seed: the same for trainings that differ by the seed alone."""
+    return re.sub(r"-s\d+$", "", entry.name)
 
 
 def settings_of(entry: Entry) -> str:

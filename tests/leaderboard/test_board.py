@@ -237,7 +237,7 @@ def test_a_variant_of_a_model_has_its_own_colour_and_marker(result: Callable[...
         ("a-DATASET-s0", ""),
         ("a-DATASET-epochs_3-s0", "epochs 3"),
         ("a-DATASET-5-shot-epochs_3-s1", "epochs 3"),
-        ("a-DATASET-epochs_3-threads_1-s1", "epochs 3"),
+        ("a-DATASET-epochs_3-threads_1-s1", "epochs 3, threads 1"),
         ("a-DATASETx-s0", "a-DATASETx"),
     ],
 )

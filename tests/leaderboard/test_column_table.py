@@ -133,8 +133,8 @@ def test_each_model_is_a_row_and_each_column_a_cell(board: Board, left: dict[tup
 def test_a_rows_variant_is_what_its_run_was_set_to(
     controlled: MakeEntry, data: str, run: str, variant: str, left: dict[tuple[str, int], np.ndarray]
 ) -> None:
-    dataset = {"name": "grid-test", "environment": "grid_world", "fingerprint": "1" * 64}
-    dataset |= {"trained_on": {"name": data, "fingerprint": "0" * 64}}  # type: ignore[dict-item]
+    trained_on = {"name": data, "fingerprint": "0" * 64}
+    dataset = {"name": "grid-test", "environment": "grid_world", "fingerprint": "1" * 64, "trained_on": trained_on}
     entry = controlled(
         "dmotion",
         left["dmotion", 0],

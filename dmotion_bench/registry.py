@@ -8,8 +8,11 @@ Nothing is imported until a name is asked for, so listing names costs no torch a
 from __future__ import annotations
 
 import difflib
+import functools
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from dmotion_bench.errors import DmbenchError, UnknownName, UsageError
@@ -47,6 +50,27 @@ _ADDED: Final[dict[tuple[str, str], object]] = {}
 """What this process has added to the groups by ``add``, by group and name."""
 
 
+def registered(group: str) -> tuple[EntryPoint, ...]:
+    """What installed packages have registered in a group.
+
+    Reading the metadata of all packages takes longer than a small scoring, so it is remembered for as long as none of
+    the folders that packages are found in changes.
+    """
+    return _read(group, tuple((folder, _changed(folder)) for folder in sys.path))
+
+
+@functools.lru_cache(maxsize=64)
+def _read(group: str, folders: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=group))
+
+
+def _changed(folder: str) -> int:
+    try:
+        return Path(folder or ".").stat().st_mtime_ns
+    except OSError:  # there is no such folder
+        return 0
+
+
 def add(group: str, name: str, what: object) -> None:
     """Register something for the rest of this process, as a notebook does; other processes do not know it.
 
@@ -58,7 +82,7 @@ def add(group: str, name: str, what: object) -> None:
     Raises:
         UsageError: A package has registered this name.
     """
-    if any(point.name == name for point in entry_points(group=group)):
+    if any(point.name == name for point in registered(group)):
         raise UsageError(f"{shown(name)} is registered by a package already ({group}); choose another name.")
     _ADDED[group, name] = what
 
@@ -108,13 +132,13 @@ def register_environment(name: str, kind: type[Environment]) -> None:
 def names(group: str) -> list[str]:
     """Every name registered in a group, sorted."""
     added = {name for owner, name in _ADDED if owner == group}
-    return sorted({point.name for point in entry_points(group=group)} | added)
+    return sorted({point.name for point in registered(group)} | added)
 
 
 def _load(group: str, kind: str, name: str) -> Any:
     if (group, name) in _ADDED:
         return _ADDED[group, name]
-    found: list[EntryPoint] = [point for point in entry_points(group=group) if point.name == name]
+    found: list[EntryPoint] = [point for point in registered(group) if point.name == name]
     if not found:
         raise UnknownName(kind, name, names(group), LISTED.get(group, ""))
     if len({point.value for point in found}) > 1:
@@ -287,7 +311,7 @@ def leaderboard_part(name: str) -> Callable[..., Any]:
     Raises:
         DmbenchError: No installed package has it.
     """
-    for point in entry_points(group=LEADERBOARD):
+    for point in registered(LEADERBOARD):
         if point.name == name:
             loaded: Callable[..., Any] = point.load()
             return loaded

@@ -1,8 +1,8 @@
 """Every command of the README and the docs, run from top to bottom of its page as a reader types it, only shorter.
 
 What makes it short: recordings of 13 short episodes, trainings of a step or two, one row of the table of all models, a
-planner of two candidates, pictures written to files where the command would open a window. Nothing else of a command
-is changed (``_shortened``).
+planner of two candidates, gains of four sequences at two moments, pictures written to files where the command would
+open a window. Nothing else of a command is changed (``_shortened``).
 
 A tutorial is followed from its first line in an empty folder: its files are saved, its Python is run, its commands are
 typed, and what they print is compared with what the page shows (``walk.py``).
@@ -40,6 +40,7 @@ from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.gain import GainScoring, gain_tables
 from dmotion_bench.scoring.score import ScoreSettings, score_run
 from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
@@ -126,6 +127,10 @@ def _two_steps(*asked: Any, **more: Any) -> ControlScoring:
     return replace(_control_scoring(*asked, **more), steps=2)
 
 
+def _few_gains(model: Any, dataset: Any, split: Any, scoring: GainScoring, how: Any) -> Any:
+    return gain_tables(model, dataset, split, replace(scoring, moments=2, sequences=4), how)
+
+
 def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
     patch.setattr(start, "with_settings", _shorter_training)
     if planning:
@@ -133,6 +138,7 @@ def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
     patch.setattr(table, "model_names", lambda: ["dmotion"])
     patch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
     patch.setattr("dmotion_bench.planning.columns.TEST_TASKS", {})  # a shorter recording has other tasks
+    patch.setattr("dmotion_bench.scoring.score.gain_tables", _few_gains)
     patch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: its layers are most of what a scoring computes
     patch.setattr(demonstration, "EPISODES", 12)
     patch.setattr(demonstration, "EPOCHS", 0.01)

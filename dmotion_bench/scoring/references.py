@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from jaxtyping import UInt8
 
 from dmotion_bench.actions import ActionSpec, kind_of
 from dmotion_bench.errors import DmbenchError
+from dmotion_bench.registry import registered
 from dmotion_bench.scoring.transitions import TransitionBatch
 
 PUBLISHED = "dmbench.references"
@@ -80,7 +80,7 @@ class PublishedResult:
 def published_results() -> list[PublishedResult]:
     """The published results that installed packages provide."""
     results: list[PublishedResult] = []
-    for point in sorted(entry_points(group=PUBLISHED), key=lambda point: point.name):
+    for point in sorted(registered(PUBLISHED), key=lambda point: point.name):
         try:
             results.extend(point.load())
         except (ImportError, AttributeError) as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +35,12 @@ def _plug_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     points = [EntryPoint(name=name, value=value, group=registry.MODELS) for name, value in broken]
     monkeypatch.setattr(EntryPoint, "load", _load(EntryPoint.load))
 
-    def with_plug_ins(group: str) -> Any:
-        return [*entry_points(group=group), *(points if group == registry.MODELS else [])]
+    real = registry.registered
 
-    monkeypatch.setattr(registry, "entry_points", with_plug_ins)
+    def with_plug_ins(group: str) -> Any:
+        return [*real(group), *(points if group == registry.MODELS else [])]
+
+    monkeypatch.setattr(registry, "registered", with_plug_ins)
 
 
 def _load(load: Any) -> Any:

@@ -148,7 +148,7 @@ def test_every_part_is_an_entry_point_that_exists() -> None:
 
 
 def test_a_missing_package_is_said(run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "entry_points", lambda group: [])
+    monkeypatch.setattr(registry, "registered", lambda group: [])
 
     result = run("serve")
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 
 import pytest
 from dmbench_command import dmbench
 
+from dmotion_bench import registry
 from dmotion_bench.cli.tables import show_rows
 from recorders.distractors.scenes import NAMES
 from recorders.planar_push.environment import FACTORS, PlanarPush
@@ -75,11 +76,13 @@ def test_a_narrow_terminal_folds_a_name_and_keeps_all_of_it(
 def strangers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Packages of others: one that breaks on import, one that takes the name of a model of ours."""
 
+    real = registry.registered
+
     def found(group: str) -> list[EntryPoint]:
         more = {"broken": "no_such_module:Model", "lapo": "antigravity_models:Lapo"}
-        return [*entry_points(group=group), *(EntryPoint(name, value, group) for name, value in more.items())]
+        return [*real(group), *(EntryPoint(name, value, group) for name, value in more.items())]
 
-    monkeypatch.setattr("dmotion_bench.registry.entry_points", found)
+    monkeypatch.setattr("dmotion_bench.registry.registered", found)
 
 
 @pytest.mark.usefixtures("strangers")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import importlib
-import importlib.metadata
 import signal
 import sys
 from pathlib import Path
@@ -40,8 +38,6 @@ def load_all(site: Path) -> None:
         site: A new folder, for what says that the models are installed.
     """
     register_models(site)
-    find = importlib.metadata.entry_points
-    importlib.metadata.entry_points = functools.cache(lambda **asked: find(**asked))  # type: ignore[assignment]
     for name in LOADED:
         importlib.import_module(name)
     import torch

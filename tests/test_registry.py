@@ -1,0 +1,58 @@
+"""What packages register is read once, and again when packages come or go."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from dmotion_bench import registry
+from dmotion_bench.registry import MODELS, names
+
+POINTS = "[dmbench.models]\n{name} = no_such_module:Model\n"
+
+
+def _install(site: Path, name: str) -> Path:
+    """Put a package that registers a model into a folder where packages are found."""
+    facts = site / f"{name.replace('-', '_')}-1.dist-info"
+    facts.mkdir()
+    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
+    (facts / "entry_points.txt").write_text(POINTS.format(name=name))
+    return facts
+
+
+def test_packages_that_come_and_go_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert "newcomer" not in names(MODELS)
+
+    facts = _install(tmp_path, "newcomer")
+    assert "newcomer" in names(MODELS)
+    assert "dmotion" in names(MODELS)
+
+    shutil.rmtree(facts)
+    os.utime(tmp_path, ns=(1, 1))  # however coarse the clock of the file system is
+    assert "newcomer" not in names(MODELS)
+
+
+def test_a_folder_that_is_added_later_is_looked_into(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _install(tmp_path, "latecomer")
+    assert "latecomer" not in names(MODELS)
+
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    assert "latecomer" in names(MODELS)
+
+
+def test_metadata_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = names(MODELS)
+    importlib.invalidate_caches()
+
+    def read_again(**_: str) -> None:
+        raise AssertionError("read again, although nothing changed")
+
+    monkeypatch.setattr(registry, "entry_points", read_again)
+
+    assert names(MODELS) == first

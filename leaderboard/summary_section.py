@@ -66,7 +66,8 @@ def summary_section(summary: Summary, anchors: Sequence[str]) -> Markup:
 
 def summary_lines(summary: Summary) -> list[str]:
     """The lines of the summary in a Markdown page."""
-    worlds = [f"{board.title} ({board.fingerprint[:8]})" for board in summary.boards]
+    worlds = [board.title for board in summary.boards]
+    recorded = ", ".join(f"{board.title} {board.fingerprint[:8]}" for board in summary.boards)
     body = [
         [
             plain(one.model),
@@ -79,7 +80,8 @@ def summary_lines(summary: Summary) -> list[str]:
         for one in summary.standings
     ]
     lines = table(["Model", "IQM", *worlds, "P(better)", "Labels", "Trainings"], body)
-    said = [one for note in (SCORE, MEANING, INTERVALS, *_absent(summary)) for one in (*textwrap.wrap(note, WIDTH), "")]
+    notes = (f"Data sets: {recorded}.", SCORE, MEANING, INTERVALS, *_absent(summary))
+    said = [one for note in notes for one in (*textwrap.wrap(note, WIDTH), "")]
     return ["", *lines, "", *said]
 
 
@@ -98,7 +100,8 @@ def _row(one: Standing) -> Markup:
 
 
 def summary_shows(summary: Summary) -> str:
-    worlds = " and ".join(board.title for board in summary.boards)
+    *others, last = (board.title for board in summary.boards)
+    worlds = " and ".join([", ".join(others), last] if others else [last])
     return (
         f"How well each model predicts the next frame of {worlds} together, the best model first: "
         f"{len(summary.standings)} models, {_trainings(summary)}."

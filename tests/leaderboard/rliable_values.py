@@ -23,7 +23,7 @@ import numpy as np
 HERE = Path(__file__).parent
 ENTRIES = HERE.parents[1] / "docs" / "leaderboard" / "entries"
 VALUES = HERE / "rliable_values.json"
-WORLDS = {"grid_world": "6421b3f4", "robot_push": "0753d884"}
+WORLDS = {"grid_world": "6421b3f4", "planar_push": "a0147257", "robot_push": "0753d884"}
 """The data sets of the summary, by the beginnings of their fingerprints."""
 NAMES = ("ed-cnn", "dmotion", "lam-vae", "lapo", "dmotion-no-stn", "clasp", "wm-ae", "wm-vae", "jepa", "cswm")
 SHAPES = ((1, 2), (2, 2), (3, 2), (5, 4), (10, 7))
@@ -42,7 +42,7 @@ def random_scores() -> list[list[np.ndarray[Any, Any]]]:
 
 def published_scores() -> dict[str, np.ndarray[Any, Any]]:
     """Of the models with default settings and their usual budget: a training a row, a world a column."""
-    found: dict[str, list[list[float]]] = {name: [[], []] for name in NAMES}
+    found: dict[str, list[list[float]]] = {name: [[] for _ in WORLDS] for name in NAMES}
     for path in sorted(ENTRIES.glob("*.json")):
         entry = json.loads(path.read_text())
         if entry["kind"] != "measured":

@@ -53,8 +53,8 @@ _ADDED: Final[dict[tuple[str, str], object]] = {}
 def registered(group: str) -> tuple[EntryPoint, ...]:
     """What installed packages have registered in a group.
 
-    Reading the metadata of all packages takes longer than a small scoring, so it is remembered for as long as none of
-    the folders that packages are found in changes.
+    Reading the metadata of all packages takes milliseconds, and a scoring asks many times. So what was read is kept
+    for as long as none of the folders that packages are found in changes.
     """
     return _read(group, tuple((folder, _changed(folder)) for folder in sys.path))
 

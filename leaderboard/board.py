@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeVar
 
@@ -24,7 +24,7 @@ from leaderboard.column_table import ColumnTable, column_table
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.entry import Entry
-from leaderboard.run_names import settings_of, without_seed
+from leaderboard.run_names import settings_of, unusual_settings, without_seed
 from leaderboard.value import Value, values_of
 
 RANKED_BY: Final = "mse"
@@ -255,12 +255,16 @@ def _compared(figures: Mapping[str, _T], entry: Entry, planner: Version | None) 
 
 
 def _told_apart(rows: list[Row]) -> list[Row]:
-    """Give rows of the same model, architecture and budget different names, taken from their runs' names."""
+    """Give rows what is unusual about them, and those of the same model, architecture and budget different names.
+
+    Both are taken from their runs' names.
+    """
     counts: dict[tuple[str, ...], int] = defaultdict(int)
     for row in rows:
         counts[row.model, row.variant, row.labels] += 1
     apart = [
-        replace(row, variant=_beyond(row)) if counts[row.model, row.variant, row.labels] > 1 else row for row in rows
+        _beyond(row, settings_of if counts[row.model, row.variant, row.labels] > 1 else unusual_settings)
+        for row in rows
     ]
     names = [(row.model, row.variant, row.labels) for row in apart]
     return [_by_weights(row) if names.count(name) > 1 else row for row, name in zip(apart, names, strict=True)]
@@ -268,13 +272,12 @@ def _told_apart(rows: list[Row]) -> list[Row]:
 
 def _by_weights(row: Row) -> Row:
     """The row with the beginning of its weights' hash as its variant."""
-    weights = f"weights {row.entries[0].content['weights'][:8]}"
-    return replace(row, variant=", ".join(part for part in (row.variant, weights) if part))
+    return _beyond(row, lambda entry: f"weights {entry.content['weights'][:8]}")
 
 
-def _beyond(row: Row) -> str:
-    """The row's variant, and what its run's name says of its settings."""
-    return ", ".join(part for part in (row.variant, settings_of(row.entries[0])) if part)
+def _beyond(row: Row, told: Callable[[Entry], str | None]) -> Row:
+    """The row with something more in its variant."""
+    return replace(row, variant=", ".join(part for part in (row.variant, told(row.entries[0])) if part))
 
 
 def _published_row(entry: Entry) -> Row:

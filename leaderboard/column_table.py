@@ -26,12 +26,11 @@ from dmotion_bench.scoring.statistics import (
     wilson,
 )
 from leaderboard.entry import Entry
-from leaderboard.run_names import settings_of
+from leaderboard.run_names import unusual_settings, without_seed
 
 SUCCEEDED: Final = "control_success"
 LOST: Final = "control_lost"
 _DISTANCE: Final = re.compile(r"control_distance\[(\d+)\]")
-_THREADS: Final = re.compile(r"threads \d+")
 SOLVED_AT: Final = SUCCESS
 RowKey = tuple[str, str, str]
 """Model, variant and label budget."""
@@ -144,11 +143,11 @@ def _last(entry: Entry) -> int:
 def _key(entry: Entry) -> RowKey:
     """Model, variant and budget; the variant is what its run's name says beyond these, the preset and the seed.
 
-    The number of threads is left out: it changes rounding, and of two results of a seed one counts.
+    The number of threads is left out: of two results of a seed one counts.
     """
-    arch, preset = entry.content["arch"], entry.content["preset"]
+    arch, settings = entry.content["arch"], unusual_settings(entry)
     parts = [f"{arch} architecture"] * (arch != "compact")
-    parts += [part for part in settings_of(entry).split(", ") if part != preset and not _THREADS.fullmatch(part)]
+    parts.append(without_seed(entry) if settings is None else settings)
     return entry.model, ", ".join(part for part in parts if part), entry.labels
 
 

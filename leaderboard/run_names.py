@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from typing import Final
 
 from leaderboard.entry import Entry
+
+_THREADS: Final = re.compile(r"threads \d+")
 
 
 def without_seed(entry: Entry) -> str:
@@ -14,15 +17,29 @@ def without_seed(entry: Entry) -> str:
 
 def settings_of(entry: Entry) -> str:
     """The part after model, architecture, data set and budget, such as ``small, epochs 3``; else the whole name."""
+    known = _after_budget(entry)
+    return without_seed(entry) if known is None else ", ".join(part for part in known if part)
+
+
+def unusual_settings(entry: Entry) -> str | None:
+    """The same without the preset and the number of threads, which only changes rounding; None for another name."""
+    known = _after_budget(entry)
+    if known is None:
+        return None
+    return ", ".join(part for part in known[1:] if not _THREADS.fullmatch(part))
+
+
+def _after_budget(entry: Entry) -> list[str] | None:
+    """The preset, empty where the data set's name says it, and each setting; None for a name of another form."""
     name, content = without_seed(entry), entry.content
     dataset = entry.trained_on or str(content["dataset"]["name"])
     prefixes = (f"{entry.model}-{dataset}", f"{entry.model}-{content['arch']}-{dataset}")
     known = next((one for one in prefixes if f"{name}-".startswith(f"{one}-")), None)
     if known is None:
-        return name
+        return None
     beyond, preset = name.removeprefix(known).strip("-"), str(content["preset"])
     named = f"{beyond}-".startswith(f"{preset}-")  # where the data set's name does not say it
     beyond = beyond.removeprefix(preset).strip("-") if named else beyond
     beyond = beyond.removeprefix(entry.labels.replace("%", "pct")).strip("-")
-    words = re.sub(r"-(?=[a-z])", ", ", beyond.replace("_", " "))
-    return ", ".join(part for part in (preset if named else "", words) if part)
+    words = re.split(r"-(?=[a-z])", beyond.replace("_", " ")) if beyond else []
+    return [preset if named else "", *words]

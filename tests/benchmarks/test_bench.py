@@ -34,7 +34,6 @@ def _plug_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = [("away", "no_such_module:Model"), ("explosive", "benchmarks.test_bench:Explosive")]
     points = [EntryPoint(name=name, value=value, group=registry.MODELS) for name, value in broken]
     monkeypatch.setattr(EntryPoint, "load", _load(EntryPoint.load))
-
     real = registry.registered
 
     def with_plug_ins(group: str) -> Any:

@@ -75,7 +75,6 @@ def test_a_narrow_terminal_folds_a_name_and_keeps_all_of_it(
 @pytest.fixture
 def strangers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Packages of others: one that breaks on import, one that takes the name of a model of ours."""
-
     real = registry.registered
 
     def found(group: str) -> list[EntryPoint]:

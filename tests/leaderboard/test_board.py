@@ -253,6 +253,25 @@ def test_what_a_run_s_name_says_beyond_model_data_and_budget(
     assert {row.variant for row in board.rows if row.kind == "measured"} == {variant, "another"}
 
 
+@pytest.mark.parametrize(
+    ("run", "variant"),
+    [
+        ("a-DATASET-s0", ""),
+        ("a-DATASET-threads_1-s0", ""),
+        ("a-DATASET-epochs_3-threads_1-s0", "epochs 3"),
+        ("my-own-s0", ""),
+    ],
+)
+def test_unusual_settings_stand_on_the_only_row_of_a_model(
+    result: Callable[..., Entry], run: str, variant: str
+) -> None:
+    name = run.replace("DATASET", str(result("a", np.ones(40)).content["dataset"]["name"]))
+
+    (board,) = make_boards([result("a", np.ones(40), run=name)])
+
+    assert _row(board, "a").variant == variant
+
+
 def test_in_control_those_lead_that_cannot_be_told_from_the_best(result: Callable[..., Entry]) -> None:
     generator = np.random.default_rng(0)
     hardness = generator.normal(0, 0.2, len(EPISODES))  # of the tasks: the same for all

@@ -45,6 +45,7 @@ def run(notebook: Path, folder: Path) -> dict[str, Any]:
             timeout=SECONDS_OF_A_CELL,
             resources={"metadata": {"path": str(folder)}},
             record_timing=False,
+            coalesce_streams=True,  # what one cell prints may come in several pieces
         )
         client.execute()
     return _plain(json.loads(nbformat.writes(content)))

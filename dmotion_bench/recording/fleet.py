@@ -1,7 +1,8 @@
 """Importing many recordings beside each other, by an executor; damaged ones may be skipped.
 
-A job looks through one recording, or makes some shards of the data set. The data set has the bytes of an import in one
-process. What is finished stays beside its place until all is there, so an import that was interrupted goes on.
+The recordings are looked through (``surveys.py``); then each job makes some shards of the data set. It has the bytes of
+an import in one process. What is finished stays beside its place until all is there, so an import that was interrupted
+goes on.
 
 A damaged recording that is skipped is as good as not named: the data set is that of the others. Some damage shows only
 when pictures are unpacked; then all recordings with such damage are left out together, and the shards made anew.
@@ -12,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,6 +22,7 @@ from dmotion_bench.errors import RecipeMismatch, RecordingImportError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.execution.local_executor import SerialExecutor
+from dmotion_bench.recording.surveys import Surveyed, looked_through
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.imports.confinement import Confinement
 from dmotion_bench.storage.imports.importing import (
@@ -33,9 +35,8 @@ from dmotion_bench.storage.imports.importing import (
     require_same,
     standing_in,
 )
-from dmotion_bench.storage.imports.limits import MIB
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
-from dmotion_bench.storage.imports.recording import Recording, Survey
+from dmotion_bench.storage.imports.recording import Recording
 from dmotion_bench.storage.imports.sources import Source, open_recording, require_once, sources_in
 from dmotion_bench.storage.shard import Footage, ShardReceipt, shard_range, write_shard
 from dmotion_bench.storage.staging import staged, sweep
@@ -43,85 +44,6 @@ from dmotion_bench.storage.writer import DatasetWriter
 
 MOST_PARTS: Final = 64
 """Jobs into which the shards are divided; each opens its recordings anew, so many small ones cost more."""
-
-MOST_TOGETHER: Final = 16
-BYTES_TOGETHER: Final = 64 * MIB
-"""Recordings that one job looks through, and their bytes: a reader takes a quarter of a second to start."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurveyJob:
-    """Recordings to be looked through.
-
-    Attributes:
-        sources: Where they are, by their places among those that were named.
-        options: Of the import.
-        progress: The file in which the job says how far it is; None: nowhere.
-    """
-
-    sources: dict[int, Source]
-    options: ImportOptions
-    progress: Path | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Surveyed:
-    """What was found in a recording.
-
-    Attributes:
-        number, source: Its place, and where it is.
-        digest: SHA-256 of its bytes; empty for a damaged one.
-        survey: None for a damaged one.
-        unreadable: Pictures that could not be read.
-        fault: Why it cannot be imported; None for a sound one.
-    """
-
-    number: int
-    source: Source
-    digest: str = ""
-    survey: Survey | None = None
-    unreadable: int = 0
-    fault: RecordingImportError | None = None
-
-    @property
-    def path(self) -> Path:
-        """Of the recording."""
-        return self.source.path
-
-    def sha256(self) -> str:
-        """Of its bytes, in hexadecimal."""
-        return self.digest
-
-
-def survey_job(job: SurveyJob) -> tuple[Surveyed, ...]:
-    """Look through recordings in the present process."""
-    told = ProgressFile(job.progress)
-
-    def show(name: str, pictures: int) -> None:
-        what = f"looking through {name}"
-        told.tell(JobProgress(what=what, done=pictures, total=None, status=f"{pictures:,} pictures"))
-
-    with Confinement(job.options) as confinement:
-        try:
-            return tuple(_surveyed(number, source, confinement, show) for number, source in job.sources.items())
-        finally:
-            told.end()
-
-
-def _surveyed(number: int, source: Source, confinement: Confinement, show: Callable[[str, int], None]) -> Surveyed:
-    """What is found in a recording; one that is damaged does not harm those after it."""
-    try:
-        recording = open_recording(source, confinement.options, confinement)
-        survey = recording.survey(lambda pictures: show(source.path.name, pictures))
-        digest, unreadable = recording.sha256(), recording.unreadable
-    except RecordingImportError as error:
-        fault = error
-    except OSError as error:
-        fault = RecordingImportError(f"cannot read {str(source.path)!r}: {error.strerror or error}.")
-    else:
-        return Surveyed(number=number, source=source, digest=digest, survey=survey, unreadable=unreadable)
-    confinement.close()  # its process may be gone, or in the middle of an answer; the next recording starts another
-    return Surveyed(number=number, source=source, fault=fault)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,7 +182,7 @@ def import_fleet(
     """
     standing, executor = standing_in(out), executor or SerialExecutor()
     skipped: dict[Path, RecordingImportError] = {}
-    found = _looked_through(_found(paths, options, skip_damaged, skipped), options, executor, progress, jobs)
+    found = looked_through(_found(paths, options, skip_damaged, skipped), options, executor, progress, jobs)
     while True:
         sound = _sound(found, skip_damaged, skipped)
         plan = plan_import(sound, [one.survey for one in sound if one.survey is not None], options)
@@ -292,45 +214,6 @@ def _found(
             skipped[path] = error
     require_once(found)
     return found
-
-
-def _looked_through(
-    sources: Sequence[Source], options: ImportOptions, executor: Executor, progress: Progress, jobs: Path | None
-) -> list[Surveyed]:
-    """What is in the recordings, in their order."""
-    asked = [
-        SurveyJob(sources=part, options=options, progress=None if jobs is None else jobs / f"survey-{number}.json")
-        for number, part in enumerate(_parts_of_sources(sources))
-    ]
-    done: dict[int, Surveyed] = {}
-    progress("looking through the recordings", 0, len(sources))
-    results = executor.map_unordered(survey_job, asked)
-    with contextlib.closing(results):  # type: ignore[type-var]
-        for found in results:
-            done |= {one.number: one for one in found}
-            progress("looking through the recordings", len(done), len(sources))
-    return [done[number] for number in range(len(sources))]
-
-
-def _parts_of_sources(sources: Sequence[Source]) -> list[dict[int, Source]]:
-    """Recordings that are looked through together: small ones in company, large ones and folders alone."""
-    parts, room = list[dict[int, Source]](), 0
-    for number, source in enumerate(sources):
-        size = _size(source)
-        if not parts or len(parts[-1]) == MOST_TOGETHER or size > room:
-            parts.append({})
-            room = BYTES_TOGETHER
-        parts[-1][number] = source
-        room -= size
-    return parts
-
-
-def _size(source: Source) -> int:
-    """In bytes; more than any part may have for what is no file."""
-    try:
-        return source.path.stat().st_size if source.path.is_file() else BYTES_TOGETHER + 1
-    except OSError:
-        return 0  # whoever opens it says why it cannot be read
 
 
 def _sound(found: Sequence[Surveyed], skip: bool, skipped: dict[Path, RecordingImportError]) -> list[Surveyed]:

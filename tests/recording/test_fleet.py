@@ -21,7 +21,7 @@ from storage.foreign_video import video_file
 from dmotion_bench.errors import DatasetCorrupt, RecordingImportError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
-from dmotion_bench.recording import fleet
+from dmotion_bench.recording import fleet, surveys
 from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.confinement import Confinement
@@ -125,7 +125,7 @@ def test_a_decoder_that_crashes_harms_no_recording_after_it(tmp_path: Path, monk
     clips, crashed = [tmp_path / f"{number}.mp4" for number in range(4)], "1.mp4"
     for number, clip in enumerate(clips):
         video_file(clip, video(20, seed=number))
-    opened = fleet.open_recording
+    opened = surveys.open_recording
 
     def crashing(source: Source, options: ImportOptions, confinement: Confinement) -> Recording:
         recording = opened(source, options, confinement)
@@ -135,23 +135,23 @@ def test_a_decoder_that_crashes_harms_no_recording_after_it(tmp_path: Path, monk
                     child.kill()
         return recording
 
-    assert len(fleet._parts_of_sources(sources_in(clips, None))) == 1  # one decoder for all of them
+    assert len(surveys._parts_of_sources(sources_in(clips, None))) == 1  # one decoder for all of them
     import_recordings([path for path in clips if path.name != crashed], tmp_path / "others", OPTIONS)
-    monkeypatch.setattr(fleet, "open_recording", crashing)
+    monkeypatch.setattr(surveys, "open_recording", crashing)
     report = import_fleet(clips, tmp_path / "d", OPTIONS, skip_damaged=True)
     assert [Path(path).name for path, _ in report.skipped] == [crashed]
     assert files_of(tmp_path / "d") == files_of(tmp_path / "others")
 
 
 def test_recordings_are_looked_through_in_parts_of_a_bounded_size(tmp_path: Path) -> None:
-    sizes = (1, 2, fleet.BYTES_TOGETHER, 3, 4, *[1] * fleet.MOST_TOGETHER)
+    sizes = (1, 2, surveys.BYTES_TOGETHER, 3, 4, *[1] * surveys.MOST_TOGETHER)
     sources = [Source(path=tmp_path / f"{number:02d}.mcap", kind=Kind.MCAP) for number in range(len(sizes))]
     for source, size in zip(sources, sizes, strict=True):
         with source.path.open("wb") as file:
             file.truncate(size)
-    parts = fleet._parts_of_sources([*sources, Source(path=tmp_path, kind=Kind.PICTURES)])
+    parts = surveys._parts_of_sources([*sources, Source(path=tmp_path, kind=Kind.PICTURES)])
     assert [number for part in parts for number in part] == list(range(len(sizes) + 1))
-    assert [len(part) for part in parts] == [2, 1, fleet.MOST_TOGETHER, 2, 1]
+    assert [len(part) for part in parts] == [2, 1, surveys.MOST_TOGETHER, 2, 1]
 
 
 def test_damage_that_shows_when_pictures_are_unpacked_costs_one_more_pass(

@@ -71,12 +71,14 @@ class Summary:
         standings: The models.
         left_out: The names of models that lack a result in one of these worlds.
         too_small: The worlds with results of less than half as many models, which would leave most models out.
+        unusual: The worlds in which no model was trained with its usual settings.
     """
 
     boards: tuple[Board, ...]
     standings: tuple[Standing, ...]
     left_out: tuple[str, ...]
     too_small: tuple[str, ...]
+    unusual: tuple[str, ...]
 
 
 def summarise(boards: Iterable[Board]) -> Summary | None:
@@ -105,18 +107,24 @@ def summarise(boards: Iterable[Board]) -> Summary | None:
         standings=tuple(standings),
         left_out=tuple(sorted(anywhere - {one.model for one in ranked})),
         too_small=tuple(one[0].title for one in best.values() if one[1] and one not in chosen),
+        unusual=tuple(board.title for board, found in best.values() if not found and _comparable_rows(board)),
     )
 
 
 def _usual_rows(board: Board) -> dict[str, dict[str, Row]]:
     """The rows of models with their usual settings, trained on the board's data set, by model and label budget."""
     found = dict[str, dict[str, Row]]()
-    if _baseline(board) is None or board.protocol == "paper":
-        return found
-    for row in board.rows:
-        if row.kind == "measured" and not row.variant and not row.elsewhere and RANKED_BY in row.figures:
+    for row in _comparable_rows(board):
+        if not row.variant:
             found.setdefault(row.model, {})[row.labels] = row
     return {model: rows for model, rows in found.items() if any(budget in rows for budget in BUDGETS)}
+
+
+def _comparable_rows(board: Board) -> list[Row]:
+    """The rows of models trained on the board's data set, by whatever settings; none where copying is not known."""
+    if _baseline(board) is None or board.protocol == "paper":
+        return []
+    return [row for row in board.rows if row.kind == "measured" and not row.elsewhere and RANKED_BY in row.figures]
 
 
 def _baseline(board: Board) -> float | None:

@@ -124,6 +124,11 @@ def _absent(summary: Summary) -> list[str]:
             f"Worlds with results of fewer than half as many models, which are not counted: "
             f"{', '.join(summary.too_small)}."
         )
+    if summary.unusual:
+        told.append(
+            "Worlds in which no model was trained with its usual settings, which are not counted: "
+            f"{', '.join(summary.unusual)}."
+        )
     return told
 
 

@@ -159,14 +159,15 @@ def test_a_world_is_its_board_of_most_models_and_a_world_of_few_is_not_counted()
     many = [_row(name, [place]) for place, name in enumerate("pqrst", 1)]
     found = summarise([
         _board("a", many[:2], dataset="small"), _board("a", many, dataset="large"), _board("b", many[:4]),
-        _board("c", many[:2]), _board("d", [], dataset="empty"),
+        _board("c", many[:2]), _board("d", [], dataset="empty"), _board("e", [_row("p", [1], variant="epochs 3")]),
     ])  # fmt: skip
     assert found is not None
     assert [board.dataset for board in found.boards] == ["large", "b"]
-    assert (found.left_out, found.too_small) == (("t",), ("C",))
+    assert (found.left_out, found.too_small, found.unusual) == (("t",), ("C",), ("E",))
     said = " ".join(summary_lines(found))
     assert "lack a result in one of these worlds: t." in said
     assert "half as many models, which are not counted: C." in said
+    assert "with its usual settings, which are not counted: E." in said
 
 
 @pytest.mark.parametrize("boards", [[], [_board("a", [_row("x", [1]), _row("y", [2])])]], ids=["nothing", "one world"])

@@ -29,7 +29,9 @@ def noise_spec(height: int = 6, width: int = 5, objects: int = 2, actions: Actio
 
 def noise_states(generator: np.random.Generator, frames: int, count: int) -> ObjectStates:
     """States that hold every kind of number: gone things, zeros, negative zeros, very large ones."""
-    position = generator.normal(size=(frames, count, 3)) * 10.0 ** generator.integers(-150, 150, (frames, count, 1))
+    position = generator.normal(size=(frames, count, 3)) * _powers_of_ten(
+        generator.integers(-150, 150, (frames, count, 1))
+    )
     position[generator.random((frames, count)) < 0.2] = np.nan
     position[generator.random((frames, count)) < 0.1] = 0.0
     position[generator.random((frames, count)) < 0.1] = -0.0
@@ -39,6 +41,11 @@ def noise_states(generator: np.random.Generator, frames: int, count: int) -> Obj
         pixel=generator.normal(size=(frames, count, 2)),
         visible=generator.random((frames, count)),
     )
+
+
+def _powers_of_ten(exponents: np.ndarray) -> np.ndarray:
+    """The same bits on every processor: of numpy's power the last one depends on it."""
+    return np.vectorize(lambda exponent: float(f"1e{exponent}"), otypes=[float])(exponents)
 
 
 def noise_actions(generator: np.random.Generator, steps: int, spec: ActionSpec) -> np.ndarray:

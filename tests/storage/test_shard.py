@@ -180,4 +180,4 @@ def test_the_format_has_not_changed(tmp_path: Path) -> None:
             for record in StreamReader(file, emit_chunks=True).records:
                 for inner in breakup_chunk(record) if isinstance(record, Chunk) else []:
                     digest.update(inner.log_time.to_bytes(8, "little") + inner.data)  # type: ignore[attr-defined]
-    assert digest.hexdigest() == "babea2425ca3b81a524171b3db33eef7a4ae2a2146df5ed72ee442495a17f2de"
+    assert digest.hexdigest() == "baea3b9af88e3da232144eb87abba2633e65fa858065c2638cbcbf5a701df0bb"

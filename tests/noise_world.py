@@ -29,9 +29,8 @@ def noise_spec(height: int = 6, width: int = 5, objects: int = 2, actions: Actio
 
 def noise_states(generator: np.random.Generator, frames: int, count: int) -> ObjectStates:
     """States that hold every kind of number: gone things, zeros, negative zeros, very large ones."""
-    position = generator.normal(size=(frames, count, 3)) * _powers_of_ten(
-        generator.integers(-150, 150, (frames, count, 1))
-    )
+    position = generator.normal(size=(frames, count, 3))
+    position *= _powers_of_ten(generator.integers(-150, 150, (frames, count, 1)))
     position[generator.random((frames, count)) < 0.2] = np.nan
     position[generator.random((frames, count)) < 0.1] = 0.0
     position[generator.random((frames, count)) < 0.1] = -0.0
@@ -44,7 +43,7 @@ def noise_states(generator: np.random.Generator, frames: int, count: int) -> Obj
 
 
 def _powers_of_ten(exponents: np.ndarray) -> np.ndarray:
-    """The same bits on every processor: of numpy's power the last one depends on it."""
+    """With the same bits on every processor; the last bit of numpy's own powers depends on the processor."""
     return np.vectorize(lambda exponent: float(f"1e{exponent}"), otypes=[float])(exponents)
 
 

@@ -28,7 +28,7 @@ MODEL = "dmotion"
 EPISODES = 200
 EPOCHS = 6
 BATCH_SIZE = 16
-"""Half the usual one: as far as 8 epochs of the usual one come, in less time (docs/experiments/small-batches.md)."""
+"""Half the usual one: a smaller error after the same number of triplets (docs/experiments/small-batches.md)."""
 
 VALIDATIONS = 3
 """A third of the usual number; with a rate that falls to zero the last weights are the best ones anyway."""

@@ -251,7 +251,7 @@ def check_paths(
         (check_job(job, on_progress) for job in jobs) if executor is None else executor.map_unordered(check_job, jobs)
     )
     verdicts: dict[int, Verdict] = {}
-    with contextlib.closing(results):  # type: ignore[type-var]
+    with contextlib.closing(results):
         for number, verdict in results:
             verdicts[number] = verdict
             on_verdict(len(verdicts), len(jobs))

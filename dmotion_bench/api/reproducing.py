@@ -305,7 +305,7 @@ class _Work:
             ]
             self.watch.count(f"control by {name}", 0, len(jobs))
             results = executor.map_unordered(score_reference_job, jobs)
-            with watching(folder, self.watch.jobs), contextlib.closing(results):  # type: ignore[type-var]
+            with watching(folder, self.watch.jobs), contextlib.closing(results):
                 for done, failure in enumerate(results, start=1):
                     self.watch.count(f"control by {name}", done, len(jobs))
                     if failure:

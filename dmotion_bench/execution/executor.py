@@ -8,7 +8,7 @@ so one whose worker was killed is simply run again, ``ATTEMPTS`` times in all. `
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
@@ -40,7 +40,7 @@ class JobSize:
 class Executor(Protocol):
     """Runs a function on jobs; the order of the results is the order in which they are ready."""
 
-    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results. Closing the iterator stops what is not done; function, jobs and results are pickled.
 
         Raises:

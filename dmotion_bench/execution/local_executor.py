@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
@@ -17,7 +17,7 @@ from dmotion_bench.execution.processes import end_with
 class SerialExecutor:
     """Runs the jobs in this process, one after the other."""
 
-    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, in the order of the jobs."""
         yield from map(function, jobs)
 
@@ -34,7 +34,7 @@ class LocalExecutor:
     def __init__(self, workers: int) -> None:
         self._workers = workers
 
-    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a worker process")
         idle: list[ProcessPoolExecutor | None] = [None] * self._workers  # None: not started yet, or killed

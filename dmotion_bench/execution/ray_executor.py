@@ -11,7 +11,7 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
@@ -47,7 +47,7 @@ class RayExecutor:
         size = size or JobSize()
         self._workers, self._each, self._gpus = workers, size.processors, size.gpus
 
-    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
         ray = self._ray
         ours = not ray.is_initialized()

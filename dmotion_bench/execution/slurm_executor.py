@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import Any, Final, Generic, Literal
 
@@ -56,7 +56,7 @@ class SlurmExecutor:
         self._workers, self._folder, self._cluster = workers, folder.absolute(), cluster
         self._size = size or JobSize()
 
-    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a job of Slurm")
         at_once = _ARRAY if self._cluster == "slurm" else self._workers or 1

@@ -204,7 +204,7 @@ def train_side_by_side(
 def train_jobs(jobs: Sequence[TableJob], executor: Executor) -> Generator[Outcome]:
     """Do jobs of several tables, too; the outcomes of all their rows come as they are ready."""
     results = executor.map_unordered(train_rows, jobs)
-    with contextlib.closing(results):  # type: ignore[type-var]
+    with contextlib.closing(results):
         for found in results:
             for row, path, error in found:
                 yield Outcome(row=row, run=None if path is None else Run.open(path), error=error)

@@ -261,7 +261,7 @@ def _written(
         done = total - sum(len(writer.episodes_of(shard)) for shard in writer.missing)
         progress("importing", done, total)
         results = executor.map_unordered(shards_job, _parts(folder, plan, sound, options, writer.missing, jobs))
-        with contextlib.closing(results):  # type: ignore[type-var]
+        with contextlib.closing(results):
             for made in results:
                 for receipt in made.receipts:
                     writer.add(receipt)

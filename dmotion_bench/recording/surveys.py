@@ -121,7 +121,7 @@ def looked_through(
     done: dict[int, Surveyed] = {}
     progress("looking through the recordings", 0, len(sources))
     results = executor.map_unordered(survey_job, asked)
-    with contextlib.closing(results):  # type: ignore[type-var]
+    with contextlib.closing(results):
         for found in results:
             done |= {one.number: one for one in found}
             progress("looking through the recordings", len(done), len(sources))

@@ -158,9 +158,9 @@ def score_side_by_side(
 
     shares = [share for job in jobs for share in control_shares(job)]
     planned = executor.map_unordered(score_job, told(shares, "control"))
-    with contextlib.closing(planned):  # type: ignore[type-var]
+    with contextlib.closing(planned):
         for _ in planned:  # what failed fails again, and is said, when the run is scored
             pass
     scored = executor.map_unordered(score_job, told(jobs, "run"))
-    with contextlib.closing(scored):  # type: ignore[type-var]
+    with contextlib.closing(scored):
         yield from scored

@@ -14,6 +14,8 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
+from dmotion_bench.storage.video.scheduling import as_scheduled_before
+
 Frames = UInt8[np.ndarray, "t h w 3"]
 LOSSLESS: Mapping[str, tuple[str, str, Mapping[str, str]]] = {
     "h264": ("libx264rgb", "rgb24", {"qp": "0", "g": "12"}),
@@ -35,6 +37,7 @@ def moving(count: int, height: int = 48, width: int = 64) -> Frames:
     return frames
 
 
+@as_scheduled_before()
 def video_file(
     path: Path,
     frames: Iterable[UInt8[np.ndarray, "h w 3"]],
@@ -79,6 +82,7 @@ def video_file(
     return path
 
 
+@as_scheduled_before()
 def packets(frames: Frames, encoder: str, pixels: str, settings: Mapping[str, str]) -> list[bytes]:
     """What an encoder sends over a topic: one packet a picture, headers in the stream itself."""
     context = av.CodecContext.create(encoder, "w")

@@ -14,6 +14,7 @@ from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from dmotion_bench.storage.video.codecs import Codec
+from dmotion_bench.storage.video.scheduling import as_scheduled_before
 
 
 class VideoWriter:
@@ -39,13 +40,19 @@ class VideoWriter:
         for image in frames:
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
             frame.pts, frame.time_base = self.count, self._unit
-            self._mux(self._stream.encode(frame))
+            self._mux(self._encoded(frame))
             self.count += 1
 
     def close(self) -> None:
         """Write what the encoder still holds, and the file's head."""
-        self._mux(self._stream.encode(None))
+        self._mux(self._encoded(None))
         self._container.close()
+
+    def _encoded(self, frame: av.VideoFrame | None) -> list[Packet[Any]]:
+        if self._stream.codec_context.is_open:
+            return self._stream.encode(frame)
+        with as_scheduled_before():
+            return self._stream.encode(frame)  # opens the encoder
 
     def _mux(self, packets: Iterable[Packet[Any]]) -> None:
         for packet in packets:

@@ -9,6 +9,8 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
+from threading import Thread
+from typing import cast
 
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result
 from dmotion_bench.execution.processes import end_with
@@ -38,12 +40,14 @@ class LocalExecutor:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a worker process")
         idle: list[ProcessPoolExecutor | None] = [None] * self._workers  # None: not started yet, or killed
+        started: list[ProcessPoolExecutor] = []
         running: dict[Future[Result], tuple[ProcessPoolExecutor, int, Job]] = {}
         finished = False
         try:
             while True:
                 while idle and (numbered := queue.next()) is not None:
-                    pool = idle.pop() or _process()
+                    if (pool := idle.pop()) is None:
+                        started.append(pool := _process())
                     try:
                         running[pool.submit(function, numbered[1])] = (pool, *numbered)
                     except BrokenProcessPool:  # killed while it waited
@@ -62,17 +66,24 @@ class LocalExecutor:
                         yield future.result()
             finished = True
         finally:
-            pools = [*(pool for pool, _, _ in running.values()), *(pool for pool in idle if pool is not None)]
-            for pool in pools:
-                if not finished:
+            if not finished:
+                for pool in started:
                     _stop(pool)
-                pool.shutdown(wait=False, cancel_futures=True)
-            for pool in pools:
-                pool.shutdown()
+            _end(started)
 
 
 def _process() -> ProcessPoolExecutor:
     return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_become_worker, initargs=(os.getpid(),))
+
+
+def _end(pools: list[ProcessPoolExecutor]) -> None:
+    """Ask all at once to end, then wait: a pool that still ends when the interpreter does writes to a closed pipe."""
+    managers = [cast("Thread | None", pool._executor_manager_thread) for pool in pools]
+    for pool in pools:
+        pool.shutdown(wait=False, cancel_futures=True)  # forgets its thread, so a second call would not wait for it
+    for manager in managers:
+        if manager is not None and manager.is_alive():
+            manager.join()
 
 
 def _stop(pool: ProcessPoolExecutor) -> None:

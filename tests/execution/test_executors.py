@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import multiprocessing
 import os
 import pickle
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -176,8 +179,32 @@ def test_an_address_where_no_ray_listens_is_a_sentence(monkeypatch: pytest.Monke
 def test_closing_ends_what_runs(tmp_path: Path) -> None:
     results = LocalExecutor(2).map_unordered(LeavesTraces(tmp_path, seconds=30), range(2))
     assert next(results) == 0
-    results.close()  # type: ignore[attr-defined]
+    results.close()
     assert not (tmp_path / "ended-1").exists()
+    assert_no_pool_is_left()
+
+
+def test_the_last_result_leaves_no_pool_that_still_ends() -> None:
+    assert sorted(LocalExecutor(2).map_unordered(abs, [-1, -2])) == [1, 2]
+    assert_no_pool_is_left()
+
+
+def test_an_interruption_while_a_process_starts_leaves_no_pool(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*arguments: object) -> None:
+        submit(*arguments)
+        raise KeyboardInterrupt
+
+    submit = ProcessPoolExecutor.submit
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(LocalExecutor(2).map_unordered(time.sleep, [30]))
+    assert_no_pool_is_left()
+
+
+def assert_no_pool_is_left() -> None:
+    """Else the interpreter's end may meet a pool that closes its pipe, and print a traceback."""
+    assert not [thread for thread in threading.enumerate() if type(thread).__module__ == "concurrent.futures.process"]
+    assert not multiprocessing.active_children()
 
 
 RAY = """

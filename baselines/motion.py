@@ -132,7 +132,7 @@ class CrossConvolution:
 
     def identity(self) -> Float[Tensor, " d"]:
         """A kernel with one in the middle and zeros elsewhere."""
-        return F.one_hot(torch.tensor(self.size // 2), self.size).float()
+        return torch.tensor([float(place == self.size // 2) for place in range(self.size)])
 
     def __call__(
         self, maps: Float[Tensor, "b k h w"], motion: Float[Tensor, "b k d"], blur: float = 1.0

@@ -5,9 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
-
-from lightning_fabric import Fabric
+from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.runs import Run
@@ -38,6 +36,9 @@ from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
 
 __all__ = [
     "TrainingRequest",

@@ -47,9 +47,9 @@ class ActionToLatent(nn.Module):
         self.spec, self.encoding = spec, ActionEncoding(spec)
         start = torch.zeros(1, width) if unaligned is None else unaligned[None]
         if isinstance(spec, Continuous):
-            rows = torch.cat([start, torch.zeros(spec.width, width)])
+            rows = nn.functional.pad(start, (0, 0, 0, spec.width))
         else:
-            rows = start.repeat(self.encoding.width, 1)
+            rows = start.repeat_interleave(self.encoding.width, 0)
         self.register_buffer("rows", rows)
         self.register_buffer("before", rows.clone(), persistent=False)
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import torch
-from lightning_fabric import Fabric
 from torch import Tensor
 
 from dmotion_bench.errors import ProcessLost, RunError
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
 
 Answer = TypeVar("Answer")
 _TOLD_BY: Final = ("gloo", "NCCL", "Connection reset", "Broken pipe", "Connection closed", "TCPStore", "store->get")

@@ -6,14 +6,16 @@ import atexit
 import contextlib
 import logging
 import warnings
+from typing import TYPE_CHECKING
 
 import torch
-from lightning_fabric import Fabric
-from lightning_fabric.plugins.environments.torchelastic import TorchElasticEnvironment
 
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.processes import place
 from dmotion_bench.learning.memory import keep_freed_memory
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
 
 
 def _part() -> None:
@@ -31,6 +33,9 @@ def launch(device: str = "auto") -> Fabric:
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise UsageError("this machine has no CUDA device; leave out --device to train on the CPU.")
+    from lightning_fabric import Fabric  # loads torch's compiler: a second of every command that only might train
+    from lightning_fabric.plugins.environments.torchelastic import TorchElasticEnvironment
+
     keep_freed_memory()
     mine = place()
     accelerator = "cpu" if device == "cpu" or not torch.cuda.is_available() else "cuda"

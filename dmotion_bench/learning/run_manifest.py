@@ -9,12 +9,14 @@ import contextlib
 import dataclasses
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, get_args
 
 import torch
+from torch import Tensor, nn
 from torch.nn.modules.module import register_module_parameter_registration_hook
+from torch.overrides import TorchFunctionMode
 
 from dmotion_bench.actions import MOST_ACTIONS, ActionSpec, Discrete, actions_from_json, actions_to_json
 from dmotion_bench.errors import DmbenchError, InvalidSetting
@@ -141,7 +143,7 @@ class RunSpec:
         kind = model_class(self.model)
         config: Any = from_json(kind.Config, self.config)
         try:
-            with torch.device("meta"), _at_most(most):
+            with torch.device("meta"), _Undrawn(), _at_most(most):
                 return forms_of(kind(config, self.inputs).state_dict())
         except DmbenchError:
             raise
@@ -293,6 +295,22 @@ def read_manifest(path: Path) -> dict[str, Any]:
 def _within(name: str, value: int, allowed: range) -> None:
     if type(value) is not int or value not in allowed:
         raise InvalidSetting(f"{name} is {shown(value)}; it can be {allowed[0]} to {allowed[-1]}.")
+
+
+class _Undrawn(TorchFunctionMode):
+    """Tensors without memory keep no random numbers, so none are drawn; torch would load its compiler to say so."""
+
+    def __torch_function__(
+        self,
+        func: Callable[..., Any],
+        types: Sequence[type],
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
+    ) -> Any:
+        named = kwargs or {}
+        if func in (Tensor.normal_, nn.init.normal_):
+            return named["tensor"] if "tensor" in named else args[0]
+        return func(*args, **named)
 
 
 @contextlib.contextmanager

@@ -18,12 +18,11 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from lightning_fabric import Fabric
 from torch import Tensor, nn
 
 from dmotion_bench.errors import RunError, UsageError
@@ -54,6 +53,9 @@ from dmotion_bench.learning.tracking import tracked
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.lock import held
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
 
 CHECKPOINT_SECONDS = 60.0
 LOG_ROWS = 200  # rows of metrics.jsonl in a training

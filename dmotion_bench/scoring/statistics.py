@@ -18,7 +18,6 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Shaped
 from scipy.special import ndtr, ndtri, stdtrit
-from scipy.stats import rankdata
 
 LEVEL = 0.95
 RESAMPLES = 2000
@@ -234,6 +233,8 @@ def rank_correlation(
 
 def _ranked_alike(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -> float:
     """The correlation of two lists' ranks; NaN where one is constant."""
+    from scipy.stats import rankdata  # a second of every command that knows how to score, else
+
     one, other = (rankdata(values) - (len(values) + 1) / 2 for values in (first, second))
     size = math.sqrt(float(one @ one) * float(other @ other))
     return float(one @ other) / size if size else math.nan

@@ -42,6 +42,24 @@ def test_importing_loads_no_torch_no_simulator_and_no_model() -> None:
     assert {name for name in loaded if name.startswith("recorders")} == {"recorders", "recorders.gymnasium_ids"}
 
 
+def test_what_opens_and_scores_any_model_loads_no_compiler() -> None:
+    told = _in_a_new_process(
+        "import sys\n"
+        "import dmotion_bench.api.scoring, dmotion_bench.api.viewing, dmotion_bench.api.training\n"
+        "from dmotion_bench.learning.run_manifest import RunSpec\n"
+        "from dmotion_bench.learning.settings import to_json\n"
+        "from dmotion_bench.registry import model_class, model_names\n"
+        "facts = {'preset': 'tiny', 'labels': 'all', 'seed': 0, 'dataset': 'd', 'fingerprint': ''}\n"
+        "size = {'height': 64, 'width': 64, 'actions': 4}\n"
+        "for name in model_names():\n"
+        "    config = to_json(model_class(name).configure('compact'))\n"
+        "    spec = RunSpec(model=name, arch='compact', config=config, training={'epochs': 1}, **facts, **size)\n"
+        "    assert spec.forms(1000)\n"
+        "print(*{'torch._dynamo', 'scipy.stats', 'lightning_fabric', 'sympy'} & set(sys.modules))"
+    )
+    assert not told.strip()
+
+
 @pytest.mark.parametrize("name", sorted(IDS))
 def test_gymnasium_makes_an_environment_after_the_import_alone(name: str) -> None:
     told = _in_a_new_process(

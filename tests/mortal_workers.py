@@ -56,13 +56,14 @@ def raises_at_one(number: int) -> int:
 
 @dataclass(frozen=True)
 class LeavesTraces:
-    """A file when it begins and another, much later, when it has ended."""
+    """A file that names its process when it begins, and another, much later, when it has ended."""
 
     folder: Path
     seconds: float
 
     def __call__(self, number: int) -> int:
-        (self.folder / f"begun-{number}").touch()
+        (self.folder / f"{number}.part").write_text(str(os.getpid()))
+        (self.folder / f"{number}.part").rename(self.folder / f"begun-{number}")
         if number > 0:
             time.sleep(self.seconds)
         (self.folder / f"ended-{number}").touch()

@@ -210,6 +210,7 @@ def assert_no_pool_is_left() -> None:
 RAY = """
 import json, sys, time
 from pathlib import Path
+import psutil
 from mortal_workers import LeavesTraces, RecordsAndDiesOnce, dies_at_one, raises_at_one
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.recording import session
@@ -229,12 +230,16 @@ for work in (dies_at_one, raises_at_one):
         list(executor.map_unordered(work, [0, 1]))
     except DmbenchError as error:
         said[work.__name__] = [type(error).__name__, str(error)]
-results = executor.map_unordered(LeavesTraces(folder, seconds=1), [1, 0])
+results = executor.map_unordered(LeavesTraces(folder, seconds=60), [1, 0])
 said["first"] = next(results)
 while not (folder / "begun-1").exists():
     time.sleep(0.01)
+slow = int((folder / "begun-1").read_text())
 results.close()
-time.sleep(1.5)
+until = time.monotonic() + 30
+while psutil.pid_exists(slow) and time.monotonic() < until:
+    time.sleep(0.05)
+said["is cancelled"] = not psutil.pid_exists(slow)
 said["ray is still there"] = ray.is_initialized()  # it was not the executor's to stop
 (folder / "said.json").write_text(json.dumps(said))
 """
@@ -255,6 +260,7 @@ def test_ray_makes_the_same_bytes_although_one_is_killed(tmp_path: Path, at_once
     assert said["raises_at_one"][0] == "UnknownName"
     assert "no shape named 'teapot'" in said["raises_at_one"][1]
     assert said["first"] == 0
+    assert said["is cancelled"]
     assert not (tmp_path / "ended-1").exists()
     assert said["ray is still there"]
     assert (tmp_path / "died").exists()

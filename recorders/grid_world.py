@@ -21,7 +21,7 @@ Positions are in cells, called metres: x to the right, y downwards, cell (0, 0) 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
@@ -48,6 +48,7 @@ from recorders.distractors import (
     Picture,
     SceneName,
     Video,
+    VideoState,
     episode_values,
     make_scene,
     make_video,
@@ -181,6 +182,20 @@ def _states(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """A state of the world.
+
+    Attributes:
+        cells, there: Of all things.
+        video: What the next frames depend on besides; None where nothing distracts.
+    """
+
+    cells: Int[np.ndarray, "k 2"]
+    there: Bool[np.ndarray, " k"]
+    video: VideoState | None
+
+
 class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     """A square pushes circles and triangles over a grid, and off it.
 
@@ -217,6 +232,8 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     )
 
     factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
+    _cells: Int[np.ndarray, "k 2"]
+    _there: Bool[np.ndarray, " k"]
 
     def __init__(
         self,
@@ -259,8 +276,9 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._fixed = {name: value for name, value in given.items() if value is not None}
         self._variation.check(self._vary, self._fixed)
         self._video: Video | None = None
-        self._place(starting_cells(np.random.default_rng(0), self._things), np.ones(self._things, np.bool_))
-        self._seen = self._picture()
+        self._begin(np.random.default_rng(0))
+        self._seen = self._drawn()
+        self._seen_as_is = True
 
     @classmethod
     def prepared(cls, parameters: Mapping[str, Scalar]) -> Mapping[str, Scalar]:
@@ -312,9 +330,10 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             options: ``"vary"`` and values of factors, which go before the constructor's.
         """
         super().reset(seed=seed)
-        self._place(starting_cells(self.np_random, self._things), np.ones(self._things, np.bool_))
+        self._begin(self.np_random)
         values, self._video = self._distraction(self.np_random, options or {})
-        self._seen = self._picture() if self._video is None else self._video.begin(self._picture())
+        self._seen = self._drawn() if self._video is None else self._video.begin(self._drawn())
+        self._seen_as_is = True
         return self.render(), {"factors": values} if values else {}
 
     def _distraction(
@@ -338,19 +357,36 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
         """Move the agent, or both; an impossible action changes nothing and ``info["illegal"]`` says so."""
+        illegal = self.advance(action)
+        return self.render(), 0.0, False, False, {"illegal": illegal}
+
+    def advance(self, action: int) -> bool:
+        """Move the agent, or both, as ``step`` does, without drawing them; whether the action was impossible."""
         legal = bool(self.legal_actions()[action])
         if legal:
             cells, there = act(self._cells[None], self._there[None], np.array([action]))
-            self._place(cells[0], there[0])
-            self._seen = self._picture()
+            self._cells, self._there, self._seen_as_is = cells[0], there[0], False
             if self._video is not None:
                 self._video.step(_heading(action, len(self._agents)), HEADINGS)
-                self._seen = self._video.show(self._seen)
-        return self.render(), 0.0, False, False, {"illegal": not legal}
+                if self._video.delay:  # this moment is to be shown later
+                    self._look()
+        return not legal
 
     def render(self) -> UInt8[np.ndarray, "h w 3"]:
         """The present frame."""
+        self._look()
         return self._seen.frame.copy()
+
+    def snapshot(self) -> Snapshot:
+        """Where everything is."""
+        video = None if self._video is None else self._video.state()
+        return Snapshot(cells=self._cells, there=self._there, video=video)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Put everything where it was; it is drawn when it is looked at."""
+        self._cells, self._there, self._seen_as_is = snapshot.cells, snapshot.there, False
+        if self._video is not None and snapshot.video is not None:
+            self._video.restore(snapshot.video)
 
     def legal_actions(self) -> Bool[np.ndarray, " a"]:
         """Which moves stay on the grid; of two agents, neither may move against the other."""
@@ -362,26 +398,32 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         return self._states(self._agents)
 
     def objects(self) -> ObjectStates:
-        """The circles and triangles; ``pixel`` is the mean of the pixels that show a thing."""
+        """The circles and triangles; ``pixel`` is the mean of the pixels that showed a thing when it was last drawn."""
         return self._states(PUSHED)
 
     def masks(self) -> UInt8[np.ndarray, "h w"]:
         """What each pixel shows: 0 background, 1 agent, 2 + k object k, then the second agent."""
+        self._look()
         return self._seen.masks.copy()
 
     def memory(self) -> bytes:
         """What the next frames depend on besides where everything is."""
         return b"" if self._video is None else self._video.memory()
 
-    def _picture(self) -> Picture:
-        """What was drawn last, before anything distracts."""
-        frames, masks, centers, visible = self._drawn
-        return Picture(frame=frames[0], masks=masks[0], pixel=centers[0], visible=visible[0])
+    def _begin(self, generator: np.random.Generator) -> None:
+        """Put everything on cells of its own."""
+        self._cells, self._there = starting_cells(generator, self._things), np.ones(self._things, np.bool_)
 
-    def _place(self, cells: Int[np.ndarray, "k 2"], there: Bool[np.ndarray, " k"]) -> None:
-        """Put everything where it is now, and draw it."""
-        self._cells, self._there = cells, there
-        self._drawn = draw(cells[None], there[None], self._version)
+    def _look(self) -> None:
+        """See the present moment, unless it has been seen."""
+        if not self._seen_as_is:
+            self._seen = self._drawn() if self._video is None else self._video.show(self._drawn())
+            self._seen_as_is = True
+
+    def _drawn(self) -> Picture:
+        """The present moment before anything distracts."""
+        frames, masks, centers, visible = draw(self._cells[None], self._there[None], self._version)
+        return Picture(frame=frames[0], masks=masks[0], pixel=centers[0], visible=visible[0])
 
     def _states(self, things: slice | list[int]) -> ObjectStates:
         seen = self._seen

@@ -140,9 +140,10 @@ def test_advancing_without_drawing_does_to_the_state_what_a_step_does() -> None:
 
 
 class Replayed(GridWorld):
-    """Grid World that counts how often it is started."""
+    """Grid World that cannot be restored, and counts how often it is started."""
 
     starts = 0
+    snapshot = restore = None
 
     def reset(self, **options: Any) -> Any:
         self.starts += 1

@@ -431,8 +431,6 @@ def test_what_cannot_be_is_a_sentence(
 
 
 def test_a_restored_state_shows_what_followed(kind: Callable[..., Any], plain: Episode) -> None:
-    if kind is GridWorld:
-        pytest.skip("it is replayed, never restored")
     env = kind(**STRONG)
     env.reset(seed=SEED)
     actions = plain.labels.actions.tolist()

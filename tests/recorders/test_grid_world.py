@@ -164,6 +164,26 @@ def test_its_light_does_not_vary_and_a_policy_must_be_one_of_its_own() -> None:
         list(GridWorld.generate([0], frames=3, policy="push", parameters={}))
 
 
+@pytest.mark.parametrize("agents", [1, 2])
+def test_a_restored_or_undrawn_state_goes_on_like_the_original(agents: int) -> None:
+    stepped, advanced = GridWorld(agents=agents), GridWorld(agents=agents)
+    for env in (stepped, advanced):
+        env.reset(seed=3)
+    generator = np.random.default_rng(0)
+    for _ in range(40):
+        start = stepped.snapshot()
+        action = int(generator.integers(len(stepped.facts.actions or ())))
+        frame, *_, info = stepped.step(action)
+        assert advanced.advance(action) == info["illegal"]
+        np.testing.assert_array_equal(advanced.objects().position, stepped.objects().position)
+        np.testing.assert_array_equal(advanced.render(), frame)
+        np.testing.assert_array_equal(advanced.masks(), stepped.masks())
+        advanced.step(int(generator.integers(4)))  # it has been elsewhere
+        advanced.restore(start)
+        np.testing.assert_array_equal(advanced.step(action)[0], frame)
+        np.testing.assert_array_equal(advanced.objects().pixel, stepped.objects().pixel)
+
+
 @pytest.mark.parametrize("policy", ["object-directed", "expert-correlated"])
 def test_episodes_of_other_policies_are_stepped(policy: str) -> None:
     (generated,) = GridWorld.generate([4], frames=9, policy=policy, parameters={"version": 2})

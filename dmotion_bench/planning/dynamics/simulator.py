@@ -14,7 +14,7 @@ import contextlib
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -67,6 +67,8 @@ class Simulation:
     def __init__(self, env: Environment, problem: Problem, *, pictures: bool = False) -> None:
         self.env, self.problem, self.tried = env, problem, 0
         self._measure, self._pictures = measure_of(env, problem), pictures
+        self._restorable = env if isinstance(env, Restorable) else None  # asked once: such a question takes its time
+        self._undrawn = env if isinstance(env, Undrawn) and not pictures else None
         self._after: dict[tuple[bytes, ActionTaken], Place] = {}
         self.here = self._now = self._place((), start(env, problem))
 
@@ -75,7 +77,7 @@ class Simulation:
         actions = tuple(world.actions)
         if actions == self.here.actions:
             return
-        if isinstance(self.env, Restorable):  # a restored state may differ from the true one in its last bits
+        if self._restorable is not None:  # a restored state may differ from the true one in its last bits
             self.here = self._seen_from(world.env, actions)
         else:
             for action in actions[len(self.here.actions) :]:
@@ -89,10 +91,10 @@ class Simulation:
         if known is None:
             self._go(place)
             frame = None
-            if self._pictures or not isinstance(self.env, Undrawn):
+            if self._undrawn is None:
                 frame = take(self.env, action)
             else:
-                self.env.advance(given(action))
+                self._undrawn.advance(given(action))
             self.tried += 1
             known = self._now = self._place((*place.actions, action), frame)
             self._after[place.name, action] = known
@@ -110,8 +112,8 @@ class Simulation:
     def _go(self, place: Place) -> None:
         if self._now.name == place.name:
             return
-        if isinstance(self.env, Restorable):
-            self.env.restore(place.snapshot)
+        if self._restorable is not None:
+            self._restorable.restore(place.snapshot)
         else:
             start(self.env, self.problem, place.actions)
 
@@ -132,7 +134,7 @@ class Simulation:
             name += env.memory()
         return Place(
             actions=actions,
-            snapshot=env.snapshot() if isinstance(env, Restorable) else None,
+            snapshot=None if self._restorable is None else cast(Restorable, env).snapshot(),
             name=name,
             cost=float("nan"),
             distance=float("nan"),

@@ -46,14 +46,14 @@ _IMAGES: Final = 64
 
 
 def measure(
-    only: str, seconds: float, announce: Callable[[str], None], device: torch.device | None = None
+    only: str, seconds: float, announce: Callable[[str, int, int], None], device: torch.device | None = None
 ) -> Iterator[Result | Failure]:
     """Every speed whose name holds ``only``, one after the other, each measured for about so long.
 
     What somebody's environment or model raises is told, and the next speed is measured.
 
     Args:
-        announce: Told the name of what is measured next.
+        announce: Told the name of what is measured next, how many speeds are measured, and how many there are.
         device: A GPU, whose speeds are measured, too; None for the CPU alone.
 
     Raises:
@@ -79,8 +79,8 @@ def measure(
     chosen = {name: work for name, work in works.items() if only in name}
     if not chosen:
         raise UnknownName("speed", only, works)
-    for name, work in chosen.items():
-        announce(name)
+    for done, (name, work) in enumerate(chosen.items()):
+        announce(name, done, len(chosen))
         try:
             measured = work()
             yield from [measured] if isinstance(measured, Result) else measured

@@ -59,7 +59,11 @@ def bench(
     stored = None if compare is None else read_stored(compare)
     with progress_bar() as bar:
         task = bar.add_task("measuring", total=None, status="")
-        measured = list(measure(only, seconds, lambda name: bar.update(task, status=name), gpu))
+
+        def show(name: str, done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total, status=name)
+
+        measured = list(measure(only, seconds, show, gpu))
     results = [one for one in measured if not isinstance(one, Failure)]
     failures = [one for one in measured if isinstance(one, Failure)]
     changed = [] if stored is None else list(changes(stored, results))

@@ -69,4 +69,4 @@ def test_only_a_gpu_adds_its_speeds(monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert refused.code == 2
     assert "this machine has no CUDA device" in refused.sentence()
     with pytest.raises(Exception, match="no speed named '@cuda'"):
-        list(measure("@cuda", 0.1, lambda _: None))
+        list(measure("@cuda", 0.1, lambda *_: None))

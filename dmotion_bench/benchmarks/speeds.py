@@ -53,7 +53,7 @@ def measure(
     What somebody's environment or model raises is told, and the next speed is measured.
 
     Args:
-        announce: Told the name of what is measured next, how many speeds are measured, and how many there are.
+        announce: Told the name of the next speed, how many speeds are done, and how many there are.
         device: A GPU, whose speeds are measured, too; None for the CPU alone.
 
     Raises:

@@ -77,10 +77,13 @@ def _process() -> ProcessPoolExecutor:
 
 
 def _end(pools: list[ProcessPoolExecutor]) -> None:
-    """Ask all at once to end, then wait: a pool that still ends when the interpreter does writes to a closed pipe."""
+    """Ask all pools to end, then wait until they have.
+
+    At its own end Python writes to the pipe of every pool that is left, and fails if the pool closes it meanwhile.
+    """
     managers = [cast("Thread | None", pool._executor_manager_thread) for pool in pools]
     for pool in pools:
-        pool.shutdown(wait=False, cancel_futures=True)  # forgets its thread, so a second call would not wait for it
+        pool.shutdown(wait=False, cancel_futures=True)  # the pool drops its thread; a second call would not wait
     for manager in managers:
         if manager is not None and manager.is_alive():
             manager.join()

@@ -67,7 +67,8 @@ class Simulation:
     def __init__(self, env: Environment, problem: Problem, *, pictures: bool = False) -> None:
         self.env, self.problem, self.tried = env, problem, 0
         self._measure, self._pictures = measure_of(env, problem), pictures
-        self._restorable = env if isinstance(env, Restorable) else None  # asked once: such a question takes its time
+        # asked once, because isinstance with a protocol is slow
+        self._restorable = env if isinstance(env, Restorable) else None
         self._undrawn = env if isinstance(env, Undrawn) and not pictures else None
         self._after: dict[tuple[bytes, ActionTaken], Place] = {}
         self.here = self._now = self._place((), start(env, problem))

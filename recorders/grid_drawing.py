@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, ObjectSpec
+from recorders.grid_rules import CELLS
 
 Version = Literal[1, 2]
-CELLS: Final = 5
 SIZE: Final = 128  # [px]
 _CANVAS: Final = 500  # [px], what version 2 draws on
 _CELL: Final = _CANVAS // CELLS  # [px] of the canvas

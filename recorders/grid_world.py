@@ -1,15 +1,8 @@
 """The environment ``grid_world``: the paper's Grid World (section 5.1), reproduced.
 
 Five by five cells on 128x128 black pixels. The agent is a green square; red and magenta circles, blue and yellow
-triangles each fill their cell. The agent moves up, down, left or right and pushes the whole chain of objects
-before it; an object pushed over the edge is gone for good. The agent itself never leaves the grid.
-
-With ``agents=2`` there is a second agent, a cyan square, that moves and pushes by the same rules. An action says what
-both do, ``"up/left"``. The first agent moves first, the second on the grid that this leaves: so the first has a free
-cell that both want, and the second pushes an object from where the first has pushed it to. No agent can be pushed: a
-move against the other agent, or against objects behind which it stands, is as impossible as one off the grid, and a
-joint action is legal if both moves are possible. There is always one: of an agent's two to four moves on the grid, at
-most one leads toward the other.
+triangles each fill their cell. With ``agents=2`` there is a second agent, a cyan square. ``grid_rules.py`` says how
+they move and push.
 
 Two versions have the same rules and draw the cells otherwise (``grid_drawing.py``). Version 2 draws them as the
 paper's published code does, pixel for pixel. Version 1 was recorded before; its frames differ from those of version 2
@@ -29,7 +22,6 @@ import gymnasium
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.recording.rollout import policy_generator, record_episode
@@ -55,13 +47,24 @@ from recorders.distractors import (
     without_paths,
 )
 from recorders.expert_policy import ExpertPolicy
-from recorders.grid_drawing import CELLS, SIZE, Drawn, Version
+from recorders.grid_drawing import SIZE, Drawn, Version
+from recorders.grid_rules import (
+    ACTIONS,
+    CELLS,
+    JOINT_ACTIONS,
+    MOVES,
+    OBJECTS,
+    PUSHED,
+    act,
+    agents_among,
+    legal_actions,
+    starting_cells,
+)
 from recorders.policies import RandomPolicy, require_one_agent
 from recorders.push_policy import PushPolicy
 from recorders.pushing_script import PushingScript
 from recorders.variation import Variation, explained, named_factors
 
-ACTIONS: Final = Discrete(("up", "down", "left", "right"))
 FACTS: Final = EnvSpec(
     id="grid_world",
     actions=ACTIONS,
@@ -76,94 +79,14 @@ FACTS: Final = EnvSpec(
     width=SIZE,
     agent_has_color=True,
 )
-OBJECTS: Final = len(FACTS.objects)
-PUSHED: Final = slice(1, 1 + OBJECTS)
-"""The objects among all things: after the agent, before other agents. So a thing's mask value is its number + 1."""
 SECOND_AGENT: Final = ObjectSpec(name="second_agent", shape="square", color=(0, 255, 255))
-JOINT_ACTIONS: Final = Discrete.joint(ACTIONS.names, ACTIONS.names)
 FACTS_OF_TWO: Final = replace(FACTS, actions=JOINT_ACTIONS, other_agents=(SECOND_AGENT,))
-MOVES: Final = np.array([(0, -1), (0, 1), (-1, 0), (1, 0)])
-"""What each action of an agent adds to its (x, y)."""
 HEADINGS: Final = [(float(x), float(y)) for x, y in MOVES.tolist()]
 
 
 def draw(cells: Int[np.ndarray, "t n 2"], there: Bool[np.ndarray, "t n"], version: Version = 1) -> Drawn:
     """What things (the agent, the objects, other agents) look like at a sequence of moments."""
     return grid_drawing.draw((FACTS.agent, *FACTS.objects, SECOND_AGENT)[: cells.shape[1]], cells, there, version)
-
-
-def agents_among(things: int) -> tuple[int, ...]:
-    """Which of so many things are agents: the first, and those after the objects."""
-    return (0, *range(1 + OBJECTS, things))
-
-
-def legal_actions(cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"]) -> Bool[np.ndarray, "n a"]:
-    """Which actions, or joint actions, are possible."""
-    first, *others = agents_among(cells.shape[1])
-    if not others:
-        return _moves_on_the_grid(cells[:, 0])
-    found = []
-    for action in range(len(MOVES)):
-        possible = _possible(cells, there, first, action)
-        after = advance(cells, there, np.full(len(cells), action))
-        found += [possible & _possible(*after, others[0], other) for other in range(len(MOVES))]
-    return np.stack(found, axis=-1)
-
-
-def act(
-    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], action: Int[np.ndarray, " n"]
-) -> tuple[Int[np.ndarray, "n k 2"], Bool[np.ndarray, "n k"]]:
-    """The grids after one legal action, or joint action, each."""
-    agents = agents_among(cells.shape[1])
-    for thing, part in zip(agents, np.unravel_index(action, (len(MOVES),) * len(agents)), strict=True):
-        cells, there = advance(cells, there, part, thing)
-    return cells, there
-
-
-def advance(
-    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], action: Int[np.ndarray, " n"], thing: int = 0
-) -> tuple[Int[np.ndarray, "n k 2"], Bool[np.ndarray, "n k"]]:
-    """The grids after one legal action each of the agent that is ``thing``."""
-    move = MOVES[action]
-    cells = cells + move[:, None] * _moving(cells, there, move, thing)[..., None]
-    return cells, there & ((cells >= 0) & (cells < CELLS)).all(axis=-1)
-
-
-def _moving(
-    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], move: Int[np.ndarray, "n 2"], thing: int
-) -> Bool[np.ndarray, "n k"]:
-    """The chain of things that an agent's move takes along, itself included."""
-    moving = np.zeros_like(there)
-    moving[:, thing] = True
-    front, chain = cells[:, thing], np.ones(len(cells), np.bool_)
-    for _ in range(cells.shape[1] - 1):  # whoever stands before the last of the chain joins it
-        front = front + move
-        hit = there & (cells == front[:, None]).all(axis=-1) & chain[:, None]
-        chain = hit.any(axis=-1)
-        moving |= hit
-    return moving
-
-
-def _moves_on_the_grid(agent: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n a"]:
-    target = agent[:, None] + MOVES
-    inside: Bool[np.ndarray, "n a"] = ((target >= 0) & (target < CELLS)).all(axis=-1)
-    return inside
-
-
-def _possible(
-    cells: Int[np.ndarray, "n k 2"], there: Bool[np.ndarray, "n k"], thing: int, action: int
-) -> Bool[np.ndarray, " n"]:
-    """Whether an agent's action keeps it on the grid and pushes no other agent."""
-    others = [agent for agent in agents_among(cells.shape[1]) if agent != thing]
-    moving = _moving(cells, there, np.broadcast_to(MOVES[action], (len(cells), 2)), thing)
-    possible: Bool[np.ndarray, " n"] = _moves_on_the_grid(cells[:, thing])[:, action] & ~moving[:, others].any(axis=-1)
-    return possible
-
-
-def starting_cells(generator: np.random.Generator, things: int = 1 + OBJECTS) -> Int[np.ndarray, "k 2"]:
-    """Agents and objects on cells of their own."""
-    chosen = generator.permutation(CELLS * CELLS)[:things]
-    return np.stack([chosen % CELLS, chosen // CELLS], axis=-1)
 
 
 def _states(

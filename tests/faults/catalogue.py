@@ -86,10 +86,10 @@ FAULTS = (
     ),
     Fault(
         name="Grid World pushes one object instead of the chain",
-        file="recorders/grid_world.py",
+        file="recorders/grid_rules.py",
         right="for _ in range(cells.shape[1] - 1):  # whoever stands before the last of the chain joins it",
         wrong="for _ in range(1):",
-        tests=("tests/recorders/test_grid_world.py",),
+        tests=("tests/recorders/test_grid_rules.py",),
     ),
     Fault(
         name="the mean squared error leaves out the channels",

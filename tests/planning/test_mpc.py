@@ -38,7 +38,8 @@ from dmotion_bench.scoring.control import ControlScoring, control_samples, score
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
-from recorders.grid_world import ACTIONS, FACTS, GridWorld
+from recorders.grid_rules import ACTIONS
+from recorders.grid_world import FACTS, GridWorld
 
 pytestmark = pytest.mark.slow
 

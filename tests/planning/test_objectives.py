@@ -22,7 +22,8 @@ from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.planning.objectives.tabletop.objective import Tabletop
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec, ObjectSpec
-from recorders.grid_world import FACTS, OBJECTS, draw
+from recorders.grid_rules import OBJECTS
+from recorders.grid_world import FACTS, draw
 
 
 def pictures(*cells: list[tuple[int, int] | None]) -> torch.Tensor:

@@ -19,8 +19,9 @@ from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCo
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import Supervision
-from recorders.grid_drawing import CELLS, Version
-from recorders.grid_world import FACTS, advance, draw
+from recorders.grid_drawing import Version
+from recorders.grid_rules import CELLS, advance
+from recorders.grid_world import FACTS, draw
 
 MOVES = torch.tensor([(0, -1), (0, 1), (-1, 0), (1, 0)])
 

@@ -19,7 +19,8 @@ from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
 from recorders.expert_policy import ExpertPolicy
-from recorders.grid_world import FACTS, FACTS_OF_TWO, JOINT_ACTIONS, SECOND_AGENT, GridWorld, act, legal_actions
+from recorders.grid_rules import JOINT_ACTIONS, act, legal_actions
+from recorders.grid_world import FACTS, FACTS_OF_TWO, SECOND_AGENT, GridWorld
 from recorders.policies import RandomPolicy
 from recorders.push_policy import PushPolicy
 

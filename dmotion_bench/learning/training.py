@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
 
 from dmotion_bench.errors import RunError, UsageError
 from dmotion_bench.interrupts import stop_between_steps
@@ -32,8 +31,9 @@ from dmotion_bench.learning.adaptation import finetune
 from dmotion_bench.learning.companions import Companions
 from dmotion_bench.learning.conditions import choose_conditions
 from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
+from dmotion_bench.learning.fabric_setup import set_up
 from dmotion_bench.learning.metrics_log import MetricsLog
-from dmotion_bench.learning.model import ForwardModel, Losses, TrainingConfig, TripletBatch
+from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.optimization import (
     AveragedWeights,
     autocast,
@@ -144,35 +144,6 @@ def _train(
             return trainer.fit(on_step, trackers)
 
 
-class _PlainLosses(nn.Module):
-    """A model whose losses are tuples: Fabric and DDP look for tensors in these, and not in frozen dataclasses."""
-
-    def __init__(self, model: ForwardModel[Any]) -> None:
-        super().__init__()
-        self.model = model
-
-    def forward(self, batch: TripletBatch) -> tuple[Tensor, Mapping[str, Tensor], Tensor | None]:
-        losses = self.model.losses(batch)
-        return losses.total, losses.terms, losses.per_triplet
-
-
-def _set_up(
-    fabric: Fabric, model: ForwardModel[Any], optimizer: torch.optim.Optimizer
-) -> tuple[Callable[[TripletBatch], Losses], torch.optim.Optimizer]:
-    """The losses of a model on Fabric's device, their gradients averaged over all processes, and its optimiser."""
-    if fabric.world_size == 1:
-        alone, prepared = fabric.setup(model, optimizer)
-        alone.mark_forward_method("losses")
-        return alone.losses, prepared
-    shared, prepared = fabric.setup(_PlainLosses(model), optimizer)
-
-    def losses(batch: TripletBatch) -> Losses:
-        total, terms, per_triplet = shared(batch)
-        return Losses(total=total, terms=terms, per_triplet=per_triplet)
-
-    return losses, prepared
-
-
 class _Trainer:
     def __init__(self, run: Run, data: TrainingData, fabric: Fabric, companions: Companions) -> None:
         self.run, self.data, self.fabric, self.companions = run, data, fabric, companions
@@ -184,7 +155,7 @@ class _Trainer:
         self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device, shown)
         self._require_batches()
         self.steps, self.watched = self.parts[-1].stop, steps_before_labels(self.parts)
-        losses, self.optimizer = _set_up(fabric, self.model, make_optimizer(self.model, self.config))
+        losses, self.optimizer = set_up(fabric, self.model, make_optimizer(self.model, self.config))
         self.step = Stepper(
             model=self.model,
             losses=losses,

@@ -15,50 +15,22 @@ from typing import Any
 import pytest
 import torch
 from dmbench_command import dmbench
+from small_tables import CONTROL, TABLE, Known
 
 import dmotion_bench as dm
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
 from dmotion_bench.api.side_by_side import Hands
-from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning import table as learning_table
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.columns import COLUMNS, PROTOCOL, TASKS, TEST, TEST_TASKS, TRAININGS
+from dmotion_bench.planning.columns import COLUMNS, PROTOCOL
 from dmotion_bench.recording import session
-from dmotion_bench.recording.preset import recipe_for
-from dmotion_bench.reproduction.cost import cost_of
-from dmotion_bench.reproduction.plan import Plan
-from dmotion_bench.reproduction.speeds import Episodes, Speeds
-from dmotion_bench.reproduction.table import Column, Entrant, Table, World, powers_of_two
+from dmotion_bench.reproduction.table import Table
 from dmotion_bench.scoring import side_by_side
-from dmotion_bench.scoring.references import published_results
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.workspace import Workspace
 
-SHORT = ("epochs=1", "precision=float32", "batch_size=16")
-TABLE = Table(
-    title="three budgets of a model of video, two of a model of actions",
-    worlds=(World(environment="grid_world", episodes=12, frames=7),),
-    entrants=(
-        Entrant(model="lapo", labels=("one-shot", "1", "8"), settings=SHORT),
-        Entrant(model="ed-cnn", labels=("one-shot", "2", "100%"), settings=SHORT),
-    ),
-    columns=(Column(name="prediction", metrics=("prediction",)),),
-    preset=Preset.TINY,
-)
-FEW = ("samples=3", "horizon=2", "iterations=1", "elites=2")
-CONTROL = Table(
-    title="control in two columns",
-    worlds=(World(environment="planar_push", episodes=12, frames=30, tasks=3),),
-    entrants=(Entrant(model="ed-cnn", labels=("100%",), settings=("epochs=0.2", "precision=float32")),),
-    columns=(
-        Column(name="first", metrics=("control",), objective="centres", planner_set=FEW, references=("oracle",)),
-        Column(name="second", metrics=("prediction", "control"), objective="tracked", planner_set=FEW),
-    ),
-    preset=Preset.TINY,
-)
 FROZEN = dataclasses.replace(
     registry.table("control"),
     worlds=tuple(
@@ -75,25 +47,6 @@ FROZEN = dataclasses.replace(
 
 class Stopped(Exception):
     """Raised in the middle of a table."""
-
-
-class Known(Speeds):
-    """Speeds that nobody measures."""
-
-    def __init__(self) -> None:
-        super().__init__(device=torch.device("cpu"))
-
-    def episodes(self, recording: Any) -> Episodes:
-        return Episodes(frames_per_s=100.0, frames=7.0)
-
-    def triplets_per_s(self, model: str, arch: str | None) -> float:
-        return {"lapo": 50.0, "ed-cnn": 20.0}[model]
-
-    def control_steps_per_s(self, model: str) -> float:
-        return 0.5
-
-    def oracle_steps_per_s(self, recording: Any, scoring: Any) -> float:
-        return 4.0
 
 
 @pytest.fixture(autouse=True)
@@ -278,147 +231,11 @@ def test_frozen_columns_stand_on_one_page_although_killed_between_them(tmp_path:
     assert not any(line.jobs for line in dm.reproduce(FROZEN, workspace=tmp_path, dry_run=True).cost.lines)
 
 
-def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
-    plan = reproducing.plan_table("control", workspace=tmp_path)
-    assert (plan.table.preset, plan.table.seeds) == (Preset.SMALL, tuple(range(TRAININGS)))
-    tests = {one.folder.name: one.recipe for one in plan.recordings if one.world.fixed}
-    assert tests == {
-        f"{name}-test": recipe_for(name, episodes=TEST.episodes, tasks=TASKS, seed=TEST.seed) for name in TEST_TASKS
-    }
-    assert all(f"--out data/{name}" in TEST.words(name.removesuffix("-test")) for name in tests)
-    frozen = {scoring.control.column for scoring in plan.scorings} - {None}
-    assert frozen == {*COLUMNS}
-    for scoring in plan.scorings:
-        models, name = {one.model for one in scoring.trainings}, scoring.column.frozen
-        assert (scoring.data is None) == (name is None)
-        if name is not None:
-            assert models <= {*(COLUMNS[name].models or [one.model for one in plan.table.entrants])}
-            assert scoring.tasks() == TASKS
-    trial = reproducing.plan_table("control", preset="tiny", workspace=tmp_path)
-    assert {one.recipe.seed for one in trial.recordings if one.world.fixed} == {TEST.seed + 1}
-
-
-def test_hours_are_amounts_over_speeds(tmp_path: Path) -> None:
-    lines = {(line.kind, line.what): line for line in cost_of(Plan(TABLE, "own", Workspace(tmp_path)), Known()).lines}
-    triplets = 0.81 * 12 * (7 - 2)
-    assert lines["record", "grid_world"].core_hours == pytest.approx(12 * 7 / 100 / 3600)
-    assert lines["train", "lapo"].core_hours == pytest.approx(triplets / 50 / 3600)
-    assert lines["train", "ed-cnn"].core_hours == pytest.approx(2 * triplets / 20 / 3600)
-    tested = 0.1 * 12 * (7 - 2)
-    scored = tested * (3 / (3 * 50) + 2 / (3 * 20))
-    assert lines["score", "prediction"].core_hours == pytest.approx(scored / 3600)
-
-    control = Plan(CONTROL, "own", Workspace(tmp_path))
-    lines = {(line.kind, line.what): line for line in cost_of(control, Known()).lines}
-    steps = 2 * 4  # tasks, and steps of each
-    assert lines["oracle", "first"].core_hours == pytest.approx(steps / 4 / 3600)
-    planned = 3 * 2 / 1000  # of the actions that the timed planner tries
-    assert lines["score", "first"].core_hours == pytest.approx((steps * planned / 0.5 + steps / 100) / 3600)
-    assert lines["score", "first"].jobs == 2  # a group of tasks, and the run
-
-
-def test_what_cannot_be_measured_is_told_and_not_in_the_sum(tmp_path: Path) -> None:
-    class Lame(Known):
-        def triplets_per_s(self, model: str, arch: str | None) -> float:
-            raise UsageError(f"{model} has no speed.")
-
-    cost = cost_of(Plan(TABLE, "own", Workspace(tmp_path)), Lame())
-    assert any("train lapo: lapo has no speed" in said for said in cost.unknown)
-    assert cost.core_hours == pytest.approx((12 * 7 / 100 + 5 * 2.0) / 3600)  # recording, and five entries
-
-
-def test_models_that_draw_nothing_are_controlled_by_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry.model_class("jepa"), "needs_pixels", False)
-    table = dataclasses.replace(CONTROL, entrants=(Entrant(model="jepa", labels=("100%",)), *CONTROL.entrants))
-    scorings = Plan(table, "own", Workspace(tmp_path)).of_column(table.columns[1])
-    assert {one.trainings[0].model: one.control.objective for one in scorings} == {
-        "jepa": "feature",
-        "ed-cnn": "tracked",
-    }
-    assert {one.trainings[0].model: one.metrics() for one in scorings}["jepa"] == ("control",)
-
-
-def test_another_recording_can_hold_the_tasks(tmp_path: Path) -> None:
-    world = dataclasses.replace(
-        CONTROL.worlds[0], tasks=0, control_on=World(environment="planar_push", name="test", seed=7, episodes=10)
-    )
-    plan = Plan(dataclasses.replace(CONTROL, worlds=(world,)), "own", Workspace(tmp_path))
-    assert [one.folder.name for one in plan.recordings] == ["planar_push-tiny", "planar_push-test-tiny"]
-    assert {one.data for one in plan.scorings} == {tmp_path / "data" / "planar_push-test-tiny"}
-
-
-def test_a_part_of_a_table_is_chosen_by_names() -> None:
-    part = registry.table("paper").narrowed(models=["dmotion"], worlds=["robot_push"], seeds=[3, 3], preset=Preset.TINY)
-    assert [one.model for one in part.entrants] == ["dmotion"]
-    assert (part.seeds, part.preset, len(part.columns)) == ((3,), Preset.TINY, 2)
-    assert len(registry.table("paper").narrowed(worlds=["grid_world"]).columns) == 1  # control is of the robot
-    for wrong, kind, says in (
-        ({"models": ["dmotoin"]}, UnknownName, "did you mean 'dmotion'"),
-        ({"worlds": ["push_t"]}, UnknownName, "no world of this table named 'push_t'"),
-        ({"seeds": []}, UsageError, "no seed is named"),
-    ):
-        with pytest.raises(kind, match=says):
-            registry.table("paper").narrowed(**wrong)
-    with pytest.raises(InvalidSetting, match="two columns of a table have the same name"):
-        dataclasses.replace(TABLE, columns=TABLE.columns * 2)
-
-
-def test_the_papers_table_has_the_rows_that_were_published() -> None:
-    table = registry.table("paper")
-    published = {(one.environment, one.model, one.labels) for one in published_results()}
-    ours = {(w.environment, one.model, labels) for w in table.worlds for one in table.entrants for labels in one.labels}
-    assert ours == published
-    with_control = {
-        one.model for one in published_results() if any(name.startswith("control_distance") for name in one.figures)
-    }
-    assert {*table.columns[1].models} == with_control
-
-
-@pytest.mark.parametrize("name", registry.table_names())
-def test_every_table_can_be_planned(name: str, tmp_path: Path) -> None:
-    plan = reproducing.plan_table(name, workspace=tmp_path, preset="tiny")
-    assert {training.model for training in plan.trainings} == {one.model for one in plan.table.entrants}
-    assert all(scoring.control for scoring in plan.scorings)
-    assert len(plan.pages()) == 1
-
-
-def test_budgets_of_the_label_curve_end_with_all_labels(tmp_path: Path) -> None:
-    assert list(powers_of_two(9)) == ["1", "2", "4", "8"]
-    plan = reproducing.plan_table("labels", workspace=tmp_path, seeds=[0], worlds=["planar_push"])
-    rows = {training.model: [] for training in plan.trainings}
-    for training in plan.trainings:
-        rows[training.model] += [row.labels for row in training.rows]
-    assert rows["dmotion"] == [*(str(2**power) for power in range(13)), "100%"]
-    assert rows["ed-cnn"] == [*(str(4**power) for power in range(1, 7)), "100%"]
-    assert len([training for training in plan.trainings if training.model == "dmotion"]) == 1
-    assert len([training for training in plan.trainings if training.model == "ed-cnn"]) == 7
-    assert len([training for training in plan.trainings if training.model == "wm-ae"]) == 1  # its autoencoder is shared
-    assert rows["idm-ed-cnn"] == rows["wm-ae"] == rows["ed-cnn"]
-    assert len(rows) == 8
-
-
 def test_on_a_gpu_one_training_runs_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     assert reproducing._workers(Hands(workers=3, device="cpu")) == 3
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     assert reproducing._workers(Hands(workers=3)) == 1
     assert reproducing._workers(Hands(workers=3, executor="ray")) == 3  # each asks Ray for a GPU
-
-
-def test_speeds_are_measured_once_or_read_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    measured: list[str] = []
-    monkeypatch.setattr(Speeds, "_training", lambda self, model, arch: measured.append(model) or 7.0)
-    speeds = Speeds(device=torch.device("cpu"))
-    assert [speeds.triplets_per_s("lapo", None) for _ in range(2)] == [7.0, 7.0]
-    result = {"name": "train[lapo-compact]", "unit": "triplets/s", "rounds": [90, 100, 110], "limits": []}
-    result |= {"limit_name": "", "setting": ""}
-    (tmp_path / "bench.json").write_text(json.dumps({"processor": "P", "threads": 4, "results": [result]}))
-    stored = Speeds(device=torch.device("cpu"), stored=tmp_path / "bench.json")
-    assert stored.triplets_per_s("lapo", None) == 25.0  # of one core
-    assert stored.triplets_per_s("clasp", None) == 7.0
-    assert measured == ["lapo", "clasp"]
-    assert "P, 4 threads" in stored.told
-    with pytest.raises(UsageError, match="make such a file with 'dmbench bench --json > FILE'"):
-        Speeds(device=torch.device("cpu"), stored=tmp_path / "none.json")
 
 
 def test_the_command_says_the_cost_and_what_is_wrong(

@@ -12,7 +12,6 @@ import pytest
 import torch
 from jaxtyping import Float
 from noise_world import files_of
-from scipy.stats import binom
 
 from dmotion_bench.environment import Environment
 from dmotion_bench.errors import InvalidSetting, UnknownName
@@ -25,12 +24,10 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe, Episode
 from dmotion_bench.storage.dataset import Dataset
 from recorders.distractors import FACTORS, SCENES
-from recorders.distractors.background import Blend, Textures, muted
-from recorders.distractors.movers import CORRELATED, FAMILIES, MARGIN, STEP, Followers, Looks, mover_colors
+from recorders.distractors.movers import FAMILIES, MARGIN, STEP, mover_colors
 from recorders.distractors.noise import Noise
 from recorders.distractors.shake import Shake, cut_off, shifted
 from recorders.distractors.streams import stream
-from recorders.distractors.textures import GENERATORS, TILE, texture
 from recorders.grid_world import GridWorld
 from recorders.planar_push import PlanarPush
 from recorders.robot_push import RobotPush
@@ -94,14 +91,6 @@ def replaying(like: Episode) -> Callable[..., Any]:
     return lambda env, generator: next(actions)
 
 
-def grown(inside: np.ndarray) -> np.ndarray:
-    """With the neighbours of its pixels."""
-    wide = inside.copy()
-    for axis, way in itertools.product((0, 1), (-1, 1)):
-        wide |= np.roll(inside, way, axis)
-    return wide
-
-
 def states_of(episode: Episode) -> tuple[Float[np.ndarray, "..."], ...]:
     labels = episode.labels
     return (labels.actions, labels.pushed, labels.agent.position, labels.objects.position, labels.objects.orientation)
@@ -155,40 +144,6 @@ def test_what_is_told_of_a_factor_that_varies_is_of_the_episodes_own_values() ->
     env.distracting_motions(2, ("movers",), 5)
     np.testing.assert_array_equal(env.render(), before)
     assert GridWorld().distracting_motions(0, (), 5) == {}
-
-
-def test_movers_move_as_far_as_is_told() -> None:
-    """The middle of a single mover on black, wherever it is whole in the picture."""
-    compared = 0
-    for seed in range(6):
-        env = GridWorld(movers=1)
-        episode = record_episode(env, env.policies[env.default_policy](), seed, 20)
-        (told,) = env.distracting_motions(seed, (), 19).values()
-        own = (episode.frames > 0).any(axis=-1) & (episode.labels.masks == 0)
-        things = episode.labels.masks != 0
-        for moment in range(19):
-            seen = [np.argwhere(own[place])[:, ::-1] for place in (moment, moment + 1)]
-            near = [
-                len(one) and one.min() > 1 and one.max() < 126 and not grown(things[place])[own[place]].any()
-                for one, place in zip(seen, (moment, moment + 1), strict=True)
-            ]
-            if all(near) and len(seen[0]) == len(seen[1]):
-                np.testing.assert_allclose(seen[1].mean(0) - seen[0].mean(0), told[moment], atol=1.0)
-                compared += 1
-    assert compared > 10
-
-
-def test_the_background_scrolls_as_far_as_is_told() -> None:
-    """Its front plane's middle parts, held against the picture moved by what is told, where no hole is in either."""
-    planes = Textures(stream(3, "background", 0), "leaves", size=128, share=1.0)
-    black = np.zeros((128, 128, 3), np.uint8)
-    for moment in range(6):
-        one, other = (planes.lay(black, at, (0, 0)) for at in (moment, moment + 1))
-        back, front = planes.moved(moment, moment + 1).reshape(2, 2).astype(int)
-        inner = (slice(16, -16), slice(16, -16))
-        followed = [(np.roll(one, (y, x), axis=(0, 1)) == other)[inner].all(axis=-1) for x, y in ((*back,), (*front,))]
-        assert (followed[0] | followed[1]).mean() > 0.9  # each pixel is of one of the two planes
-        assert min(one.mean() for one in followed) > 0.1
 
 
 def test_the_camera_moves_picture_masks_and_centres_together(world: Any, plain: Episode) -> None:
@@ -248,33 +203,6 @@ def test_noise_has_the_stated_deviation_and_is_new_in_each_frame() -> None:
     assert noise.on(white, 3).min() > 200  # nothing wraps around
 
 
-def test_correlated_things_agree_with_the_action_in_the_stated_share() -> None:
-    looks = Looks(size=128, shapes=FAMILIES[0], colors=((200, 200, 200),))
-    headings, steps, probability = [(0.0, -1.0), (0.0, 1.0), (-1.0, 0.0), (1.0, 0.0)], 1500, 0.6
-    followers = Followers(np.random.default_rng(2), probability, looks)
-    actions, agreed = np.random.default_rng(3).integers(4, size=steps), 0
-    for moment, action in enumerate(actions.tolist(), start=1):
-        before = np.array(followers.places)
-        followers.step(moment, headings[action], headings)
-        moved = (np.array(followers.places) - before + looks.around / 2) % looks.around - looks.around / 2
-        np.testing.assert_allclose(np.hypot(*moved.T), STEP)
-        agreed += int(np.isclose(moved / STEP, headings[action]).all(axis=1).sum())
-    low, high = binom.interval(0.999, CORRELATED * steps, probability + (1 - probability) / 4)
-    assert low <= agreed <= high
-
-
-def test_among_continuous_actions_a_thing_agrees_by_following_alone() -> None:
-    looks = Looks(size=128, shapes=FAMILIES[0], colors=((200, 200, 200),))
-    followers, agreed = Followers(np.random.default_rng(2), 0.3, looks), 0
-    for moment in range(1, 1001):
-        before = np.array(followers.places)
-        followers.step(moment, (0.6, 0.8), None)
-        moved = (np.array(followers.places) - before + looks.around / 2) % looks.around - looks.around / 2
-        agreed += int(np.isclose(moved / STEP, (0.6, 0.8)).all(axis=1).sum())
-    low, high = binom.interval(0.999, CORRELATED * 1000, 0.3)
-    assert low <= agreed <= high
-
-
 def test_the_things_of_an_environment_follow_its_actions(world: Any, plain: Episode) -> None:
     """At probability 1 they all go where the action points, so two frames differ by the same step in all."""
     world.reset(seed=SEED, options={"correlated": 1.0})
@@ -286,61 +214,6 @@ def test_the_things_of_an_environment_follow_its_actions(world: Any, plain: Epis
         named = np.array(ways[world.facts.actions.names[action]])
         assert ((moved * named).sum(axis=1) > 0.97 * STEP).all()  # the robot's camera sees them at an angle
     assert MARGIN == 12, "152 is 128 and two margins"
-
-
-def test_movers_go_where_the_past_does_not_tell() -> None:
-    env = PlanarPush(movers=8)
-    env.reset(seed=1)
-    track = env._video._movers._track  # type: ignore[union-attr]
-    places = np.array([track.at(moment)[0] for moment in range(400)])
-    env.close()
-    steps = (np.diff(places, axis=0) + 76) % 152 - 76
-    lengths = np.hypot(steps[..., 0], steps[..., 1])
-    assert 1 <= lengths.min() < 1.2
-    assert 5.8 < lengths.max() <= 6
-    (x, y), (u, v) = np.moveaxis(steps[1:], -1, 0), np.moveaxis(steps[:-1], -1, 0)
-    turned = np.abs(x * v - y * u) > 1e-6
-    assert binom.cdf(turned.sum(), turned.size, 0.4) > 1e-4
-    assert binom.sf(turned.sum(), turned.size, 0.4) > 1e-4
-    assert abs(np.corrcoef(lengths[1:].ravel(), lengths[:-1].ravel())[0, 1]) < 0.06
-
-
-def test_textures_differ_between_generators_have_no_seam_and_are_the_same_again() -> None:
-    for one, other in itertools.combinations(GENERATORS, 2):
-        assert (texture(one, 0) != texture(other, 0)).mean() > 0.5
-    for kind in GENERATORS:
-        shades = texture(kind, 1).astype(int)
-        assert shades.shape == (TILE, TILE)
-        assert np.ptp(shades) > 200
-        inside = np.abs(np.diff(shades, axis=1)).mean()
-        across = np.abs(shades[:, 0] - shades[:, -1]).mean()
-        assert across < 3 * inside + 5  # the first and the last column are neighbours
-        texture.cache_clear()
-        np.testing.assert_array_equal(texture(kind, 1), shades)
-        assert (texture(kind, 2) != shades).mean() > 0.5
-
-
-def test_leaves_and_clouds_have_the_spectrum_of_natural_pictures() -> None:
-    """Power that falls by about the square of the frequency; white noise has a slope of 0."""
-    for kind in ("leaves", "clouds"):
-        pictures = [texture(kind, number) - texture(kind, number).mean() for number in range(4)]
-        power = np.mean([np.abs(np.fft.fft2(picture)) ** 2 for picture in pictures], axis=0)
-        frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(TILE), np.fft.fftfreq(TILE)))
-        edges = np.geomspace(4 / TILE, 0.25, 10)
-        rings = [power[(frequency >= low) & (frequency < high)].mean() for low, high in itertools.pairwise(edges)]
-        slope = np.polyfit(np.log(edges[1:] * edges[:-1]) / 2, np.log(rings), 1)[0]
-        assert -3.1 < slope < -1.6, kind
-
-
-def test_a_blend_is_the_weighted_mean() -> None:
-    lower, upper = np.random.default_rng(0).integers(256, size=(2, 500)).astype(np.uint8)
-    for share in (0.0, 0.25, 0.7, 1.0):
-        blend = Blend(share)
-        mixed = blend.mixed(lower, blend.faded(upper)).astype(float)
-        assert np.abs(mixed - (1 - share) * lower - share * upper).max() <= 1.6
-    blend = Blend(0.5)
-    white = np.full(4, 255, np.uint8)
-    assert (blend.mixed(white, blend.faded(white)) == 255).all()
 
 
 @pytest.mark.slow
@@ -368,14 +241,6 @@ def test_movers_have_hues_far_from_those_of_all_things(kind: Callable[..., Any])
     env.close()
     assert len(colors) >= 8
     assert (found.numpy() == NOTHING).mean() > 0.999
-
-
-@pytest.mark.parametrize("color", [(0, 0, 0), (255, 255, 255), (255, 0, 0), (3, 200, 250), (1, 1, 0)])
-def test_muted_colours_keep_their_order_and_lose_their_strength(color: tuple[int, int, int]) -> None:
-    pale = muted(np.array(color, np.uint8)).astype(int)
-    assert pale.max() >= 110
-    assert (pale.max() - pale.min()) / pale.max() <= 0.34
-    assert all(pale[one] >= pale[other] for one in range(3) for other in range(3) if color[one] > color[other])
 
 
 @pytest.mark.parametrize("scene", ["distracted", "unseen"])

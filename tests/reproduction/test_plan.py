@@ -1,0 +1,110 @@
+"""What stands in a table becomes recordings, trainings and scorings; a part of a table is chosen by names."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from small_tables import CONTROL, TABLE
+
+from dmotion_bench import registry
+from dmotion_bench.api import reproducing
+from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
+from dmotion_bench.planning.columns import COLUMNS, TASKS, TEST, TEST_TASKS, TRAININGS
+from dmotion_bench.recording.preset import recipe_for
+from dmotion_bench.reproduction.plan import Plan
+from dmotion_bench.reproduction.table import Entrant, World, powers_of_two
+from dmotion_bench.scoring.references import published_results
+from dmotion_bench.specs import Preset
+from dmotion_bench.workspace import Workspace
+
+
+def test_a_part_of_a_table_is_chosen_by_names() -> None:
+    part = registry.table("paper").narrowed(models=["dmotion"], worlds=["robot_push"], seeds=[3, 3], preset=Preset.TINY)
+    assert [one.model for one in part.entrants] == ["dmotion"]
+    assert (part.seeds, part.preset, len(part.columns)) == ((3,), Preset.TINY, 2)
+    assert len(registry.table("paper").narrowed(worlds=["grid_world"]).columns) == 1  # control is of the robot
+    for wrong, kind, says in (
+        ({"models": ["dmotoin"]}, UnknownName, "did you mean 'dmotion'"),
+        ({"worlds": ["push_t"]}, UnknownName, "no world of this table named 'push_t'"),
+        ({"seeds": []}, UsageError, "no seed is named"),
+    ):
+        with pytest.raises(kind, match=says):
+            registry.table("paper").narrowed(**wrong)
+    with pytest.raises(InvalidSetting, match="two columns of a table have the same name"):
+        dataclasses.replace(TABLE, columns=TABLE.columns * 2)
+
+
+def test_the_papers_table_has_the_rows_that_were_published() -> None:
+    table = registry.table("paper")
+    published = {(one.environment, one.model, one.labels) for one in published_results()}
+    ours = {(w.environment, one.model, labels) for w in table.worlds for one in table.entrants for labels in one.labels}
+    assert ours == published
+    with_control = {
+        one.model for one in published_results() if any(name.startswith("control_distance") for name in one.figures)
+    }
+    assert {*table.columns[1].models} == with_control
+
+
+def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
+    plan = reproducing.plan_table("control", workspace=tmp_path)
+    assert (plan.table.preset, plan.table.seeds) == (Preset.SMALL, tuple(range(TRAININGS)))
+    tests = {one.folder.name: one.recipe for one in plan.recordings if one.world.fixed}
+    assert tests == {
+        f"{name}-test": recipe_for(name, episodes=TEST.episodes, tasks=TASKS, seed=TEST.seed) for name in TEST_TASKS
+    }
+    assert all(f"--out data/{name}" in TEST.words(name.removesuffix("-test")) for name in tests)
+    frozen = {scoring.control.column for scoring in plan.scorings} - {None}
+    assert frozen == {*COLUMNS}
+    for scoring in plan.scorings:
+        models, name = {one.model for one in scoring.trainings}, scoring.column.frozen
+        assert (scoring.data is None) == (name is None)
+        if name is not None:
+            assert models <= {*(COLUMNS[name].models or [one.model for one in plan.table.entrants])}
+            assert scoring.tasks() == TASKS
+    trial = reproducing.plan_table("control", preset="tiny", workspace=tmp_path)
+    assert {one.recipe.seed for one in trial.recordings if one.world.fixed} == {TEST.seed + 1}
+
+
+@pytest.mark.parametrize("name", registry.table_names())
+def test_every_table_can_be_planned(name: str, tmp_path: Path) -> None:
+    plan = reproducing.plan_table(name, workspace=tmp_path, preset="tiny")
+    assert {training.model for training in plan.trainings} == {one.model for one in plan.table.entrants}
+    assert all(scoring.control for scoring in plan.scorings)
+    assert len(plan.pages()) == 1
+
+
+def test_budgets_of_the_label_curve_end_with_all_labels(tmp_path: Path) -> None:
+    assert list(powers_of_two(9)) == ["1", "2", "4", "8"]
+    plan = reproducing.plan_table("labels", workspace=tmp_path, seeds=[0], worlds=["planar_push"])
+    rows = {training.model: [] for training in plan.trainings}
+    for training in plan.trainings:
+        rows[training.model] += [row.labels for row in training.rows]
+    assert rows["dmotion"] == [*(str(2**power) for power in range(13)), "100%"]
+    assert rows["ed-cnn"] == [*(str(4**power) for power in range(1, 7)), "100%"]
+    assert len([training for training in plan.trainings if training.model == "dmotion"]) == 1
+    assert len([training for training in plan.trainings if training.model == "ed-cnn"]) == 7
+    assert len([training for training in plan.trainings if training.model == "wm-ae"]) == 1  # its autoencoder is shared
+    assert rows["idm-ed-cnn"] == rows["wm-ae"] == rows["ed-cnn"]
+    assert len(rows) == 8
+
+
+def test_models_that_draw_nothing_are_controlled_by_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry.model_class("jepa"), "needs_pixels", False)
+    table = dataclasses.replace(CONTROL, entrants=(Entrant(model="jepa", labels=("100%",)), *CONTROL.entrants))
+    scorings = Plan(table, "own", Workspace(tmp_path)).of_column(table.columns[1])
+    assert {one.trainings[0].model: one.control.objective for one in scorings} == {
+        "jepa": "feature",
+        "ed-cnn": "tracked",
+    }
+    assert {one.trainings[0].model: one.metrics() for one in scorings}["jepa"] == ("control",)
+
+
+def test_another_recording_can_hold_the_tasks(tmp_path: Path) -> None:
+    world = dataclasses.replace(
+        CONTROL.worlds[0], tasks=0, control_on=World(environment="planar_push", name="test", seed=7, episodes=10)
+    )
+    plan = Plan(dataclasses.replace(CONTROL, worlds=(world,)), "own", Workspace(tmp_path))
+    assert [one.folder.name for one in plan.recordings] == ["planar_push-tiny", "planar_push-test-tiny"]
+    assert {one.data for one in plan.scorings} == {tmp_path / "data" / "planar_push-test-tiny"}

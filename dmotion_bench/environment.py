@@ -211,6 +211,16 @@ class Versioned(Protocol):
 
 
 @runtime_checkable
+class Titled(Protocol):
+    """An environment class that pages call by a title of its own, not by its registered name in words.
+
+    ``push_t`` would be "Push T".
+    """
+
+    title: ClassVar[str]
+
+
+@runtime_checkable
 class Restorable(Protocol):
     """An environment whose state can be put back much faster than by replaying its actions.
 

@@ -7,6 +7,7 @@ Nothing is imported until a name is asked for, so listing names costs no torch a
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import functools
 import sys
@@ -248,6 +249,18 @@ def environment_versions(name: str) -> Mapping[int, str]:
     except DmbenchError:
         return {}
     return kind.versions if isinstance(kind, Versioned) else {}
+
+
+def environment_title(name: str) -> str:
+    """What pages call an environment: the title of its class, else its name in words, as "Grid World"."""
+    from dmotion_bench.environment import Titled
+
+    if name in environment_names():
+        with contextlib.suppress(DmbenchError):  # it cannot be imported here
+            kind: object = environment_class(name)
+            if isinstance(kind, Titled):
+                return kind.title
+    return name if ":" in name else name.replace("_", " ").title()
 
 
 def model_class(name: str) -> type[ForwardModel[Any]]:

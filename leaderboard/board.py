@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeVar
 
 from dmotion_bench.planning.mpc import CONTROL_VERSION
+from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.report import Version
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.agreement import Agreement, agreements
@@ -128,7 +129,7 @@ class Board:
     @property
     def title(self) -> str:
         """The environment in words."""
-        name = self.environment.replace("_", " ").title()
+        name = environment_title(self.environment)
         return name if self.version == 1 else f"{name}, version {self.version}"
 
     @property

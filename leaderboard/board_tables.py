@@ -8,6 +8,7 @@ from functools import partial
 from typing import Final
 
 from dmotion_bench.planning.columns import COLUMNS
+from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
@@ -99,7 +100,7 @@ def _signed(one: Estimate) -> str:
 
 def world(board: Board) -> str:
     """The environment in words, with its version."""
-    return f"{board.environment.replace('_', ' ').title()} v{board.version}"
+    return f"{environment_title(board.environment)} v{board.version}"
 
 
 def published_section(board: Board) -> list[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dmotion_bench import registry
-from dmotion_bench.registry import MODELS, names
+from dmotion_bench.registry import MODELS, environment_title, names
 
 POINTS = "[dmbench.models]\n{name} = no_such_module:Model\n"
 
@@ -54,3 +54,10 @@ def test_metadata_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "entry_points", read_again)
 
     assert names(MODELS) == first
+
+
+def test_a_world_is_called_by_its_own_title_or_by_its_name_in_words() -> None:
+    assert environment_title("push_t") == "PushT"
+    assert environment_title("grid_world") == "Grid World"
+    assert environment_title("somebody_elses") == "Somebody Elses"
+    assert environment_title("gym:CartPole-v1") == "gym:CartPole-v1"

@@ -58,6 +58,7 @@ class PushT(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         render_mode: Gymnasium's; None or ``"rgb_array"``.
     """
 
+    title: ClassVar[str] = "PushT"
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 -- as in Gymnasium
     recording: ClassVar[Mapping[Preset, RecordingPreset]] = MappingProxyType(
         {

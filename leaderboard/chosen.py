@@ -187,7 +187,7 @@ def _only(choice: Choice, kind: str, wanted: object, found: Sequence[Any], known
 
 def chosen_table(rows: Sequence[Chosen]) -> list[str]:
     """The lines of the table of the chosen rows, with a note where a planner was tuned on their tasks."""
-    head = ["World", "Measured on", "Model", "Labels", "Trainings", "Error (95% interval)", "Baseline", "Paper"]
+    head = ["World", "Measured on", "Model", "Labels", "Trainings", "Error (95% interval)", "Reference", "Paper"]
     lines = table(head, [_cells(row) for row in rows], words=3)
     return [*lines, "", TUNED_NOTE] if any(row.tuned for row in rows) else lines
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Sequence
 from importlib import resources
 from typing import Final
@@ -81,12 +82,14 @@ def _summary(summary: Summary | None, boards: Sequence[Board]) -> Markup | None:
 
 def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary | None) -> Markup:
     measured = [entry for entry in entries if entry.is_measured]
+    names = [f"{board.title}{f', {board.dataset}' if board.dataset else ''}" for board in boards]
+    alike = Counter(names)
     links = [
         element(
             "li",
-            element("a", f"{board.title}{f', {board.dataset}' if board.dataset else ''}", href=f"#{_anchor(place)}"),
+            element("a", name if alike[name] == 1 else f"{name} {board.fingerprint[:8]}", href=f"#{_anchor(place)}"),
         )
-        for place, board in enumerate(boards)
+        for place, (name, board) in enumerate(zip(names, boards, strict=True))
     ]
     if summary is not None:
         links.insert(0, element("li", element("a", TITLE, href="#summary")))

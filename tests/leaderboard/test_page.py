@@ -92,6 +92,14 @@ def test_nothing_is_fetched_and_every_link_leads_somewhere(entries: list[Entry])
         assert tag != "img" or attributes.get("alt")
 
 
+def test_boards_of_two_data_sets_of_one_name_have_links_that_differ(sound: Entry, changed: Changed) -> None:
+    other = changed(dataset=sound.content["dataset"] | {"fingerprint": "2" * 64})
+    own = sound.content["dataset"]["fingerprint"][:8]
+    links = {name: target for target, name in re.findall(r'href="#(board-\d+)">([^<]+)<', make_page([sound, other]))}
+    assert sorted(name.rpartition(" ")[2] for name in links) == sorted([own, "2" * 8])
+    assert len(set(links.values())) == 2
+
+
 def test_the_policy_allows_the_page_s_own_style_and_script_alone(entries: list[Entry]) -> None:
     page = make_page(entries)
     (policy,) = (a["content"] or "" for t, a in Reader(page).tags if a.get("http-equiv") == "Content-Security-Policy")

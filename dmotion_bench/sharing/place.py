@@ -125,7 +125,10 @@ class StoragePlace(ObjectStore):
 
 
 class FolderPlace:
-    """A folder as a place, on this machine or shared among several. Links in it are not followed.
+    """A folder as a place, on this machine or shared among several.
+
+    Links in it are not followed: somebody else may have put them there, and what is written through one replaces files
+    anywhere.
 
     Args:
         path: The folder; ``write`` makes it.
@@ -177,27 +180,51 @@ class FolderPlace:
         return sorted(one.name for one in self._listed(folder) if one.is_dir(follow_symlinks=False))
 
     def write(self, file: Path, name: str) -> None:
-        """Put a copy of a file there."""
-        with file.open("rb") as source, atomic_file(self._path / name) as target:
+        """Put a copy of a file there.
+
+        Raises:
+            ShareCorrupt: A folder above it is a link.
+        """
+        with file.open("rb") as source, atomic_file(self._file(name)) as target:
             shutil.copyfileobj(source, target, _PIECE)
 
     def remove(self, name: str) -> None:
         """Delete a file, if it is there."""
-        (self._path / name).unlink(missing_ok=True)
+        self._file(name).unlink(missing_ok=True)
 
     def _at(self, name: str) -> str:
         return str(self._path / name)
 
+    def _file(self, name: str) -> Path:
+        folder, _, last = name.rpartition("/")
+        return self._folder(folder) / last
+
+    def _folder(self, name: str) -> Path:
+        """The path of a folder that is no link, nor below one.
+
+        Raises:
+            ShareCorrupt: It is.
+        """
+        path = self._path
+        for part in name.split("/"):
+            path /= part
+            if path.is_symlink():
+                raise ShareCorrupt(
+                    f"{shown(str(path))} is a link, and links in a place are not followed; delete it, or put the "
+                    "folder that it leads to in its stead."
+                )
+        return path
+
     def _listed(self, folder: str) -> list[os.DirEntry[str]]:
         try:
-            with os.scandir(self._path / folder) as found:
+            with os.scandir(self._folder(folder)) as found:
                 return list(found)
-        except (FileNotFoundError, NotADirectoryError):
+        except (FileNotFoundError, NotADirectoryError, ShareCorrupt):
             return []
 
     @contextlib.contextmanager
     def _opened(self, name: str) -> Iterator[BinaryIO]:
-        path = self._path / name
+        path = self._file(name)
         try:
             if not stat.S_ISREG(path.lstat().st_mode):  # a pipe would be waited for, a link leads anywhere
                 raise damaged(str(path), "it is no ordinary file")

@@ -18,7 +18,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, help="stop after so many seconds")
     parser.add_argument("--seed", type=int, default=0, help="of all cases")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--only", action="append", default=[], help="only this target: dataset, recording, run, entry")
+    parser.add_argument(
+        "--only", action="append", default=[], help="only this target: dataset, recording, run, entry, share"
+    )
     parser.add_argument("--case", type=int, help="this case alone, with all that is known of it")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time; changes none of them")
     parser.add_argument("--keep", type=Path, default=Path("fuzz-faults"), help="where faulty inputs are kept")

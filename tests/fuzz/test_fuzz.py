@@ -75,7 +75,7 @@ def test_a_minute_of_fuzzing_finds_nothing(tmp_path: Path) -> None:
     code, said = _fuzz(("-m", "tests.fuzz"), ("--cases", str(CASES), "--seed", "22"), tmp_path)
     assert said["faults"] == {}
     assert code == 0
-    assert all(sum(said["verdicts"][name].values()) > 0 for name in ("dataset", "recording", "run", "entry"))
+    assert all(sum(said["verdicts"][name].values()) > 0 for name in ("dataset", "recording", "run", "entry", "share"))
 
 
 @pytest.mark.slow

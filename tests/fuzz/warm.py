@@ -16,7 +16,13 @@ LOADED = (
         "dmotion_bench.storage.check",
     ),
     *("dmotion_bench.recording.restore", "dmotion_bench.learning.start", "dmotion_bench.learning.twins"),
-    *("dmotion_bench.cli.app", "dmotion_bench.cli.report_table", "leaderboard.build", "leaderboard.check"),
+    *(
+        "dmotion_bench.api.sharing",
+        "dmotion_bench.cli.app",
+        "dmotion_bench.cli.report_table",
+        "leaderboard.build",
+        "leaderboard.check",
+    ),
     *(
         "recorders.grid_world",
         "mcap_ros2.decoder",

@@ -222,6 +222,31 @@ def test_links_in_a_place_are_not_followed(
     assert not (outsider.data / "noise").exists() or not (outsider.runs / "known").exists()
 
 
+@pytest.mark.parametrize("depth", range(4))
+def test_folders_that_are_links_are_not_written_through(
+    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path, depth: int
+) -> None:
+    """Somebody else who may write to a shared folder could have another's files replaced."""
+    dm.share_push("noise", folder.address)
+    path = next(Path(folder.address).rglob("video"))
+    path = [path, *path.parents][depth]
+    path.rename(tmp_path / "mine")
+    path.symlink_to(tmp_path / "mine")
+    for shard in (tmp_path / "mine").rglob("shard-00000.mcap"):
+        shard.write_bytes(b"of another length")
+    before = contents(tmp_path / "mine")
+    for mend in (False, True):
+        with pytest.raises(ShareCorrupt, match="is a link, and links in a place are not followed; delete it"):
+            dm.share_push("noise", folder.address, mend=mend)
+    with pytest.raises(DmbenchError, match=r"is a link|has no data set with|no fingerprint named"):
+        dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root)
+    assert contents(tmp_path / "mine") == before
+    assert nothing_in(outsider)
+    path.unlink()
+    dm.share_push("noise", folder.address)
+    assert dm.share_list(folder.address)[0].labels
+
+
 def test_links_in_the_workspace_are_not_written_through(
     workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path
 ) -> None:

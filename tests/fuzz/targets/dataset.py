@@ -282,7 +282,7 @@ def forge(path: Path, case: Case | None = None) -> None:
     raw = manifest.read_bytes()
     try:
         content = json.loads(raw)
-        before = _fingerprint(content)
+        before = fingerprint_of(content)
         for name in content["tables"]:
             content["tables"][name] = _facts(path / name)
         for index, shard in enumerate(content["shards"]):
@@ -295,12 +295,12 @@ def forge(path: Path, case: Case | None = None) -> None:
         return
     if text.encode("utf-8", "surrogatepass") != raw:
         manifest.write_text(text, errors="surrogatepass")
-    after = _fingerprint(content)
+    after = fingerprint_of(content)
     if after != before and (case is None or case.chance(0.7)):
         _forge_cache(path, before, after)
 
 
-def _fingerprint(content: Any) -> str:
+def fingerprint_of(content: Any) -> str:
     """As ``docs/format.md`` defines it."""
     parts = {key: content[key] for key in ("format", "recipe", "environment", "shards")}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

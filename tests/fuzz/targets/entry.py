@@ -105,13 +105,13 @@ class EntryTarget(Target):
         check = answers.get("check")
         if spoilt.measured and check is not None and check.value == repr("holds"):
             said, truth = (
-                _figures(folder)
+                figures_of(folder)
                 for folder in (
                     spoilt.file,
                     next((self.originals / "board/reports/leaderboard/entries").glob(f"{RUN}*.json")),
                 )
             )
-            if said is not None and not _same(said, truth):
+            if said is not None and not same_figures(said, truth):
                 yield "wrong content", "'leaderboard check --quick' says that figures hold which are not the run's"
 
 
@@ -133,7 +133,7 @@ def _built(folder: Path, out: Path) -> Any:
     return None
 
 
-def _figures(file: Path) -> Any:
+def figures_of(file: Path) -> Any:
     try:
         content = json.loads(file.read_bytes())
         return {name: content[name] for name in ("figures", "by_episode", "samples", "weights")}
@@ -141,12 +141,12 @@ def _figures(file: Path) -> Any:
         return None
 
 
-def _same(one: Any, other: Any) -> bool:
+def same_figures(one: Any, other: Any) -> bool:
     """Equal up to rounding."""
     if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_same(one[name], other[name]) for name in one)
+        return one.keys() == other.keys() and all(same_figures(one[name], other[name]) for name in one)
     if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(map(_same, one, other))
+        return len(one) == len(other) and all(map(same_figures, one, other))
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=SLACK, abs_tol=SLACK)
     return bool(one == other)

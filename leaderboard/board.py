@@ -111,7 +111,7 @@ class Board:
         split, protocol: Which episodes, and how triplets were split.
         triplets: Single steps that were scored; None where nothing was.
         rows: The best first, then the published rows and the references where their error puts them.
-        control: The table of control by columns (protocol dmbench-2); None where nothing was scored for it.
+        control: The table of control by columns; None where nothing was scored for it.
         agreement: How well the gain captured agrees with other figures.
     """
 

@@ -72,9 +72,10 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
         f"{COLUMNS[name].title}: differences below {number(one)} between two models are too small for this table."
         for name, one in control.detectable.items()
     )
+    protocols = sorted({COLUMNS[name].protocol for name in control.columns})
     return element(
         "section",
-        element("h3", "Control, protocol dmbench-2"),
+        element("h3", f"Control, protocol {', '.join(protocols)}"),
         element(
             "p",
             f"The distance left after {control.steps} steps, on tasks that nothing was tuned on. Small print: the 95% "

@@ -35,7 +35,7 @@ def reproduce(
         typer.Argument(
             metavar=listed(TABLES),
             help="The table. paper: tables I and II of the DMotion paper. control: control by frozen planners on test "
-            "tasks (protocol dmbench-2), and prediction. labels: figures by the number of labelled transitions. A "
+            "tasks (protocol dmbench-3), and prediction. labels: figures by the number of labelled transitions. A "
             "package of your own can add others.",
         ),
     ],

@@ -86,7 +86,7 @@ def default_objective(environment: str, spec: EnvSpec, *, needs_pixels: bool) ->
     return name
 
 
-def generic_objective(spec: EnvSpec, *, needs_pixels: bool) -> str:
+def generic_objective(spec: EnvSpec, *, needs_pixels: bool, for_objects: str = "tracked") -> str:
     """The name of an objective that knows nothing of the scene, the same for every environment and model of a kind.
 
     Features for models that draw no frames; else the objects' centres, each hidden object where it was last seen; where
@@ -95,10 +95,11 @@ def generic_objective(spec: EnvSpec, *, needs_pixels: bool) -> str:
     Args:
         spec: The environment's facts.
         needs_pixels: The model's.
+        for_objects: The objective where there are objects.
     """
     if not needs_pixels:
         return "feature"
-    return "tracked" if spec.objects else "pixel"
+    return for_objects if spec.objects else "pixel"
 
 
 def planning_configuration(

@@ -1,4 +1,4 @@
-"""The columns of the table of control, and the tasks that it is about: the protocol ``dmbench-2``.
+"""The columns of the table of control, and the tasks that it is about: the protocols ``dmbench-2`` and ``dmbench-3``.
 
 A column is a planner that is frozen: a solver and an objective, with every field that differs from its default. It was
 chosen on development tasks alone. The tasks of the table are those of a test data set, which is recorded with a seed of
@@ -27,7 +27,10 @@ from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.wording import command
 
 PROTOCOL: Final = "dmbench-2"
-"""Of reports whose control was planned by a column."""
+"""Of the test tasks, and of the columns that were there from the beginning."""
+
+LATER_PROTOCOL: Final = "dmbench-3"
+"""The same tasks and columns, and one column more."""
 
 TASKS: Final = 100
 """Of a development or a test data set; an episode of its own for each, as far as there are enough."""
@@ -47,6 +50,8 @@ class Column:
         planner, planner_set: The solver, and ``KEY=VALUE`` for fields that differ from its defaults.
         objective, objective_set: Likewise; without a name the generic objective that suits the model
             (``choices.generic_objective``).
+        for_objects: Without a name: that objective's name where there are objects to find.
+        protocol: Of reports whose control it planned.
         models: Of which models, or references that plan, the table shows it; empty: of every model.
     """
 
@@ -57,7 +62,13 @@ class Column:
     planner_set: tuple[str, ...] = ()
     objective: str | None = None
     objective_set: tuple[str, ...] = ()
+    for_objects: str = "tracked"
+    protocol: str = PROTOCOL
     models: tuple[str, ...] = ()
+
+    def objective_for(self, spec: EnvSpec, *, needs_pixels: bool) -> str:
+        """The name of the objective for a model of this kind; arguments as in ``made``."""
+        return self.objective or generic_objective(spec, needs_pixels=needs_pixels, for_objects=self.for_objects)
 
     def made(self, spec: EnvSpec, *, needs_pixels: bool) -> tuple[Solver, Objective]:
         """The solver and the objective for a model of this kind.
@@ -66,8 +77,8 @@ class Column:
             spec: The environment's facts.
             needs_pixels: The model's.
         """
-        objective = self.objective or generic_objective(spec, needs_pixels=needs_pixels)
-        return make_solver(self.planner, self.planner_set), make_objective(objective, self.objective_set)
+        objective = make_objective(self.objective_for(spec, needs_pixels=needs_pixels), self.objective_set)
+        return make_solver(self.planner, self.planner_set), objective
 
 
 COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
@@ -75,11 +86,22 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
         one.name: one
         for one in (
             Column(
+                name="generic-risk",
+                title="Generic, with risk",
+                meaning="Knows nothing of the scene but that hidden objects are where they were last seen, and that "
+                "what the next action makes disappear may be lost.",
+                planner="icem",
+                planner_set=("cost_at=last",),
+                for_objects="tracked-risk",
+                protocol=LATER_PROTOCOL,
+            ),
+            Column(
                 name="generic",
                 title="Generic",
                 meaning="Knows nothing of the scene but that hidden objects are where they were last seen.",
                 planner="icem",
                 planner_set=("cost_at=last",),
+                models=("dmotion", "ed-cnn", "oracle"),
             ),
             Column(
                 name="paper",
@@ -151,11 +173,13 @@ def column_named(name: str) -> Column:
     return COLUMNS[name]
 
 
-def columns_hash() -> str:
-    """The SHA-256 of what the columns say, and of the version of control, which decides what their words mean."""
+def columns_hash(protocol: str) -> str:
+    """The SHA-256 of what a protocol's columns say, and of the version of control, which decides what they mean."""
     told = [
         [one.name, one.planner, list(one.planner_set), one.objective, list(one.objective_set)]
+        + [one.for_objects] * (one.for_objects != Column.for_objects)
         for one in COLUMNS.values()
+        if one.protocol == protocol
     ]
     return hashlib.sha256(json.dumps([CONTROL_VERSION, told], separators=(",", ":")).encode()).hexdigest()
 

@@ -32,7 +32,6 @@ from dmotion_bench.planning.choices import (
     DEFAULT_SOLVER,
     SIMULATOR,
     default_objective,
-    generic_objective,
     make_objective,
     make_solver,
     planning_configuration,
@@ -148,7 +147,7 @@ class ControlScoring:
         """
         name = self.objective
         if self.column is not None:
-            name = name or generic_objective(dataset.spec, needs_pixels=needs_pixels is not False)
+            name = column_named(self.column).objective_for(dataset.spec, needs_pixels=needs_pixels is not False)
         elif name is None and needs_pixels is None:
             return SIMULATOR, TrueCost()
         if name is None:

@@ -3,7 +3,7 @@
 ::
 
     report.json
-      protocol       what the figures' names mean: "dmbench-1"; "dmbench-2" where a column planned control
+      protocol       what the figures' names mean: "dmbench-1"; where a column planned control the column's
       scoring_version  of the code that scores (SCORING_VERSION)
       run, model, arch, preset, seed
       labels         asked for, and the number handed out by purpose; use: where they were not used as is usual
@@ -39,7 +39,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from dmotion_bench.errors import RunCorrupt
-from dmotion_bench.planning.columns import PROTOCOL as COLUMNS_PROTOCOL
+from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
@@ -47,9 +47,9 @@ from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 from dmotion_bench.wording import shown
 
 PROTOCOL = "dmbench-1"
-"""Of all reports but those whose control was planned by a column, which are of ``planning.columns.PROTOCOL``."""
+"""Of all reports but those whose control was planned by a column, which have the column's."""
 
-PROTOCOLS: Final = (PROTOCOL, COLUMNS_PROTOCOL)
+PROTOCOLS: Final = (PROTOCOL, *sorted({one.protocol for one in COLUMNS.values()}))
 SCORING_VERSION: Final = 1
 """The version of scoring: of the samples of predictions, of their figures and intervals.
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from dmotion_bench.actions import kind_of
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.columns import PROTOCOL as COLUMNS_PROTOCOL
+from dmotion_bench.planning.columns import column_named
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.figures import Figures
 from dmotion_bench.scoring.label_use import label_use
@@ -112,7 +112,7 @@ def compose_report(
         figures=_json(figures),
         reference=beside,
         remarks=remarks,
-        protocol=COLUMNS_PROTOCOL if settings.get("control_column") else PROTOCOL,
+        protocol=column_named(settings["control_column"]).protocol if settings.get("control_column") else PROTOCOL,
         scoring_version=SCORING_VERSION,
     )
 

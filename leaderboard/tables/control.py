@@ -1,4 +1,4 @@
-"""The table of control of the protocol ``dmbench-2``: its frozen columns, on the test tasks of both pushing worlds.
+"""The table of control: the frozen columns, on the test tasks of both pushing worlds.
 
 Planners, their models and the test tasks are those of ``dmotion_bench/planning/columns.py``, and only there. Prediction
 and the gain captured are measured on held-out episodes of the trainings' own data.
@@ -16,7 +16,7 @@ _SUPERVISED: Final = ("ed-cnn", "wm-ae", "wm-vae", "cswm", "jepa")
 _VIDEO: Final = ("dmotion", "dmotion-no-stn", "lapo", "lam-vae", "clasp")
 
 TABLE: Final = Table(
-    title="control by frozen planners on test tasks (protocol dmbench-2), and prediction",
+    title="control by frozen planners on test tasks (protocol dmbench-3), and prediction",
     worlds=tuple(World(environment=name, control_on=World.for_tasks(name, TEST)) for name in TEST_TASKS),
     entrants=(
         *(Entrant(model=name, labels=("one-shot",)) for name in _VIDEO),

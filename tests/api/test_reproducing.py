@@ -24,7 +24,7 @@ from dmotion_bench.api.side_by_side import Hands
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning import table as learning_table
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.columns import COLUMNS, PROTOCOL
+from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.recording import session
 from dmotion_bench.reproduction.table import Table
 from dmotion_bench.scoring import side_by_side
@@ -199,11 +199,11 @@ def test_each_column_of_control_keeps_its_page(tmp_path: Path, done: Counter[str
 @pytest.mark.slow
 def test_frozen_columns_stand_on_one_page_although_killed_between_them(tmp_path: Path, done: Counter[str]) -> None:
     told = dm.reproduce(FROZEN, workspace=tmp_path, dry_run=True).cost
-    runs, groups = 3, 3  # of prediction one and of three columns one each, whose tasks are a group
-    assert [told.jobs(kind) for kind in ("record", "oracle", "page")] == [2, 3, 1]
+    runs, groups = 4, 4  # of prediction one and of four columns one each, whose tasks are a group
+    assert [told.jobs(kind) for kind in ("record", "oracle", "page")] == [2, 4, 1]
     assert told.jobs("score") == 1 + runs + groups
     (page,) = (line for line in told.lines if line.kind == "page")
-    assert page.amount == "4 entries"
+    assert page.amount == "5 entries"
 
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=_until, args=("scoring paper", 0, tmp_path, FROZEN, 1))
@@ -222,7 +222,7 @@ def test_frozen_columns_stand_on_one_page_although_killed_between_them(tmp_path:
     measured = {one["settings"].get("control_column"): one for one in entries if one["kind"] == "measured"}
     assert {*measured} == {None, *COLUMNS}
     for name in COLUMNS:
-        assert measured[name]["protocol"] == PROTOCOL
+        assert measured[name]["protocol"] == COLUMNS[name].protocol
         assert measured[name]["dataset"]["name"] == "planar_push-test-tiny"
         assert {"oracle", "idle", "random"} <= {*measured[name]["reference"]}
         assert measured[name]["figures"]["control_distance[1]"]["n"] == 1

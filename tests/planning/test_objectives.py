@@ -116,7 +116,7 @@ def test_objectives_are_made_by_name_and_every_field_can_be_set() -> None:
         make_objective("tracked", ["lost_distance=-1"])
 
 
-@pytest.mark.parametrize("name", ["centres", "tracked", "tabletop"])
+@pytest.mark.parametrize("name", ["centres", "tracked", "tracked-risk", "tabletop"])
 def test_what_needs_objects_says_so(name: str) -> None:
     nothing = EnvSpec(
         id="empty", actions=Discrete(("go",)), agent=ObjectSpec(name="a", shape="dot", color=(0, 0, 0)), objects=()

@@ -80,10 +80,14 @@ class TrackedEvaluator:
 
     def of_boxes(self, now: BoundingBoxes, task: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
         """The cost of what images show."""
+        return self.of_objects(now, task).sum(-1)
+
+    def of_objects(self, now: BoundingBoxes, task: Int[Tensor, " n"]) -> Float[Tensor, "n k"]:
+        """The cost of each object; none of one that the goal does not show."""
         known, missing = self.known.of(task), self._missing**2
         squared = (self._tracker.believed(known, now).centre - self.wanted.centre[task]).square().sum(-1)
         squared = squared.where(now.seen | ~known.seen, squared.new_tensor(missing))
-        return torch.where(self.wanted.seen[task], squared.nan_to_num(missing), 0.0).sum(-1)
+        return torch.where(self.wanted.seen[task], squared.nan_to_num(missing), 0.0)
 
     def step(
         self, dynamics: Dynamics, state: State, task: Int[Tensor, " n"], action: Tensor, cost_state: CostState

@@ -117,7 +117,14 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 
 @pytest.mark.parametrize("page", [page for page in EVERY_PAGE if page.name != "CHANGELOG.md"], ids=_page_name)
 def test_lines_are_short(page: Path) -> None:
-    long = [number for number, line in enumerate(page.read_text().splitlines(), start=1) if len(line) > MOST_CHARACTERS]
+    """But for the rows of generated tables, which cannot be broken."""
+    text = re.sub(
+        r"<!-- results:.*?<!-- /results -->",
+        lambda table: "\n" * table[0].count("\n"),
+        page.read_text(),
+        flags=re.DOTALL,
+    )
+    long = [number for number, line in enumerate(text.splitlines(), start=1) if len(line) > MOST_CHARACTERS]
     assert not long, f"lines of {_page_name(page)} with more than {MOST_CHARACTERS} characters: {long}"
 
 

@@ -65,12 +65,24 @@ def test_the_papers_column_is_the_papers_planner(tasks: Dataset) -> None:
     assert objective["name"] == "centres"
 
 
-def test_the_generic_column_is_the_same_in_every_world_and_of_the_oracle_by_pictures(tasks: Dataset) -> None:
-    scoring = ControlScoring(column="generic")
+@pytest.mark.parametrize(("name", "objective"), [("generic", "tracked"), ("generic-risk", "tracked-risk")])
+def test_the_generic_columns_are_the_same_in_every_world_and_of_the_oracle_by_pictures(
+    tasks: Dataset, name: str, objective: str
+) -> None:
+    scoring = ControlScoring(column=name)
 
-    assert scoring.planned_with(tasks, needs_pixels=True)[0] == "tracked"
-    assert scoring.planned_with(tasks, needs_pixels=None)[0] == "tracked"
+    assert scoring.planned_with(tasks, needs_pixels=True)[0] == objective
+    assert scoring.planned_with(tasks, needs_pixels=None)[0] == objective
     assert scoring.planned_with(tasks, needs_pixels=False)[0] == "feature"
+
+
+def test_columns_of_the_later_protocol_leave_those_of_the_earlier_as_they_were() -> None:
+    assert {name: column.protocol for name, column in COLUMNS.items()} == {
+        "generic-risk": "dmbench-3",
+        "generic": PROTOCOL,
+        "paper": PROTOCOL,
+        "task-knowledge": PROTOCOL,
+    }
 
 
 def test_a_report_without_a_column_says_nothing_of_columns() -> None:

@@ -71,7 +71,11 @@ class TrackedEvaluator:
 
     def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """Update the estimated places."""
-        self.known = self._tracker.update(self.known.to(torch.device("cpu")), torch.from_numpy(frames))
+        self._see(self._tracker.look(torch.from_numpy(frames)))
+
+    def _see(self, now: BoundingBoxes) -> None:
+        """Update the estimated places after what real images show."""
+        self.known = self._tracker.believed(self.known.to(torch.device("cpu")), now)
 
     def begin(self, dynamics: Dynamics) -> CostState:
         """Nothing is carried; the estimated places come to the dynamics' device."""

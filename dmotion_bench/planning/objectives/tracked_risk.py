@@ -21,7 +21,7 @@ from torch import Tensor
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.planning.dynamics.base import Dynamics, State, pixels_of
-from dmotion_bench.planning.objectives.base import CostState, StepCost, Taken
+from dmotion_bench.planning.objectives.base import CostState, StepCost
 from dmotion_bench.planning.objectives.centres import require_objects
 from dmotion_bench.planning.objectives.tracked import Tracked, TrackedEvaluator
 from dmotion_bench.planning.objectives.tracking import BoundingBoxes
@@ -82,12 +82,6 @@ class TrackedRiskEvaluator(TrackedEvaluator):
         self._settings, self._now = settings, self._tracker.look(first)
         self._clear = ~self._in_part(self._now) & ~self._in_part(self._tracker.look(goals))
 
-    def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
-        """Update the estimated places, and what is seen."""
-        super().observe(actions, frames)
-        self._now = self._tracker.look(torch.from_numpy(frames))
-        self._clear = self._clear.cpu() & ~self._in_part(self._now)
-
     def begin(self, dynamics: Dynamics) -> CostState:
         """The risk of each object is carried; it is not known yet."""
         super().begin(dynamics)
@@ -105,6 +99,10 @@ class TrackedRiskEvaluator(TrackedEvaluator):
         distance, feared = each.sum(-1), more.sum(-1)
         cost = StepCost(distance=distance, risk=feared, bonus=torch.zeros_like(distance), total=distance + feared)
         return cost, (risk,)
+
+    def _see(self, now: BoundingBoxes) -> None:
+        super()._see(now)
+        self._now, self._clear = now, self._clear.cpu() & ~self._in_part(now)
 
     def _in_part(self, shown: BoundingBoxes) -> Bool[Tensor, " b"]:
         """Whether a real image shows an object in part; a lost one is not shown at all."""

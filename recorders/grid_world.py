@@ -14,9 +14,9 @@ Positions are in cells, called metres: x to the right, y downwards, cell (0, 0) 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -24,17 +24,13 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import InvalidSetting, UnknownName
-from dmotion_bench.recording.rollout import policy_generator, record_episode
+from dmotion_bench.recording.rollout import record_episode
 from dmotion_bench.specs import (
-    EnvSpec,
     Episode,
-    EpisodeLabels,
-    ObjectSpec,
     ObjectStates,
     Preset,
     Scalar,
 )
-from recorders import grid_drawing
 from recorders.distractors import (
     FACTORS,
     Picture,
@@ -47,7 +43,8 @@ from recorders.distractors import (
     without_paths,
 )
 from recorders.expert_policy import ExpertPolicy
-from recorders.grid_drawing import SIZE, Drawn, Version
+from recorders.grid_drawing import SIZE, Version
+from recorders.grid_episodes import played_at_once
 from recorders.grid_rules import (
     ACTIONS,
     CELLS,
@@ -60,49 +57,11 @@ from recorders.grid_rules import (
     legal_actions,
     starting_cells,
 )
+from recorders.grid_things import FACTS, FACTS_OF_TWO, HEADINGS, draw, heading, states
 from recorders.policies import RandomPolicy, require_one_agent
 from recorders.push_policy import PushPolicy
 from recorders.pushing_script import PushingScript
 from recorders.variation import Variation, explained, named_factors
-
-FACTS: Final = EnvSpec(
-    id="grid_world",
-    actions=ACTIONS,
-    agent=ObjectSpec(name="agent", shape="square", color=(0, 255, 0)),
-    objects=(
-        ObjectSpec(name="red_circle", shape="circle", color=(255, 0, 0)),
-        ObjectSpec(name="magenta_circle", shape="circle", color=(255, 0, 255)),
-        ObjectSpec(name="blue_triangle", shape="triangle", color=(0, 0, 255)),
-        ObjectSpec(name="yellow_triangle", shape="triangle", color=(255, 255, 0)),
-    ),
-    height=SIZE,
-    width=SIZE,
-    agent_has_color=True,
-)
-SECOND_AGENT: Final = ObjectSpec(name="second_agent", shape="square", color=(0, 255, 255))
-FACTS_OF_TWO: Final = replace(FACTS, actions=JOINT_ACTIONS, other_agents=(SECOND_AGENT,))
-HEADINGS: Final = [(float(x), float(y)) for x, y in MOVES.tolist()]
-
-
-def draw(cells: Int[np.ndarray, "t n 2"], there: Bool[np.ndarray, "t n"], version: Version = 1) -> Drawn:
-    """What things (the agent, the objects, other agents) look like at a sequence of moments."""
-    return grid_drawing.draw((FACTS.agent, *FACTS.objects, SECOND_AGENT)[: cells.shape[1]], cells, there, version)
-
-
-def _states(
-    cells: Int[np.ndarray, "*t k 2"],
-    there: Bool[np.ndarray, "*t k"],
-    centers: Float[np.ndarray, "*t k 2"],
-    visible: Float[np.ndarray, "*t k"],
-) -> ObjectStates:
-    known = there[..., None]
-    position = np.concatenate([cells, np.zeros_like(cells[..., :1])], axis=-1)
-    return ObjectStates(
-        position=np.where(known, position, np.nan),
-        orientation=np.where(known, (0.0, 0.0, 0.0, 1.0), np.nan),
-        pixel=centers,
-        visible=visible,
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,7 +249,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             cells, there = act(self._cells[None], self._there[None], np.array([action]))
             self._cells, self._there, self._seen_as_is = cells[0], there[0], False
             if self._video is not None:
-                self._video.step(_heading(action, len(self._agents)), HEADINGS)
+                self._video.step(heading(action, len(self._agents)), HEADINGS)
                 if self._video.delay:  # this moment is to be shown later
                     self._look()
         return not legal
@@ -350,7 +309,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def _states(self, things: slice | list[int]) -> ObjectStates:
         seen = self._seen
-        return _states(self._cells[things], self._there[things], seen.pixel[things], seen.visible[things])
+        return states(self._cells[things], self._there[things], seen.pixel[things], seen.visible[things])
 
     @classmethod
     def generate(
@@ -363,74 +322,6 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
                 raise UnknownName("policy of grid_world", policy, cls.policies)
             yield from (record_episode(world, cls.policies[policy](), seed, frames) for seed in seeds)
             return
-        generators = [gymnasium.utils.seeding.np_random(seed)[0] for seed in seeds]
-        cells = np.stack([starting_cells(generator, world._things) for generator in generators])
-        there = np.ones(cells.shape[:2], np.bool_)
-        draws = np.stack([policy_generator(seed).random(frames - 1) for seed in seeds])
-        cells_then, there_then, actions = [cells], [there], list[Int[np.ndarray, " n"]]()
-        for moment in range(frames - 1):
-            legal = legal_actions(cells, there)
-            chosen = (draws[:, moment] * legal.sum(axis=-1)).astype(np.int64)
-            action = np.argmax(legal.cumsum(axis=-1) > chosen[:, None], axis=-1)
-            cells, there = act(cells, there, action)
-            actions.append(action)
-            cells_then.append(cells)
-            there_then.append(there)
-        every_action = np.array(actions, np.int64).reshape(frames - 1, len(seeds))
-        every_cell, all_there = np.stack(cells_then), np.stack(there_then)
-        for row, seed in enumerate(seeds):
-            episode = _episode(every_cell[:, row], all_there[:, row], every_action[:, row], seed, world._version)
-            values, video = world._distraction(generators[row], {})
-            yield episode if video is None else _distracted(episode, values, video)
-
-
-def _heading(action: int, agents: int) -> tuple[float, float]:
-    """Where an action, or the first part of a joint one, points."""
-    first: int = action // len(MOVES) ** (agents - 1)
-    return HEADINGS[first]
-
-
-def _distracted(episode: Episode, values: Mapping[str, Scalar], video: Video) -> Episode:
-    """An episode as its video shows it."""
-    labels, agents = episode.labels, episode.labels.agent.pixel.shape[1]
-    frames, masks = np.empty_like(episode.frames), np.empty_like(labels.masks)
-    things = [labels.agent.pixel[:, :1], labels.objects.pixel, labels.agent.pixel[:, 1:]]
-    pixel = np.concatenate(things, axis=1)
-    things = [labels.agent.visible[:, :1], labels.objects.visible, labels.agent.visible[:, 1:]]
-    visible = np.concatenate(things, axis=1)
-    acting = list(agents_among(pixel.shape[1]))
-    for moment, (frame, mask) in enumerate(zip(episode.frames, labels.masks, strict=True)):
-        drawn = Picture(frame=frame, masks=mask, pixel=pixel[moment].copy(), visible=visible[moment].copy())
-        if moment:
-            video.step(_heading(int(labels.actions[moment - 1]), agents), HEADINGS)
-        seen = video.show(drawn) if moment else video.begin(drawn)
-        pixel[moment], visible[moment] = seen.pixel, seen.visible
-        frames[moment], masks[moment] = seen.frame, seen.masks
-    agent = replace(labels.agent, pixel=pixel[:, acting], visible=visible[:, acting])
-    objects = replace(labels.objects, pixel=pixel[:, PUSHED], visible=visible[:, PUSHED])
-    shown = replace(labels, agent=agent, objects=objects, masks=masks, factors=values)
-    return replace(episode, frames=frames, labels=shown)
-
-
-def _episode(
-    cells: Int[np.ndarray, "t n 2"],
-    there: Bool[np.ndarray, "t n"],
-    actions: Int[np.ndarray, "t-1"],
-    seed: int,
-    version: Version,
-) -> Episode:
-    frames, masks, centers, visible = draw(cells, there, version)
-    pushed = (np.diff(cells[:, PUSHED], axis=0) != 0).any(axis=-1) & there[:-1, PUSHED]
-    acting = list(agents_among(cells.shape[1]))
-    return Episode(
-        frames=frames,
-        labels=EpisodeLabels(
-            actions=actions,
-            pushed=pushed.any(axis=-1),
-            agent=_states(cells[:, acting], there[:, acting], centers[:, acting], visible[:, acting]),
-            objects=_states(cells[:, PUSHED], there[:, PUSHED], centers[:, PUSHED], visible[:, PUSHED]),
-            masks=masks,
-        ),
-        seed=seed,
-        ended="truncated",
-    )
+        yield from played_at_once(
+            seeds, frames, world._things, world._version, lambda generator: world._distraction(generator, {})
+        )

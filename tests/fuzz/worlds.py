@@ -51,7 +51,8 @@ def write_noise(path: Path, actions: ActionSpec = NAMED) -> Dataset:
 
 def record_grid_world(path: Path, episodes: int = 3, frames: int = 5) -> Dataset:
     """A data set whose environment is there, so that lost shards can be recorded anew."""
-    from recorders.grid_world import FACTS, GridWorld
+    from recorders.grid_things import FACTS
+    from recorders.grid_world import GridWorld
 
     recipe = DatasetRecipe(
         environment="grid_world", policy="random", seed=3, episodes=episodes, frames=frames, shard_episodes=2

@@ -22,7 +22,8 @@ from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.entry import Entry
-from recorders.grid_world import FACTS, GridWorld
+from recorders.grid_things import FACTS
+from recorders.grid_world import GridWorld
 
 SETTINGS = ScoreSettings(horizon=3, resamples=200)
 

@@ -21,7 +21,7 @@ from dmotion_bench.planning.objectives.tracked import Tracked, TrackedEvaluator
 from dmotion_bench.planning.objectives.tracking import Tracker
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.specs import EnvSpec
-from recorders.grid_world import FACTS, draw
+from recorders.grid_things import FACTS, draw
 
 GOAL = (44, 30)
 MAY_BE_LOST = SETTINGS.fall_unlikely * (SETTINGS.lost_distance * SPEC.width) ** 2

@@ -39,7 +39,8 @@ from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from recorders.grid_rules import ACTIONS
-from recorders.grid_world import FACTS, GridWorld
+from recorders.grid_things import FACTS
+from recorders.grid_world import GridWorld
 
 pytestmark = pytest.mark.slow
 

@@ -23,7 +23,7 @@ from dmotion_bench.planning.objectives.tabletop.objective import Tabletop
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec, ObjectSpec
 from recorders.grid_rules import OBJECTS
-from recorders.grid_world import FACTS, draw
+from recorders.grid_things import FACTS, draw
 
 
 def pictures(*cells: list[tuple[int, int] | None]) -> torch.Tensor:

@@ -20,7 +20,8 @@ from dmotion_bench.planning.solvers.exhaustive import Exhaustive, all_sequences
 from dmotion_bench.planning.solvers.icem import ImprovedCrossEntropy
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.planning.solvers.proposals import draw
-from recorders.grid_world import FACTS, GridWorld
+from recorders.grid_things import FACTS
+from recorders.grid_world import GridWorld
 
 
 def test_exhaustive_finds_the_best_of_all_sequences() -> None:

@@ -21,7 +21,7 @@ from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import Supervision
 from recorders.grid_drawing import Version
 from recorders.grid_rules import CELLS, advance
-from recorders.grid_world import FACTS, draw
+from recorders.grid_things import FACTS, draw
 
 MOVES = torch.tensor([(0, -1), (0, 1), (-1, 0), (1, 0)])
 

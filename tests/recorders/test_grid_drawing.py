@@ -16,7 +16,8 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import Preset, episode_seed
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import record_words
-from recorders.grid_world import FACTS, GridWorld, draw
+from recorders.grid_things import FACTS, draw
+from recorders.grid_world import GridWorld
 
 THINGS = (FACTS.agent, *FACTS.objects)
 PUBLISHED = {

@@ -20,7 +20,8 @@ from dmotion_bench.recording.rollout import record_episode
 from dmotion_bench.specs import Episode, EpisodeLabels, ObjectStates, episode_seed
 from recorders.grid_drawing import SPANS, Version
 from recorders.grid_rules import CELLS
-from recorders.grid_world import FACTS, GridWorld, draw
+from recorders.grid_things import FACTS, draw
+from recorders.grid_world import GridWorld
 from recorders.policies import RandomPolicy
 
 UP = 0

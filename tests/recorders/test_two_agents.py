@@ -20,7 +20,8 @@ from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
 from recorders.expert_policy import ExpertPolicy
 from recorders.grid_rules import JOINT_ACTIONS, act, legal_actions
-from recorders.grid_world import FACTS, FACTS_OF_TWO, SECOND_AGENT, GridWorld
+from recorders.grid_things import FACTS, FACTS_OF_TWO, SECOND_AGENT
+from recorders.grid_world import GridWorld
 from recorders.policies import RandomPolicy
 from recorders.push_policy import PushPolicy
 

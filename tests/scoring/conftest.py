@@ -20,7 +20,8 @@ from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
-from recorders.grid_world import FACTS, GridWorld
+from recorders.grid_things import FACTS
+from recorders.grid_world import GridWorld
 
 FRAMES = 14
 

@@ -25,7 +25,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import export_lerobot
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
-from recorders.grid_world import FACTS
+from recorders.grid_things import FACTS
 
 from .conftest import write_dataset
 from .test_identification import SeesGreen

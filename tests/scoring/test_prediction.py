@@ -20,7 +20,8 @@ from dmotion_bench.scoring.transitions import HeldOut, TransitionBatch
 from dmotion_bench.specs import MASK_AGENT, episode_seed
 from dmotion_bench.storage.dataset import Dataset
 from recorders.grid_drawing import Version
-from recorders.grid_world import FACTS, GridWorld, draw
+from recorders.grid_things import FACTS, draw
+from recorders.grid_world import GridWorld
 
 from .conftest import FRAMES, Oracle, write_dataset
 

@@ -33,7 +33,8 @@ from dmotion_bench.scoring.true_factors import FACTORS
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
-from recorders.grid_world import FACTS, GridWorld
+from recorders.grid_things import FACTS
+from recorders.grid_world import GridWorld
 
 ROWS, LONG = 400, 20
 EPISODE = np.arange(ROWS) // LONG

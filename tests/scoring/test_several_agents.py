@@ -22,7 +22,8 @@ from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
 from recorders.grid_rules import JOINT_ACTIONS
-from recorders.grid_world import FACTS, FACTS_OF_TWO, GridWorld
+from recorders.grid_things import FACTS, FACTS_OF_TWO
+from recorders.grid_world import GridWorld
 
 QUICK = ScoreSettings(resamples=100)
 EACH = ("agent_iou", "motion_shift_error", "motion_probe_accuracy", "motion_within_over_between")

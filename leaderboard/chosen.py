@@ -11,8 +11,9 @@
     variant = "warp true"              # as on the board; left out if it has none
     labels = "one-shot"                # label budget
     figure = "control_distance[100]"
-    baseline = "idle"                  # a reference of the board
+    baseline = "idle"                  # a reference of the board; left out for figures that none of them has
     column = "generic"                 # of control by a frozen planner; left out for all other figures
+    in_table = true                    # false for figures that only sentences of the page name
 """
 
 from __future__ import annotations
@@ -46,9 +47,10 @@ class Choice:
     model: str
     labels: str
     figure: str
-    baseline: str
+    baseline: str = ""
     variant: str = ""
     column: str = ""
+    in_table: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +60,7 @@ class Chosen:
     Attributes:
         choice: What was asked for.
         board, row: Where it stands.
-        value, baseline: Its figure, and the same of the baseline.
+        value, baseline: Its figure, and the same of the baseline, if it asks for one.
         paper: What was published of the same model and budget, if anything was.
     """
 
@@ -66,7 +68,7 @@ class Chosen:
     board: Board
     row: Row
     value: Value
-    baseline: Value
+    baseline: Value | None
     paper: Value | None
 
     @property
@@ -95,12 +97,20 @@ def read_choices(path: Path) -> list[Choice]:
     """
     try:
         rows = tomllib.loads(path.read_text())["row"]
-        return [Choice(**{name: str(value) for name, value in row.items()}) for row in rows]
+        return [_choice(row) for row in rows]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
             f"{str(path)!r} names no rows to show: {error}. It holds [[row]] tables with the fields "
             f"{', '.join(field.name for field in fields(Choice))}."
         ) from None
+
+
+def _choice(row: Mapping[str, Any]) -> Choice:
+    shown = row.get("in_table", True)
+    if not isinstance(shown, bool):
+        raise TypeError("in_table is true or false")
+    words = {name: str(value) for name, value in row.items() if name != "in_table"}
+    return Choice(**words, in_table=shown)
 
 
 def find_rows(choices: Sequence[Choice], boards: Sequence[Board]) -> list[Chosen]:
@@ -123,7 +133,11 @@ def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
     row = _only(choice, "row", wanted, [row for key, row in able.items() if key == wanted], list(able))
     words = REFERENCE_WORDS.get(choice.baseline, choice.baseline)
     references = {one.name: one for one in rows if one.kind == "reference" and choice.figure in one.figures}
-    baseline = _only(choice, "baseline", words, [one for one in [references.get(words)] if one], list(references))
+    baseline = (
+        _only(choice, "baseline", words, [one for one in [references.get(words)] if one], list(references))
+        if choice.baseline
+        else None
+    )
     paper = [
         one for one in board.rows if one.kind == "published" and (one.model, one.labels) == (row.model, row.labels)
     ]
@@ -132,7 +146,7 @@ def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
         board=board,
         row=row,
         value=row.figures[choice.figure],
-        baseline=baseline.figures[choice.figure],
+        baseline=baseline.figures[choice.figure] if baseline else None,
         paper=paper[0].figures.get(choice.figure) if paper else None,
     )
 
@@ -188,8 +202,9 @@ def _only(choice: Choice, kind: str, wanted: object, found: Sequence[Any], known
 def chosen_table(rows: Sequence[Chosen]) -> list[str]:
     """The lines of the table of the chosen rows, with a note where a planner was tuned on their tasks."""
     head = ["World", "Measured on", "Model", "Labels", "Trainings", "Error (95% interval)", "Reference", "Paper"]
-    lines = table(head, [_cells(row) for row in rows], words=3)
-    return [*lines, "", TUNED_NOTE] if any(row.tuned for row in rows) else lines
+    shown = [row for row in rows if row.choice.in_table]
+    lines = table(head, [_cells(row) for row in shown], words=3)
+    return [*lines, "", TUNED_NOTE] if any(row.tuned for row in shown) else lines
 
 
 def _cells(one: Chosen) -> list[str]:

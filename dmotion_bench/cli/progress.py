@@ -14,6 +14,7 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    Task,
     TaskID,
     TaskProgressColumn,
     TextColumn,
@@ -108,6 +109,10 @@ class ProgressDisplay:
     ) -> None:
         """Say how far a piece of work is; what is left out stays as it was."""
         given: dict[str, Any] = {} if status is None else {"status": status}
+        before = self._progress_of(task).completed
+        if completed is not None and completed < before:  # another part of the work, counted from the start
+            self._began.pop(task, None)
+            self._bar.reset(task)
         self._bar.update(task, description=description, completed=completed, total=total, **given)
         if not self._lines:
             return
@@ -120,7 +125,7 @@ class ProgressDisplay:
             sys.stderr.flush()
 
     def _line(self, task: TaskID, now: float) -> str:
-        known = next(one for one in self._bar.tasks if one.id == task)
+        known = self._progress_of(task)
         done, total, status = known.completed, known.total, known.fields["status"]
         parts = [] if total is None else [f"{done:,.0f} of {total:,.0f}"]
         parts += [status] if status else []
@@ -128,6 +133,9 @@ class ProgressDisplay:
         if total is not None and done > before:
             parts.append(f"{duration((total - done) * (now - began) / (done - before))} left")
         return f"{known.description}: {', '.join(parts)}" if parts else str(known.description)
+
+    def _progress_of(self, task: TaskID) -> Task:
+        return next(one for one in self._bar.tasks if one.id == task)
 
     def __enter__(self) -> ProgressDisplay:
         self._bar.start()

@@ -47,6 +47,25 @@ def test_the_rate_is_of_this_sitting(capsys: pytest.CaptureFixture[str], monkeyp
     assert capsys.readouterr().err == "training dmotion: 910 of 1,000, 1 min 30 s left\n"
 
 
+def test_each_part_of_the_work_has_a_rate_of_its_own(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(QUIET)
+    clock = Clock()
+    with ProgressDisplay(clock) as display:
+        for second, (done, part) in enumerate([(400, "a reference"), (1000, "a reference"), (4, "the model")]):
+            clock.now = 100.0 + second
+            display.tell(JobProgress(what="scoring a", done=done, total=1000, status=part))
+        clock.now = 112.0
+        display.tell(JobProgress(what="scoring a", done=104, total=1000, status="the model"))
+        clock.now = 142.0
+        display.tell(JobProgress(what="scoring a", done=404, total=1000, status="the model"))
+    assert capsys.readouterr().err.splitlines() == [
+        "scoring a: 104 of 1,000, the model, 1 min 30 s left",
+        "scoring a: 404 of 1,000, the model, 1 min 0 s left",
+    ]
+
+
 def test_one_bar_tells_of_one_thing_after_the_other(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

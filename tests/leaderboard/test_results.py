@@ -203,6 +203,20 @@ def test_numbers_stand_in_sentences(board: Board, errors: list[np.ndarray], tmp_
     )
 
 
+def test_a_figure_for_sentences_alone_needs_no_reference_and_no_row(board: Board, tmp_path: Path) -> None:
+    own = '[[row]]\nname = "shift"\ntitle = "t"\nmodel_title = "A model"\nboard = "grid_world-tiny"\nmodel = "a"\n'
+    own += 'labels = "one-shot"\nfigure = "control_distance[50]"\nin_table = false\n'
+    (tmp_path / "chosen.toml").write_text(CHOSEN)
+    without = find_rows(read_choices(tmp_path / "chosen.toml"), [board])
+    (tmp_path / "chosen.toml").write_text(CHOSEN + own)
+    rows = find_rows(read_choices(tmp_path / "chosen.toml"), [board])
+    assert chosen_table(rows) == chosen_table(without)
+    found = numbers(rows)
+    assert found["shift"] == found["control"]
+    assert "shift.baseline" not in found
+    assert found.items() >= numbers(without).items()
+
+
 @pytest.mark.parametrize(
     ("text", "error", "sentence"),
     [
@@ -224,6 +238,7 @@ def test_places_that_cannot_be_filled_are_told(text: str, error: type[Exception]
         ('model = "a"', 'model = "b"', r"asks for the row \('b', '', 'one-shot'\), and none is there"),
         ('baseline = "copy_last"', 'baseline = "nothing"', "asks for the baseline 'nothing'.*copy the last frame"),
         ('title = "next frame"', 'titel = "next frame"', "names no rows to show"),
+        ('title = "next frame"', 'title = "next frame"\nin_table = "no"', "in_table is true or false"),
         ("[[row]]", "[[rows]]", "names no rows to show"),
         ("[[row]]", "[[row", "names no rows to show"),
     ],

@@ -122,9 +122,14 @@ class GraphTransition(nn.Module):
         sender = other + (other >= receiver)
         messages = self.edge(torch.cat([state[:, receiver], state[:, sender]], dim=-1))
         received = rearrange(messages, "b (k s) d -> b k s d", k=slots).sum(2)
-        chosen = repeat(self.encoding(action).to(state.dtype), "b a -> b k a", k=slots)
+        chosen = self.told(action, slots).to(state.dtype)
         change: Tensor = self.node(torch.cat([state, chosen, received], dim=-1))
         return change.float()
+
+    def told(self, action: Actions, slots: int) -> Float[Tensor, "b k a"]:
+        """What each slot is told of the action: all of it."""
+        told: Tensor = repeat(self.encoding(action), "b a -> b k a", k=slots)
+        return told
 
 
 def _mlp(inputs: int, hidden: int, outputs: int, gain: float = 1.0) -> nn.Sequential:

@@ -7,9 +7,19 @@ import json
 import pytest
 import torch
 
-from baselines.cswm import ContrastiveConfig, ContrastiveWorldModel
-from baselines.published.cswm_shapes import ACTIONS, CELL, OBJECTS, SIDE, after, drawn, figures, main, recorded, shapes
-from dmotion_bench.learning.model import ModelInputs
+from baselines.published.cswm_shapes import (
+    ACTIONS,
+    CELL,
+    OBJECTS,
+    SIDE,
+    ShapesModel,
+    after,
+    drawn,
+    figures,
+    main,
+    recorded,
+    shapes,
+)
 
 UP, DOWN, LEFT, RIGHT = range(4)
 
@@ -46,12 +56,18 @@ def test_each_object_is_drawn_in_its_cell() -> None:
         assert torch.equal(seen[:, cell // SIDE, cell % SIDE], tiles[thing])
 
 
-class _Known(ContrastiveWorldModel):
+def test_each_slot_is_told_what_is_done_to_its_own_object() -> None:
+    told = ShapesModel().transition.told(torch.tensor([4 * 2 + LEFT, 4 * 0 + DOWN]), OBJECTS)
+    wanted = torch.zeros(2, OBJECTS, 4)
+    wanted[0, 2, LEFT] = wanted[1, 0, DOWN] = 1
+    assert torch.equal(told, wanted)
+
+
+class _Known(ShapesModel):
     """Knows the boards by their pictures, and how they go on; or takes every action for the first one."""
 
     def __init__(self, knows: bool) -> None:
-        side = SIDE * CELL
-        super().__init__(ContrastiveConfig(slots=OBJECTS), ModelInputs(height=side, width=side, actions=ACTIONS))
+        super().__init__()
         self.knows, self.tiles = knows, shapes()
 
     def states(self, before, now):

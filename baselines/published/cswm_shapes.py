@@ -23,7 +23,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from statistics import fmean
 from typing import Final
@@ -35,6 +35,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from baselines.cswm import ContrastiveConfig, ContrastiveWorldModel, GraphTransition
+from baselines.published.descent import descend
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.images import to_pixels
@@ -113,7 +114,7 @@ def drawn(boards: Int[Tensor, "n 5"], tiles: Float[Tensor, "6 3 16 16"]) -> Floa
 class OwnActions(GraphTransition):
     """Tells slot k what is done to object k, or nothing; the benchmark's worlds have one agent, so all slots are told.
 
-    Nothing says that slot k is to hold object k: it learns to, for it can predict no other.
+    Nothing says that slot k is to hold object k; but only of a slot that does can the change be predicted.
     """
 
     def __init__(self, config: ContrastiveConfig) -> None:
@@ -146,23 +147,21 @@ def trained(seed: int, passes: int, decoder_steps: int, data: Episodes) -> Shape
 
 
 def _train(model: ContrastiveWorldModel, phase: Phase, data: Episodes, *, batch: int, steps: int, rate: float) -> None:
-    """So many steps of Adam, the rate falling to zero along a cosine."""
+    """Train what the phase trains, and say so on stderr."""
     model.enter(phase)
     model.train()
-    optimizer = torch.optim.Adam([one for one in model.parameters() if one.requires_grad], rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
-    precision = "bf16" if has_bf16(CPU) else "float32"
-    tiles = shapes()
-    for step in range(steps):
+    precision, tiles = "bf16" if has_bf16(CPU) else "float32", shapes()
+
+    def loss() -> Tensor:
         given = _triplets(data, torch.randint(len(data.actions), (batch,)), tiles)
         with autocast(precision, CPU):
-            losses = model.losses(given)
-        optimizer.zero_grad()
-        losses.total.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-        schedule.step()
-        if step % 100 == 0 or step == steps - 1:
-            sys.stderr.write(f"{phase.name}: {step + 1:,} of {steps:,}, loss {losses.total.item():.4f}\n")
+            return model.losses(given).total
+
+    def tell(step: int, value: Tensor) -> None:
+        if step % 100 == 1 or step == steps:
+            sys.stderr.write(f"{phase.name}: {step:,} of {steps:,}, loss {value.item():.4f}\n")
+
+    descend([one for one in model.parameters() if one.requires_grad], steps, rate, loss, tell)
 
 
 def _triplets(data: Episodes, episode: Int[Tensor, " b"], tiles: Float[Tensor, "6 3 16 16"]) -> TripletBatch:
@@ -194,8 +193,8 @@ def figures(model: ContrastiveWorldModel, data: Episodes) -> Figures:
     """Imagine the steps of all episodes beside each other, and draw the first."""
     tiles, pieces = shapes(), -(-len(data.cells) // BATCH)
 
-    def pictures(step: int) -> list[Float[Tensor, "b 3 80 80"]]:
-        return [drawn(boards, tiles) for boards in torch.chunk(data.cells[:, step], pieces)]
+    def pictures(step: int) -> Iterator[Float[Tensor, "b 3 80 80"]]:
+        return (drawn(boards, tiles) for boards in torch.chunk(data.cells[:, step], pieces))
 
     def states(step: int) -> Float[Tensor, "n k d"]:
         pairs = zip(pictures(max(step - 1, 0)), pictures(step), strict=True)

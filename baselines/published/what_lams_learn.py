@@ -32,7 +32,7 @@ import itertools
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -44,6 +44,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from baselines.lapo import LapoConfig, VectorQuantizer
+from baselines.published.descent import descend
 
 ROWS, COLUMNS, ACTIONS = 3, 4, 5
 CELLS, NOISY = ROWS * COLUMNS, COLUMNS
@@ -220,17 +221,6 @@ def _rolled_pairs(pairs: Transitions) -> Transitions:
     )
 
 
-def _steps(parameters: Iterator[nn.Parameter], steps: int, loss: Callable[[], Tensor]) -> None:
-    """So many steps of Adam, the rate falling to zero along a cosine."""
-    optimizer = torch.optim.Adam(parameters, RATE)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
-    for _ in range(steps):
-        optimizer.zero_grad()
-        loss().backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-        schedule.step()
-
-
 def trained(data: Transitions, *, augmented: bool, labelled: bool, steps: int = STEPS) -> LatentActionModels:
     """A latent-action model of each of some data sets."""
     models = LatentActionModels(len(data.action)).train()
@@ -240,7 +230,7 @@ def trained(data: Transitions, *, augmented: bool, labelled: bool, steps: int = 
         total = models.loss(data.part(torch.randint(data.action.shape[1], (BATCH,))), augmented)
         return total + models.label_loss(told) if labelled else total
 
-    _steps(models.parameters(), steps, loss)
+    descend(models.parameters(), steps, RATE, loss)
     return models.eval()
 
 
@@ -271,7 +261,7 @@ def losses_of(
         index = torch.randint(TRANSITIONS, (BATCH,))
         return _error(decoders(inputs[0][:, index]), known.after[:, index])
 
-    _steps(decoders.parameters(), steps, loss)
+    descend(decoders.parameters(), steps, RATE, loss)
     with torch.no_grad():
         errors = (decoders(inputs[1]) - asked.after).square().mean(1)
     found = []

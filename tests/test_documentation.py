@@ -81,12 +81,17 @@ def test_every_setting_of_the_models_pages_is_one_of_their_models(setting: str) 
     assert understood
 
 
-@pytest.mark.parametrize("page", EVERY_PAGE, ids=_page_name)
-def test_every_command_of_the_documentation_is_understood(page: Path) -> None:
+@pytest.fixture(scope="module")
+def parser() -> click.Command:
+    """The command line, which takes a moment to build."""
     register_commands()
+    return typer.main.get_command(app)
+
+
+@pytest.mark.parametrize("page", EVERY_PAGE, ids=_page_name)
+def test_every_command_of_the_documentation_is_understood(page: Path, parser: click.Command) -> None:
     for line in filter(_is_example, _commands(page)):
-        words = shlex.split(line)[1:]
-        command: click.Command = typer.main.get_command(app)
+        words, command = shlex.split(line)[1:], parser
         while isinstance(command, click.Group) and words:
             assert words[0] in command.commands, f"{page.name}: {line}"
             command, words = command.commands[words[0]], words[1:]

@@ -48,7 +48,7 @@ from dmotion_bench.workspace import Workspace
 
 pytestmark = pytest.mark.slow
 
-EPISODES, FRAMES = 13, 16  # the docs name episode 12
+EPISODES, FRAMES = 13, 11  # the docs name episode 12
 PLANNED_IN_FULL = {"own_environment"}
 """Tutorials whose Python says what planning reaches; it takes a second there."""
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
@@ -109,7 +109,7 @@ MENTIONED = (
 
 def _shorter_training(settings: Any, config: Any, training: Any) -> Any:
     config, training = _with_settings(settings, config, training)
-    return config, replace(training, epochs=0.01, batch_size=4, validations=1)
+    return config, replace(training, epochs=0.01, batch_size=4, validations=1, adaptation_steps=2)
 
 
 _with_settings = start.with_settings

@@ -21,6 +21,8 @@ from dmotion_bench.learning.action_encoding import ActionEncoding
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TripletBatch
 from dmotion_bench.specs import Supervision
 
+LOADED = ["dmotion_bench.learning.training", "dmotion_bench.learning.start", "baselines.encoder_decoder"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class NoConfig:
@@ -72,12 +74,16 @@ def _small(images: Tensor) -> Tensor:
 
 
 def together(world: int, work: Callable[..., Any], *given: Any) -> None:
-    """Call ``work(rank, *given)`` in so many processes that find each other as those of torchrun do."""
+    """Call ``work(rank, *given)`` in so many processes that find each other as those of torchrun do.
+
+    They are forked off one that has loaded torch, which takes longer than most of what they do.
+    """
+    torch.multiprocessing.get_context("forkserver").set_forkserver_preload(LOADED)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     torch.multiprocessing.start_processes(
-        _begin, (world, port, sys.path, work, given), nprocs=world, start_method="spawn"
+        _begin, (world, port, sys.path, work, given), nprocs=world, start_method="forkserver"
     )
 
 

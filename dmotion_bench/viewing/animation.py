@@ -122,7 +122,7 @@ def write_animation(pictures: Sequence[Image.Image], path: Path) -> None:
     """
     durations = [FRAME_MS] * (len(pictures) - 1) + [LAST_MS]
     shown = [one.quantize(256) for one in pictures] if path.suffix == ".gif" else list(pictures)
-    how: dict[str, int] = {} if path.suffix == ".gif" else {"quality": 80, "method": 6}
+    how: dict[str, int] = {} if path.suffix == ".gif" else {"quality": 80}
     try:
         with atomic_file(path) as file:
             shown[0].save(

@@ -15,16 +15,20 @@ LAOM changes four things (its section 4):
 The benchmark wants frames: in a second phase all that is frozen and a decoder of embeddings is trained on video, as
 for C-SWM and JEPA. Nothing of it reaches the embedding.
 
+One thing is ours: **what is inferred from and predicted is the embedding's change** s_{t+1} - s_t, each of its numbers
+divided by its standard deviation over the batch (``Changes``). Where most of the picture stands still, an embedding
+that holds this alone predicts the next one nearly perfectly, and the authors' loss falls to nothing without an action
+(docs/experiments/labels-during-training.md).
+
 Settled so (docs/models): the encoder is of the shared backbone, over single frames; k is 1 or 2, since a
 training sees triplets, and the authors' is 1 to 10; of the authors' augmentations there are small shifts alone, the
-same for all frames of a batch; the embeddings and their predictions are normalised to variance 1, as in the authors'
-program when its ``encoder_norm_out`` is set; and the alignment goes from an action to z_t by ``ActionToLatent``, from
-the same labels.
+same for all frames of a batch of video; both heads are given the embedding normalised to variance 1; and the
+alignment goes from an action to z_t by ``ActionToLatent``, from the same labels.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
@@ -66,9 +70,10 @@ class LaomConfig:
         hidden: Width of the inverse and the forward model; the authors' is 1024.
         ahead: The most steps that the inverse model looks ahead, 1 or 2; the authors' is 10.
         target_rate: How fast the target encoder follows, a step; the authors' is 0.001.
-        label_weight: Of the labelled transitions' error; the authors' is 0.001 to 0.05.
-        shift: While it learns, the frames of a batch are rolled by at most so much either way [px]: few labels show few
-            places.
+        label_weight: Of the labelled transitions' error; the authors' is 0.001 to 0.05, beside their loss.
+        shift: While it learns, the frames of a batch of video are rolled by at most so much either way [px].
+        label_shift: The frames of a labelled transition too, each transition's by a shift of its own: few labels show
+            few places.
     """
 
     length: int = 128
@@ -76,14 +81,15 @@ class LaomConfig:
     hidden: int = 256
     ahead: int = 2
     target_rate: float = 0.01
-    label_weight: float = 0.05
+    label_weight: float = 0.5
     shift: int = 4
+    label_shift: int = 16
 
     def __post_init__(self) -> None:
         if min(self.length, self.embedding, self.hidden) < 1 or self.ahead not in (1, 2):
             raise InvalidSetting("length, embedding and hidden must be 1 or more, ahead 1 or 2.")
-        if not 0 < self.target_rate <= 1 or self.label_weight < 0 or self.shift < 0:
-            raise InvalidSetting("target_rate must be above 0 and at most 1, label_weight and shift 0 or more.")
+        if not 0 < self.target_rate <= 1 or min(self.label_weight, self.shift, self.label_shift) < 0:
+            raise InvalidSetting("target_rate must be above 0 and at most 1, label_weight and the shifts 0 or more.")
 
 
 class Head(nn.Module):
@@ -113,6 +119,35 @@ class Head(nn.Module):
         return outputs
 
 
+class Changes(nn.Module):
+    """Changes of an embedding in units of their standard deviation, number by number.
+
+    While it learns these are the batch's own, and a running mean of them is kept; otherwise the mean is used.
+
+    Args:
+        length: Of the embedding.
+    """
+
+    def __init__(self, length: int) -> None:
+        super().__init__()
+        self.statistics = nn.BatchNorm1d(length, affine=False)
+
+    def forward(self, change: Float[Tensor, "b e"], *, own: bool = True) -> Float[Tensor, "b e"]:
+        """Mean 0 and variance 1; by the running mean if ``own`` is false, which leaves it as it is."""
+        kept = self.statistics
+        if own and len(change) > 1:
+            standard: Tensor = kept(change)
+            return standard
+        return F.batch_norm(change, kept.running_mean, kept.running_var, eps=kept.eps)
+
+    def undone(self, standard: Float[Tensor, "b e"]) -> Float[Tensor, "b e"]:
+        """The change itself, by the running mean."""
+        mean, variance = self.statistics.running_mean, self.statistics.running_var
+        assert mean is not None
+        assert variance is not None
+        return standard * (variance + self.statistics.eps).sqrt() + mean
+
+
 class Laom(ForwardModel[LaomConfig]):
     """Learns from video alone; a few demonstrations tell it afterwards which latent action each action is."""
 
@@ -129,6 +164,7 @@ class Laom(ForwardModel[LaomConfig]):
         self.encoder = FrameEncoder(inputs, config.embedding)
         self.target = FrameEncoder(inputs, config.embedding).requires_grad_(False)
         self.target.load_state_dict(self.encoder.state_dict())
+        self.changes, self.target_changes = Changes(config.embedding), Changes(config.embedding)
         self.inverse_model = Head(0, 2 * config.embedding, config.hidden, config.length)
         self.forward_model = Head(config.embedding, config.length, config.hidden, config.embedding)
         self.decoder = FrameDecoder(inputs, config.embedding, hidden=256)
@@ -137,8 +173,8 @@ class Laom(ForwardModel[LaomConfig]):
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
-        """As JEPA's, in batches of 32."""
-        return compact_recipe(preset, passes=2.5)
+        """As the others', but by Adam, as the authors': with Muon it learns the few labels by heart."""
+        return replace(compact_recipe(preset, passes=2.5), optimizer="adam", learning_rate=1e-3)
 
     def phases(self) -> tuple[Phase, ...]:
         """Embeddings and latent actions first; then the decoder."""
@@ -159,7 +195,7 @@ class Laom(ForwardModel[LaomConfig]):
                 slow.lerp_(fast, self.config.target_rate)
 
     def losses(self, batch: TripletBatch) -> Losses:
-        """Squared error of s_{t+1} as the target has it, and of the labelled actions; then the decoder's."""
+        """Squared error of the change as the target has it, and of the labelled actions; then the decoder's."""
         if self.phase == DECODER:
             with torch.no_grad():
                 embedding = self.embed(batch.current)
@@ -167,12 +203,14 @@ class Laom(ForwardModel[LaomConfig]):
         frames = torch.stack([pack(image) for image in self._rolled(batch.previous, batch.current, batch.next)])
         start, ahead = self._drawn(len(batch.current), frames.device)
         row = torch.arange(len(start), device=start.device)
-        first, last = frames[start, row], frames[start + ahead, row]
-        state, future = _normalised(self.encoder(torch.cat([first, last]))).chunk(2)
+        first, following, last = frames[start, row], frames[start + 1, row], frames[start + ahead, row]
+        state, future = self.encoder(torch.cat([first, last])).float().chunk(2)
         with torch.no_grad():
-            wanted = _normalised(self.target(frames[start + 1, row]))
-        predicted = self._advance(state.detach(), self._infer(state, future))  # detached as the authors': the latent
-        prediction = F.mse_loss(predicted, wanted)  # action alone teaches the encoder
+            here, there = self.target(torch.cat([first, following])).float().chunk(2)
+            wanted = self.target_changes(there - here)
+        latent = self._infer(state, self.changes(future - state))
+        predicted = self.forward_model(_normalised(state).detach(), latent).float()  # detached as the authors': the
+        prediction = F.mse_loss(predicted, wanted)  # latent action alone teaches the encoder
         told = self._label_error(batch.labelled) if batch.labelled is not None else prediction.new_zeros(())
         return Losses(
             total=prediction + self.config.label_weight * told,
@@ -188,7 +226,7 @@ class Laom(ForwardModel[LaomConfig]):
     ) -> Float[Tensor, "b d"]:
         """z_t from x_t and the next frame; it does not depend on x_{t-1}."""
         state, future = self.embed(torch.cat([current, following])).chunk(2)
-        return self._infer(state, future)
+        return self._infer(state, self.changes(future - state, own=False))
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:
@@ -197,7 +235,8 @@ class Laom(ForwardModel[LaomConfig]):
 
     def embed(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b e"]:
         """A frame's embedding."""
-        return _normalised(self.encoder(pack(image)))
+        embedding: Tensor = self.encoder(pack(image))
+        return embedding.float()
 
     def begin(self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]) -> tuple[Tensor]:
         """s_t."""
@@ -238,21 +277,32 @@ class Laom(ForwardModel[LaomConfig]):
         """All images moved alike, by a random shift; in evaluation as they are."""
         if not self.training or not self.config.shift:
             return images
-        down, right = torch.randint(-self.config.shift, self.config.shift + 1, (2,)).tolist()
+        ((down, right),) = _shifts(1, self.config.shift)
         return tuple(image.roll((down, right), dims=(-2, -1)) for image in images)
 
-    def _infer(self, state: Float[Tensor, "b e"], future: Float[Tensor, "b e"]) -> Float[Tensor, "b d"]:
-        latent: Tensor = self.inverse_model(state[:, :0], torch.cat([state, future], dim=1))
+    def _rolled_each(self, *images: Float[Tensor, "b c h w"]) -> tuple[Float[Tensor, "b c h w"], ...]:
+        """As ``_rolled``, but each triplet by a shift of its own, as labelled ones are."""
+        if not self.training or not self.config.label_shift:
+            return images
+        shifts = _shifts(len(images[0]), self.config.label_shift)
+        return tuple(
+            torch.stack([one.roll(shift, dims=(-2, -1)) for one, shift in zip(image, shifts, strict=True)])
+            for image in images
+        )
+
+    def _infer(self, state: Float[Tensor, "b e"], change: Float[Tensor, "b e"]) -> Float[Tensor, "b d"]:
+        latent: Tensor = self.inverse_model(state[:, :0], torch.cat([_normalised(state), change], dim=1))
         return latent.float()
 
     def _advance(self, state: Float[Tensor, "b e"], latent: Float[Tensor, "b d"]) -> Float[Tensor, "b e"]:
-        return _normalised(self.forward_model(state, latent.to(state.dtype)))
+        change = self.forward_model(_normalised(state), latent.to(state.dtype)).float()
+        return state + self.changes.undone(change)
 
     def _label_error(self, labelled: Demonstrations) -> Float[Tensor, ""]:
         raise NotImplementedError("models of video are given no labels while they learn")
 
     def _decode(self, embedding: Float[Tensor, "b e"]) -> Float[Tensor, "b c h w"]:
-        return unpack(self.decoder(embedding)).float()
+        return unpack(self.decoder(_normalised(embedding))).float()
 
 
 class LaomWithLabels(Laom):
@@ -272,11 +322,17 @@ class LaomWithLabels(Laom):
 
     def _label_error(self, labelled: Demonstrations) -> Float[Tensor, ""]:
         """How badly a linear map reads the labelled actions from z_t: cross-entropy, or the squared error."""
-        latent = self.latent_action(*self._rolled(labelled.previous, labelled.current, labelled.next))
+        latent = self.latent_action(*self._rolled_each(labelled.previous, labelled.current, labelled.next))
         read: Tensor = self.true_action(latent).float()
         if isinstance(self.encoding.spec, Continuous):
             return F.mse_loss(read, self.encoding(labelled.action))
         return F.cross_entropy(read, labelled.action)
+
+
+def _shifts(count: int, most: int) -> list[tuple[int, int]]:
+    """Down and right, each at most so much either way [px]."""
+    drawn = torch.randint(-most, most + 1, (count, 2)).tolist()
+    return [(down, right) for down, right in drawn]
 
 
 def _normalised(embedding: Float[Tensor, "b e"]) -> Float[Tensor, "b e"]:

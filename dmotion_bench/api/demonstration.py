@@ -26,7 +26,7 @@ from dmotion_bench.workspace import AnyPath, Workspace
 ENVIRONMENT = "grid_world"
 MODEL = "dmotion"
 EPISODES = 200
-EPOCHS = 6
+EPOCHS = 5
 BATCH_SIZE = 16
 """Half the usual one: a smaller error after the same number of triplets (docs/experiments/small-batches.md)."""
 

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from walking_dot import walking_dot
 
-from baselines.laom import DECODER, Laom, LaomWithLabels
+from baselines.laom import DECODER, Changes, Laom, LaomWithLabels
 from dmotion_bench.learning.model import Demonstrations
 
 SMALL = {"length": 16, "embedding": 32, "hidden": 64}
@@ -26,7 +26,31 @@ def test_the_loss_is_the_distance_to_the_targets_embedding_of_the_next_frame(bui
         predicted = model._advance(
             model.embed(video.current), model.latent_action(video.previous, video.current, video.next)
         )
-    torch.testing.assert_close(loss, F.mse_loss(predicted, model.embed(video.next)))  # before the first step
+    wanted = model.embed(video.next)  # the target's too, before the first step; changes count as they are
+    torch.testing.assert_close(loss, F.mse_loss(predicted, wanted), rtol=1e-4, atol=0)
+
+
+def test_a_change_counts_in_units_of_its_own_spread_and_what_stands_still_for_nothing() -> None:
+    torch.manual_seed(0)
+    change = torch.randn(64, 4) * torch.tensor([1.0, 0.03, 30.0, 0.0]) + 2
+    changes = Changes(4)
+    for _ in range(200):
+        standard = changes(change)
+    torch.testing.assert_close(standard.std(0, correction=0), torch.tensor([1.0, 1, 1, 0]), rtol=0.01, atol=1e-6)
+    kept = changes.statistics.running_var.clone()
+    for used in (changes(change[:1]), changes(change[:8], own=False), changes.eval()(change[:8])):
+        torch.testing.assert_close(used, standard[: len(used)], rtol=0.02, atol=1e-3)
+    assert torch.equal(changes.statistics.running_var, kept)
+    torch.testing.assert_close(changes.undone(changes(change)), change)
+
+
+def test_each_labelled_transition_is_rolled_by_a_shift_of_its_own_and_its_frames_alike(build) -> None:
+    model = build(LaomWithLabels, label_shift=3, **SMALL).train()
+    image = torch.arange(32.0).expand(16, 3, 32, 32)
+    first, second = model._rolled_each(image, image + 100)
+    torch.testing.assert_close(second, first + 100)
+    assert len({one[0, 0, 0].item() for one in first}) > 3
+    assert torch.equal(model.eval()._rolled_each(image)[0], image)
 
 
 def test_the_inverse_model_looks_one_step_or_two_ahead_and_the_forward_model_always_one(build) -> None:
@@ -70,7 +94,7 @@ def test_labels_are_one_weighted_term_of_the_loss(build, video) -> None:
 
 def test_a_few_labels_put_the_action_into_the_latent(build, step) -> None:
     video, unseen = walking_dot(32, seed=1), walking_dot(64, seed=2)
-    model = build(LaomWithLabels, label_weight=1.0, **SMALL)
+    model = build(LaomWithLabels, label_weight=1.0, label_shift=4, **SMALL)
     torch.manual_seed(0)
     step(model, dataclasses.replace(video, action=None, labelled=_shown(16, 0)), 200, rate=1e-3)
     model.eval()

@@ -7,7 +7,7 @@ here is answered by all of them at the same place of the program, so each answer
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import torch
@@ -50,6 +50,14 @@ class Companions:
         answers: list[Answer | None] = [None] * self.world
         torch.distributed.all_gather_object(answers, mine)
         return [answer for answer in answers if answer is not None]
+
+    def summed(self, mine: Mapping[str, float]) -> dict[str, float]:
+        """The sums of everybody's figures by name, added in the order of their numbers."""
+        sums: dict[str, float] = {}
+        for figures in self.gathered(dict(mine)):
+            for name, value in figures.items():
+                sums[name] = sums[name] + value if name in sums else value
+        return sums
 
     def any(self, mine: bool) -> bool:
         """Whether it is so for one of them; cheap enough for every step."""

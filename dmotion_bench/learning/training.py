@@ -11,11 +11,10 @@ are those of a single process, and so is the checkpoint: a run may go on with an
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,22 +33,16 @@ from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations
 from dmotion_bench.learning.fabric_setup import set_up
 from dmotion_bench.learning.metrics_log import MetricsLog
 from dmotion_bench.learning.model import TrainingConfig
-from dmotion_bench.learning.optimization import (
-    AveragedWeights,
-    autocast,
-    learning_rate,
-    make_optimizer,
-    set_learning_rate,
-)
-from dmotion_bench.learning.randomness import seeded
+from dmotion_bench.learning.optimization import AveragedWeights, learning_rate, make_optimizer, set_learning_rate
 from dmotion_bench.learning.resuming import BestFacts, Checkpoints, LastFacts
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.run_manifest import Conditions, RunResult
-from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets, write_sample
 from dmotion_bench.learning.samples import FOLDER as SAMPLES
+from dmotion_bench.learning.samples import write_sample
 from dmotion_bench.learning.step import Stepper
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.tracking import tracked
+from dmotion_bench.learning.validation import validation_losses, validation_picture
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.lock import held
@@ -245,7 +238,7 @@ class _Trainer:
                         )
                     )
                     if self.state.step % log_every == 0 or self.state.step == self.steps:
-                        everybodys = _added(self.companions.gathered(dict(sums)))
+                        everybodys = self.companions.summed(sums)
                         counted *= self.companions.world
                         self._write(log, {name: total / counted for name, total in everybodys.items()})
                         sums.clear()
@@ -306,17 +299,7 @@ class _Trainer:
         chosen = self.average.swapped_into(self.model) if self.average else contextlib.nullcontext()
         with chosen:
             self.model.eval()
-            sums: dict[str, float] = defaultdict(float)
-            chunks = itertools.islice(
-                _chunks(len(part.validation), part.order.batch_size), self.companions.rank, None, self.companions.world
-            )
-            for index in chunks:
-                with autocast(self.conditions.precision, self.fabric.device), seeded(0, 0, self.fabric.device):
-                    losses = self.model.losses(part.validation(index))
-                for name, value in {"loss": losses.total, **losses.terms}.items():
-                    sums[name] += float(value) * len(index)
-            everybodys = _added(self.companions.gathered(dict(sums)))
-            means = {name: total / len(part.validation) for name, total in everybodys.items()}
+            means = validation_losses(self.model, part, self.companions, self.conditions.precision, self.fabric.device)
             if not math.isfinite(means["loss"]):
                 raise RunError(
                     f"training diverged before step {self.state.step}: the loss is {means['loss']}. "
@@ -334,16 +317,12 @@ class _Trainer:
         """Keep a picture of what the model predicts now."""
         if not self.companions.is_first or not self.model.needs_pixels:
             return
-        with autocast(self.conditions.precision, self.fabric.device), seeded(0, 0, self.fabric.device):
-            if self.demonstrations is not None:
-                picture = sample_of_demonstrations(self.model, self.demonstrations)
-            elif labelled := [part.validation for part in self.parts if part.phase.needs_actions]:
-                few = np.linspace(0, len(labelled[0]) - 1, COLUMNS).round().astype(np.int64)
-                picture = sample_of_triplets(self.model, labelled[0](few))
-            else:
-                return
-        write_sample(self.run.path, self.state.step, picture)
-        self.trackers.picture(self.state.step, picture)
+        picture = validation_picture(
+            self.model, self.demonstrations, self.parts, self.conditions.precision, self.fabric.device
+        )
+        if picture is not None:
+            write_sample(self.run.path, self.state.step, picture)
+            self.trackers.picture(self.state.step, picture)
 
     def _save_best(self) -> None:
         if self.companions.is_first:
@@ -436,19 +415,3 @@ class _Trainer:
         self.checkpoints.save_best(facts)
         self.run.finish(asdict(result))
         return asdict(result)
-
-
-def _added(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
-    """The sums of all processes, in their order."""
-    sums: dict[str, float] = {}
-    for part in parts:
-        for name, value in part.items():
-            sums[name] = sums[name] + value if name in sums else value
-    return sums
-
-
-def _chunks(total: int, size: int) -> Iterator[Int[np.ndarray, " b"]]:
-    """Batches of triplets from all over the set, for losses that compare the triplets of a batch."""
-    count = math.ceil(total / size)
-    for start in range(count):
-        yield np.arange(start, total, count)

@@ -1,0 +1,74 @@
+"""What a training learns about its model in between: the mean losses of the validation triplets, and a picture."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Int, UInt8
+
+from dmotion_bench.learning.companions import Companions
+from dmotion_bench.learning.curriculum import Part
+from dmotion_bench.learning.demonstrations import Demonstrations
+from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.optimization import autocast
+from dmotion_bench.learning.precision import Precision
+from dmotion_bench.learning.randomness import seeded
+from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets
+
+
+def validation_losses(
+    model: ForwardModel[Any], part: Part, companions: Companions, precision: Precision, device: torch.device
+) -> dict[str, float]:
+    """The losses of a part's phase, averaged over its validation triplets; each process computes its share of them.
+
+    Args:
+        model: In evaluation mode.
+        part: Whose validation triplets.
+        companions: The processes that train together.
+        precision: In which matrices are multiplied.
+        device: The model's.
+
+    Returns:
+        ``"loss"``, which is minimised, and the named terms.
+    """
+    sums: dict[str, float] = defaultdict(float)
+    chunks = itertools.islice(
+        _chunks(len(part.validation), part.order.batch_size), companions.rank, None, companions.world
+    )
+    for index in chunks:
+        with autocast(precision, device), seeded(0, 0, device):
+            losses = model.losses(part.validation(index))
+        for name, value in {"loss": losses.total, **losses.terms}.items():
+            sums[name] += float(value) * len(index)
+    return {name: total / len(part.validation) for name, total in companions.summed(sums).items()}
+
+
+def validation_picture(
+    model: ForwardModel[Any],
+    demonstrations: Demonstrations | None,
+    parts: Sequence[Part],
+    precision: Precision,
+    device: torch.device,
+) -> UInt8[np.ndarray, "h w 3"] | None:
+    """A picture of what the model predicts now, of transitions that the run has paid for; None if there are none."""
+    with autocast(precision, device), seeded(0, 0, device):
+        if demonstrations is not None:
+            return sample_of_demonstrations(model, demonstrations)
+        labelled = next((part.validation for part in parts if part.phase.needs_actions), None)
+        if labelled is None:
+            return None
+        few = np.linspace(0, len(labelled) - 1, COLUMNS).round().astype(np.int64)
+        return sample_of_triplets(model, labelled(few))
+
+
+def _chunks(total: int, size: int) -> Iterator[Int[np.ndarray, " b"]]:
+    """Batches of triplets from all over the set, for losses that compare the triplets of a batch."""
+    count = math.ceil(total / size)
+    for start in range(count):
+        yield np.arange(start, total, count)

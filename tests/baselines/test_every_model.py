@@ -109,7 +109,7 @@ def test_the_contract_is_kept(name: str) -> None:
 def test_the_papers_networks_keep_the_contract_and_train_at_64_pixels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: sixteen times quicker, the same layers
+    monkeypatch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: the same layers, on a sixteenth of the pixels
     check_model(model_class("dmotion"), arch="paper")
     dataset = write_noise(tmp_path / "noise-tiny", 64)
     request = TrainingRequest(model="dmotion", arch="paper", settings=("batch_size=2", "epochs=0.1", "validations=1"))

@@ -17,7 +17,7 @@ for C-SWM and JEPA. Nothing of it reaches the embedding.
 
 One thing is ours: **what is inferred from and predicted is the embedding's change** s_{t+1} - s_t, each of its numbers
 divided by its standard deviation over the batch (``Changes``). Where most of the picture stands still, an embedding
-that holds this alone predicts the next one nearly perfectly, and the authors' loss falls to nothing without an action
+of what stands still is its own next one, so that the authors' loss becomes small and z_t says nothing of the action
 (docs/experiments/labels-during-training.md).
 
 Settled so (docs/models): the encoder is of the shared backbone, over single frames; k is 1 or 2, since a
@@ -70,10 +70,10 @@ class LaomConfig:
         hidden: Width of the inverse and the forward model; the authors' is 1024.
         ahead: The most steps that the inverse model looks ahead, 1 or 2; the authors' is 10.
         target_rate: How fast the target encoder follows, a step; the authors' is 0.001.
-        label_weight: Of the labelled transitions' error; the authors' is 0.001 to 0.05, beside their loss.
+        label_weight: Of the labelled transitions' error; the authors' is 0.001 to 0.05.
         shift: While it learns, the frames of a batch of video are rolled by at most so much either way [px].
-        label_shift: The frames of a labelled transition too, each transition's by a shift of its own: few labels show
-            few places.
+        label_shift: The same for labelled transitions, each of which has a shift of its own [px]: few labels show few
+            places.
     """
 
     length: int = 128

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "mppi", "random-shooting")
 OBJECTIVES: Final = ("centres", "feature", "pixel", "steps-to-go", "tabletop", "tracked", "tracked-risk")
-COLUMNS: Final = ("generic", "paper", "task-knowledge")
+COLUMNS: Final = ("generic-risk", "generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
 EXECUTORS: Final = ("local", "ray", "slurm")

@@ -260,6 +260,8 @@ def _tell(run: Run, dataset: Dataset, result: dict[str, Any], as_json: bool) -> 
         f"  {result['steps']} steps, {result['triplets']} triplets in {duration(result['seconds'])} "
         f"({result['triplets_per_s']:.0f} triplets/s), {result['parameters'] / 1e6:.2f} M parameters"
     )
+    for phase, step in result.get("ended", {}).items():
+        typer.echo(f"  {phase}: ended early, after step {step}, with no lower validation loss for a while (patience)")
     typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
     known = (
         f" of {_transitions(dataset)} transitions in the data set"

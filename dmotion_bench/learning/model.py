@@ -123,6 +123,8 @@ class TrainingConfig:
             triplets' latest losses instead of evenly; needs ``Losses.per_triplet``. Rare events, such as pushes, are
             seen more often.
         validations: How many times the run is validated and its checkpoint written.
+        patience: A phase ends after so many validations in a row without a lower loss; 0 takes all of its steps. The
+            weights with the lowest loss are kept in either case.
         window: Triplets that are shuffled among each other while they are read from the compressed files; 0 shuffles
             all of them, which takes the frame cache.
         adaptation: What the demonstrations change in a model of video: ``"averaged"`` its map from actions to latent
@@ -143,6 +145,7 @@ class TrainingConfig:
     ema: float = 0.0
     hard_share: float = 0.0
     validations: int = 10
+    patience: int = 0
     window: int = 0
     adaptation: str = "averaged"
     adaptation_steps: int = 200
@@ -162,7 +165,7 @@ class TrainingConfig:
         require_bounds(
             self,
             above_zero=("epochs", "batch_size", "learning_rate", "validations", "adaptation_steps", "adaptation_rate"),
-            from_zero=("weight_decay", "clip_norm", "window"),
+            from_zero=("weight_decay", "clip_norm", "window", "patience"),
             below_one=("hard_share", "ema"),
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -32,16 +32,20 @@ class LastFacts:
         best: Lowest validation loss of the phase; None before there is one.
         best_step: Where it was.
         seconds: Spent in steps.
+        ended: Where phases ended early, by their names.
     """
 
     step: int
     best: float | None
     best_step: int
     seconds: float
+    ended: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not -1 <= self.best_step <= self.step or not 0 <= self.seconds < math.inf:
             raise InvalidSetting("its numbers cannot be.")
+        if not all(type(step) is int and 0 < step < self.step for step in self.ended.values()):
+            raise InvalidSetting("a phase cannot have ended there.")
 
 
 @dataclass(frozen=True, kw_only=True)

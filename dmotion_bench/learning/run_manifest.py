@@ -218,7 +218,7 @@ class RunResult:
 
     Attributes:
         weights: Hash of the weights.
-        steps, triplets: Of the whole training.
+        steps, triplets: Taken and seen, without those that an early end left out.
         seconds: Spent in its steps.
         triplets_per_s: Of those seconds.
         parameters: Of the model.
@@ -227,6 +227,7 @@ class RunResult:
         device, processes: Where the last sitting ran.
         threads, precision: As in ``Conditions``; None in a run of a version that did not record them.
         adapted_steps: Of the fine-tuning that were kept; None where there was none.
+        ended: The steps after which phases ended early (``TrainingConfig.patience``), by their names.
     """
 
     weights: str
@@ -244,6 +245,7 @@ class RunResult:
     threads: int | None = None
     precision: Precision | None = None
     adapted_steps: int | None = None
+    ended: Mapping[str, int] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not _SHA256.fullmatch(self.weights):
@@ -263,6 +265,8 @@ class RunResult:
             _within("threads", self.threads, range(1, MOST_THREADS + 1))
         if self.adapted_steps is not None:
             _within("adapted_steps", self.adapted_steps, _COUNTS)
+        for name, step in self.ended.items():
+            _within(f"ended[{name}]", step, _COUNTS)
 
 
 def read_manifest(path: Path) -> dict[str, Any]:

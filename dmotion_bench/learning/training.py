@@ -15,7 +15,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ from dmotion_bench.learning.fabric_setup import set_up
 from dmotion_bench.learning.metrics_log import MetricsLog
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.optimization import AveragedWeights, learning_rate, make_optimizer, set_learning_rate
-from dmotion_bench.learning.resuming import BestFacts, Checkpoints, LastFacts
+from dmotion_bench.learning.resuming import BestFacts, Checkpoints
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.run_manifest import Conditions, RunResult
 from dmotion_bench.learning.samples import FOLDER as SAMPLES
@@ -42,6 +42,7 @@ from dmotion_bench.learning.samples import write_sample
 from dmotion_bench.learning.step import Stepper
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.tracking import tracked
+from dmotion_bench.learning.training_state import TrainingState
 from dmotion_bench.learning.validation import validation_losses, validation_picture
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
@@ -64,25 +65,6 @@ class Report:
     phase: str
     loss: float
     triplets_per_s: float
-
-
-@dataclass
-class _Clock:
-    """The time spent in training steps: in total, and since this process began."""
-
-    before: float = 0.0
-    sitting: float = 0.0
-    triplets: int = 0
-
-
-@dataclass
-class _State:
-    """The state that changes from step to step, besides the tensors."""
-
-    step: int = 0
-    best: float = math.inf
-    best_step: int = -1
-    clock: _Clock = field(default_factory=_Clock)
 
 
 def train(
@@ -175,7 +157,7 @@ class _Trainer:
             steps=self.steps,
             starts=frozenset(part.start for part in self.parts),
         )
-        self.state = _State()
+        self.state = TrainingState()
 
     def _require_batches(self) -> None:
         smallest = min(part.order.batch_size for part in self.parts)
@@ -220,8 +202,7 @@ class _Trainer:
                 if self.state.step >= part.stop:
                     continue
                 self.model.enter(part.phase)
-                if self.state.step == part.start:
-                    self.state.best = math.inf  # losses of different phases do not compare
+                self.state.enter(part)
                 for step in range(self.state.step, part.stop):
                     terms, weight = self._train(part, step)
                     self.state.step = step + 1
@@ -234,7 +215,7 @@ class _Trainer:
                             steps=self.steps,
                             phase=part.phase.name,
                             loss=terms["loss"],
-                            triplets_per_s=self._rate(),
+                            triplets_per_s=self.state.triplets_per_s,
                         )
                     )
                     if self.state.step % log_every == 0 or self.state.step == self.steps:
@@ -246,6 +227,7 @@ class _Trainer:
                     validated = self.state.step % validate_every == 0 or self.state.step == part.stop
                     if validated:
                         self._validate(part, log)
+                        self.state.end_early(part, validate_every, self.config.patience)
                         if self.state.step == self.watched:  # before the other: a kill in between takes this step again
                             self._write_checkpoint(self.run.watched)
                         saved = self._save()
@@ -255,6 +237,8 @@ class _Trainer:
                     if stop:
                         self.companions.any(stop)  # nobody leaves before the checkpoint is written
                         raise KeyboardInterrupt
+                    if self.state.step == part.stop:
+                        break
                 part.batches.close()
         return self._finish()
 
@@ -276,8 +260,8 @@ class _Trainer:
         if self.config.hard_share and (each := figures.per_triplet) is not None:
             self._remember(hardness, chosen, each)
         terms = figures.terms
-        self.state.clock.sitting += time.perf_counter() - began
-        self.state.clock.triplets += part.order.batch_size
+        self.state.seconds += time.perf_counter() - began
+        self.state.triplets += part.order.batch_size
         return terms, weight
 
     def _remember(
@@ -285,10 +269,6 @@ class _Trainer:
     ) -> None:
         """Keep each triplet's loss; with several processes each learns the others'."""
         hardness[chosen] = np.concatenate(self.companions.gathered(losses))
-
-    def _rate(self) -> float:
-        clock = self.state.clock
-        return clock.triplets / clock.sitting if clock.sitting else 0.0
 
     @torch.no_grad()
     def _validate(self, part: Part, log: MetricsLog) -> None:
@@ -305,8 +285,7 @@ class _Trainer:
                     f"training diverged before step {self.state.step}: the loss is {means['loss']}. "
                     "Try a lower rate, such as --set learning_rate=0.0005, in a new run (--out DIR)."
                 )
-            if means["loss"] < self.state.best:
-                self.state.best, self.state.best_step = means["loss"], self.state.step
+            if self.state.is_lower(means["loss"]):
                 self._save_best()
             self._sample()
             self.model.train()
@@ -335,17 +314,8 @@ class _Trainer:
 
     def _write_checkpoint(self, path: Path) -> None:
         if self.companions.is_first:
-            state = self.state
-            facts = LastFacts(
-                step=state.step,
-                best=state.best if math.isfinite(state.best) else None,
-                best_step=state.best_step,
-                seconds=state.clock.before + state.clock.sitting,
-            )
-            begun = [
-                part.phase.name for part in self.parts if part.start < state.step and part.phase.name in self.hardness
-            ]
-            self.checkpoints.save(path, facts, begun)
+            begun = [part.phase.name for part in self.parts if part.start < self.state.step]
+            self.checkpoints.save(path, self.state.facts(), [name for name in begun if name in self.hardness])
 
     def _resume(self) -> None:
         facts = self.checkpoints.restore()
@@ -353,10 +323,7 @@ class _Trainer:
             seen = facts and (facts, checkpoint.weights_hash(self.model.state_dict()))
             self.companions.require_same(f"checkpoint {str(self.run.last)!r}", seen)
         if facts is not None:
-            self.state.step = facts.step
-            self.state.best = math.inf if facts.best is None else facts.best
-            self.state.best_step = facts.best_step
-            self.state.clock.before = facts.seconds
+            self.state.restore(facts)
 
     def _log(self) -> contextlib.AbstractContextManager[MetricsLog]:
         if not self.companions.is_first:
@@ -367,12 +334,14 @@ class _Trainer:
         rate = self.optimizer.param_groups[0]["lr"]
         log.write(
             step=self.state.step,
-            seconds=self.state.clock.before + self.state.clock.sitting,
-            triplets_per_s=self._rate(),
+            seconds=self.state.seconds_in_all,
+            triplets_per_s=self.state.triplets_per_s,
             learning_rate=rate,
             values=values,
         )
-        self.trackers.write(self.state.step, {"triplets_per_s": self._rate(), "learning_rate": rate, **values})
+        self.trackers.write(
+            self.state.step, {"triplets_per_s": self.state.triplets_per_s, "learning_rate": rate, **values}
+        )
 
     def _finish(self) -> dict[str, Any]:
         return self.companions.of_first(self._finished)
@@ -392,18 +361,17 @@ class _Trainer:
                 precision = self.conditions.precision
                 adapted = finetune(self.model, self.demonstrations, self.config, self.run.spec.seed, precision)
         weights = self.model.state_dict()
-        clock, budget = self.state.clock, self.data.budget
-        seconds = clock.before + clock.sitting
-        triplets = sum((part.stop - part.start) * part.order.batch_size for part in self.parts)
+        state, budget = self.state, self.data.budget
+        triplets = sum(state.steps_of(part) * part.order.batch_size for part in self.parts)
         result = RunResult(
             weights=checkpoint.weights_hash(weights),
-            steps=self.steps,
+            steps=sum(map(state.steps_of, self.parts)),
             triplets=triplets,
-            seconds=round(seconds, 3),
-            triplets_per_s=round(triplets / max(seconds, 1e-9), 2),
+            seconds=round(state.seconds_in_all, 3),
+            triplets_per_s=round(triplets / max(state.seconds_in_all, 1e-9), 2),
             parameters=sum(parameter.numel() for parameter in self.model.parameters()),
-            best_step=self.state.best_step,
-            validation_loss=self.state.best,
+            best_step=state.best_step,
+            validation_loss=state.best,
             labels=dict(budget.given),
             labels_total=budget.total,
             device=str(self.fabric.device),
@@ -411,6 +379,7 @@ class _Trainer:
             threads=self.conditions.threads,
             precision=self.conditions.precision,
             adapted_steps=adapted,
+            ended=dict(state.ended),
         )
         self.checkpoints.save_best(facts)
         self.run.finish(asdict(result))

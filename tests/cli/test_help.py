@@ -60,11 +60,13 @@ def test_asking_for_help_loads_no_torch_and_no_simulator() -> None:
 def test_the_listed_names_are_those_that_there_are() -> None:
     """The names that ``--help`` lists stand in ``cli/options.py``, so that asking for help loads nothing heavy."""
     from dmotion_bench.planning.agents import REFERENCES
+    from dmotion_bench.planning.columns import COLUMNS
     from dmotion_bench.registry import objective_names, solver_names
     from dmotion_bench.scoring.score import METRICS
 
     assert list(options.PLANNERS) == solver_names()
     assert list(options.OBJECTIVES) == objective_names()
+    assert tuple(COLUMNS) == options.COLUMNS
     assert (options.REFERENCES, options.METRICS) == (REFERENCES, METRICS)
     with pytest.raises(UnknownName, match=f"known: {', '.join(sorted(options.EXECUTORS))}"):
         make_executor("?")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -99,6 +100,77 @@ def test_a_kill_between_two_checkpoints_loses_neither(recorded, tmp_path, monkey
         assert again.result["weights"] == whole.result["weights"]
         tensors, expected = (checkpoint.load(run.watched, required=None)[0] for run in (again, whole))
         assert checkpoint.weights_hash(tensors) == checkpoint.weights_hash(expected)
+
+
+def _patient(
+    model: str, data: Path, folder: Path, losses: Mapping[int, float], *settings: str, stop_at: int | None = None
+) -> Run:
+    """A training with made-up validation losses, by step."""
+    run = open_run(
+        TrainingRequest(
+            model=model,
+            labels="100%",
+            settings=("batch_size=16", "validations=8", "precision=float32", *settings),
+        ),
+        Dataset.open(data),
+        folder,
+        Workspace(folder),
+    )
+    reached = 0
+
+    def on_step(report: Report) -> None:
+        nonlocal reached
+        reached = report.step
+        if report.step == stop_at:
+            raise Stopped
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
+        patch.setattr("dmotion_bench.learning.training.validation_losses", lambda *_: {"loss": losses[reached]})
+        train(run, training_data(run, Dataset.open(data)), launch("cpu"), on_step)
+    return Run.open(folder)
+
+
+def test_patience_leaves_out_steps_and_keeps_the_weights_of_the_whole_training(recorded, tmp_path) -> None:
+    losses = {1: 3.0, 2: 2.0, 3: 4.0, 4: 4.0, 5: 4.0, 6: 4.0, 7: 4.0, 8: 4.0}
+    whole = _patient("ed-cnn", recorded, tmp_path / "whole", losses, "epochs=1.5")
+    short = _patient("ed-cnn", recorded, tmp_path / "short", losses, "epochs=1.5", "patience=3")
+    assert (whole.result["steps"], whole.result["ended"]) == (8, {})
+    assert (short.result["steps"], list(short.result["ended"].values())) == (5, [5])
+    assert short.result["triplets"] == 5 * 16
+    assert short.result["weights"] == whole.result["weights"]
+    assert short.result["best_step"] == 2
+
+
+def test_patience_begins_anew_with_each_phase_and_a_kill_changes_nothing(recorded, tmp_path) -> None:
+    losses = {2: 3.0, 4: 2.0, 6: 4.0, 8: 1.0, 10: 9.0, 12: 8.0, 14: 9.0, 16: 1.0}
+
+    def world(folder: str, stop_at: int | None = None) -> Run:
+        return _patient("wm-ae", recorded, tmp_path / folder, losses, "epochs=3", "patience=1", stop_at=stop_at)
+
+    whole = world("whole")
+    assert whole.result["ended"] == {"autoencoder": 6, "transition": 14}
+    assert whole.result["steps"] == 6 + 6
+    assert whole.result["best_step"] == 12
+    for stop_at in (5, 9, 13):  # in the first phase, at the start of the second, and before its end
+        with pytest.raises(Stopped):
+            world("killed", stop_at)
+    again = world("killed")
+    for name in ("weights", "ended", "steps", "triplets", "best_step"):
+        assert again.result[name] == whole.result[name]
+
+
+def test_a_checkpoint_that_says_where_no_phase_can_have_ended_is_refused(recorded, tmp_path) -> None:
+    losses = dict.fromkeys(range(17), 4.0) | {2: 3.0, 10: 3.0}
+    words = ("wm-ae", recorded, tmp_path / "run", losses, "epochs=3", "patience=1")
+    with pytest.raises(Stopped):
+        _patient(*words, stop_at=11)
+    run = Run.open(tmp_path / "run")
+    tensors, facts = checkpoint.load(run.last, required=None)
+    for ended in ({"autoencoder": 99}, {"autoencoder": -1}, {"autoencoder": "4"}, []):
+        checkpoint.save(run.last, tensors, {**facts, "ended": ended})
+        with pytest.raises(RunCorrupt):
+            _patient(*words)
 
 
 @pytest.mark.slow

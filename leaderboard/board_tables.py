@@ -12,17 +12,18 @@ from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
-from leaderboard.columns import control_columns, number
+from leaderboard.columns import control_columns
 from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.efficiency import label_curves
+from leaderboard.label_table import is_of_curve, label_lines
 from leaderboard.markdown import plain, table
+from leaderboard.markdown_numbers import TO, between, figure, mean, written
 from leaderboard.planners import tuned_share
 from leaderboard.value import Value
 
 Cell = Callable[[Row], str]
 WIDTH: Final = 120
 """Characters of a line of words."""
-TO: Final = "\u00a0to\u00a0"
-"""Between two numbers that stay on one line, by spaces that do not break."""
 
 
 def board_section(board: Board) -> list[str]:
@@ -33,6 +34,8 @@ def board_section(board: Board) -> list[str]:
     lines.append(", ".join([*told, *([f"{board.triplets:,} predicted frames"] if board.triplets else [])]) + ".")
     if board.measured:
         lines += ["", *_predictions(board)]
+    if curves := label_lines(board):
+        lines += ["", *curves]
     if board.agreement:
         lines += ["", *agreement_lines(board)]
     if board.control is not None:
@@ -122,7 +125,9 @@ def published_section(board: Board) -> list[str]:
 
 
 def _predictions(board: Board) -> list[str]:
+    curves = label_curves(board, RANKED_BY)
     rows = [row for row in board.rows if row.kind != "published" and RANKED_BY in row.figures]
+    rows = [row for row in rows if not is_of_curve(row, curves)]
     paper = {(row.model, row.labels): row for row in board.rows if row.kind == "published"}
 
     columns: dict[str, Cell] = {
@@ -205,29 +210,3 @@ def tuned(board: Board, row: Row, name: str) -> str:
     if share is None:
         return "not known"
     return "no" if not share else "yes" if share == 1 else f"{share:.0%}"
-
-
-def figure(value: Value | None, *, strong: bool = False) -> str:
-    """A mean with its 95% interval over episodes or, of published figures, their spread."""
-    if value is None:
-        return ""
-    text = f"**{mean(value)}**" if strong else mean(value)
-    if value.interval is not None:
-        return f"{text} ({between(*value.interval)})"
-    return text if value.std is None or value.samples is not None else f"{text} ± {written(value.std)}"
-
-
-def mean(value: Value | None) -> str:
-    """A mean alone."""
-    return "" if value is None else written(value.mean)
-
-
-def between(low: float | None, high: float | None) -> str:
-    """An interval as text on one line, with two digits for numbers below 10."""
-    bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else written(one) for one in (low, high))
-    return TO.join(bounds)
-
-
-def written(value: float | None) -> str:
-    """A number of a few digits, with commas and an ordinary minus sign."""
-    return number(value).replace("\u202f", ",").replace("\u2212", "-")

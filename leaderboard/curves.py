@@ -10,7 +10,7 @@ from typing import Final
 from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board, Row
 from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
 from leaderboard.columns import UNWANTED, count, number
-from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, needed_of_rows
+from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, lines_of, needed_of_rows
 from leaderboard.markup import Markup, element, joined
 
 Styles = Mapping[tuple[str, str], Style]
@@ -82,7 +82,7 @@ def charts(board: Board, styles: Styles) -> Markup:
 
 
 def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -> Markup | None:
-    """The label-efficiency curve: one line a model, over its budgets."""
+    """The label-efficiency curve: a line for each model, over its budgets."""
     groups: dict[tuple[str, str, str], list[Row]] = defaultdict(list)
     for row in board.rows:
         if row.kind != "reference" and row.label_count and figure in row.figures:
@@ -95,7 +95,8 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
             dash="dotted" if rows[0].kind == "published" else "dashed" if rows[0].elsewhere else "solid",
             hollow=rows[0].kind == "published",
         )
-        for rows in (sorted(own, key=lambda row: row.label_count or 0) for own in groups.values())
+        for own in groups.values()
+        for rows in lines_of(own)
     ]
     if not series:
         return None

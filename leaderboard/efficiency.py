@@ -137,8 +137,20 @@ def label_curves(board: Board, figure: str) -> dict[tuple[str, str], list[Row]]:
     for row in board.rows:
         if row.kind == "measured" and row.label_count and figure in row.figures and not row.elsewhere:
             groups[row.model, row.variant].append(row)
-    curves = {name: sorted(rows, key=lambda row: row.label_count or 0) for name, rows in groups.items()}
+    curves = {name: lines_of(rows)[0] for name, rows in groups.items()}
     return {name: rows for name, rows in curves.items() if len(rows) >= FEWEST_BUDGETS and rows[-1].labels == ALL}
+
+
+def lines_of(rows: Sequence[Row]) -> list[list[Row]]:
+    """The rows of a model by the number of their labels: as one line, or as two.
+
+    Demonstrations of each action are another kind of budget than a number of labels, which may lack an action. Where
+    numbers alone make a curve, demonstrations are the second line.
+    """
+    rows = sorted(rows, key=lambda row: row.label_count or 0)
+    shots = [row for row in rows if row.labels.endswith("-shot")]
+    numbered = [row for row in rows if not row.labels.endswith("-shot")]
+    return [rows] if not shots or len(numbered) < FEWEST_BUDGETS else [numbered, shots]
 
 
 def needed_of_rows(rows: Sequence[Row], figure: str) -> LabelsNeeded | None:

@@ -12,10 +12,11 @@ from importlib import resources
 from typing import Final
 
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board, Row
-from leaderboard.board_tables import figure, labels, mean, trainings
+from leaderboard.board_tables import labels, trainings
 from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markdown import plain, table
+from leaderboard.markdown_numbers import figure, mean
 from leaderboard.markup import Markup, element, joined
 from leaderboard.value import Value
 

@@ -21,11 +21,12 @@ from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.workspace import Workspace
 from leaderboard.board import Board, make_boards
-from leaderboard.board_tables import board_section, written
+from leaderboard.board_tables import board_section
 from leaderboard.build import entry_of_run
 from leaderboard.check import check_entry
 from leaderboard.chosen import chosen_table, find_rows, read_choices
 from leaderboard.entry import Entry
+from leaderboard.markdown_numbers import written
 from leaderboard.page import make_page
 
 MakeEntry = Callable[..., Entry]

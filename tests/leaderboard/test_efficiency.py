@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import copy
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from leaderboard.board import make_boards
+from leaderboard.board_tables import board_section
 from leaderboard.curves import assign_styles, charts
-from leaderboard.efficiency import CurvePoint, crossing, labels_needed
+from leaderboard.efficiency import CurvePoint, crossing, label_curves, labels_needed
 from leaderboard.entry import Entry
+from leaderboard.markdown_numbers import TO
 
 EPISODES, FRAMES = 30, 10
 
@@ -99,7 +102,10 @@ def test_curves_that_do_not_compare_have_no_figure() -> None:
     assert labels_needed([_point(4, np.ones((1, EPISODES - 1))), whole]) is None
 
 
-def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(sound: Entry) -> None:
+@pytest.fixture
+def budgeted(sound: Entry) -> Callable[[str, str, int, float], Entry]:
+    """Makes an entry: of a model, under a budget, with so many labels and such an error in every episode."""
+
     def entry(model: str, labels: str, total: int, error: float) -> Entry:
         made = copy.deepcopy(dict(sound.content))
         made |= {
@@ -112,8 +118,12 @@ def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(sound: E
         made |= {"figures": made["figures"] | {"mse": figure}, "by_episode": {"mse": sums}}
         return Entry(made)
 
-    curve = [entry("a", "4", 4, 4.0), entry("a", "16", 16, 2.0), entry("a", "100%", 64, 1.0)]
-    two_points = [entry("b", "10%", 6, 2.0), entry("b", "100%", 64, 1.0)]
+    return entry
+
+
+def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(budgeted: Callable[..., Entry]) -> None:
+    curve = [budgeted("a", "4", 4, 4.0), budgeted("a", "16", 16, 2.0), budgeted("a", "100%", 64, 1.0)]
+    two_points = [budgeted("b", "10%", 6, 2.0), budgeted("b", "100%", 64, 1.0)]
     (board,) = make_boards([*curve, *two_points])
     drawn = str(charts(board, assign_styles([board])))
     assert drawn.count("labels to within 10% of its own with all") == 1
@@ -121,6 +131,37 @@ def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(sound: E
     assert "against copying" in drawn
     (board,) = make_boards(two_points)
     assert "Worth of labels" not in str(charts(board, assign_styles([board])))
+
+
+def test_a_board_has_a_table_of_label_curves_with_the_budgets_that_all_of_them_have(
+    budgeted: Callable[..., Entry],
+) -> None:
+    finer = [budgeted("a", str(count), count, 64.0 / count) for count in (4, 8, 16, 32)]
+    coarser = [budgeted("b", str(count), count, error) for count, error in ((4, 9.5), (16, 1.05))]
+    whole = [budgeted(model, "100%", 64, 1.0) for model in ("a", "b")]
+    (board,) = make_boards([*finer, *coarser, *whole])
+    lines = board_section(board)
+    place = next(number for number, line in enumerate(lines) if line.startswith("| Model | Labels needed |"))
+    assert lines[place] == "| Model | Labels needed | Trainings | 4 | 16 | all |"
+    assert lines[place + 2 : place + 4] == [
+        f"| a | 59.7 (59.7{TO}59.7) | 1 | 16.0 | 4.00 | 1.00 |",
+        f"| b | 15.9 (15.9{TO}15.9) | 1 | 9.50 | 1.05 | 1.00 |",
+    ]
+    measured = [line for line in lines[:place] if line.startswith(("| a |", "| b |"))]
+    assert len(measured) == 2  # a number of labels has its place in that table alone
+    assert "Labels needed" not in "".join(board_section(make_boards(whole)[0]))
+
+
+def test_demonstrations_of_each_action_are_no_points_of_a_curve_of_numbers(budgeted: Callable[..., Entry]) -> None:
+    numbered = [budgeted("a", labels, total, error) for labels, total, error in (("4", 4, 4.0), ("16", 16, 2.0))]
+    whole, shown = budgeted("a", "100%", 64, 1.0), budgeted("a", "one-shot", 4, 1.5)
+
+    def curve(*entries: Entry) -> list[str]:
+        ((_, rows),) = label_curves(make_boards(entries)[0], "mse").items()
+        return [row.labels for row in rows]
+
+    assert curve(*numbered, shown, whole) == ["4", "16", "100%"]
+    assert curve(numbered[0], shown, whole) == ["one-shot", "4", "100%"]  # too few numbers for a curve without it
 
 
 def test_the_page_draws_what_is_read_of_the_action_against_the_most_of_the_rest(sound: Entry) -> None:

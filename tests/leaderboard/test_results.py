@@ -15,10 +15,11 @@ from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.scoring.statistics import EpisodeBootstrap
 from leaderboard import planners
 from leaderboard.board import Board, make_boards
-from leaderboard.board_tables import TO, board_section, published_section
+from leaderboard.board_tables import board_section, published_section
 from leaderboard.chosen import TUNED_NOTE, chosen_table, find_rows, numbers, read_choices
 from leaderboard.entry import Entry
 from leaderboard.entry_file import write_entry
+from leaderboard.markdown_numbers import TO
 from leaderboard.results import filled, write_results
 
 EPISODES = 12

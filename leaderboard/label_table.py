@@ -1,0 +1,55 @@
+"""A board's label curves as Markdown: each model's error by the number of its labels, and how many it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from leaderboard.board import RANKED_BY, Board, Row
+from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, needed_of_rows
+from leaderboard.markdown import plain, table
+from leaderboard.markdown_numbers import between, mean, written
+
+SAID: Final = (
+    f"Labels needed: the fewest from which on the MSE stays within {WITHIN:.0%} of the model's own with all labels, "
+    "with the 95% interval over episodes and trainings. Then the MSE by the number of labels."
+)
+
+
+def label_lines(board: Board) -> list[str]:
+    """The table of a board's label curves under the budgets that all of its models have; nothing without curves."""
+    curves = label_curves(board, RANKED_BY)
+    if not curves:
+        return []
+    by_count = [{row.label_count or 0: row for row in rows[:-1]} for rows in curves.values()]
+    shared = sorted(set.intersection(*map(set, by_count)))
+    head = ["Model", "Labels needed", "Trainings", *(f"{count:,}" for count in shared), "all"]
+    lines = [
+        [
+            plain(rows[-1].title),
+            _needed(needed_of_rows(rows, RANKED_BY)),
+            _trainings(rows),
+            *(mean(points[count].figures[RANKED_BY]) for count in shared),
+            mean(rows[-1].figures[RANKED_BY]),
+        ]
+        for rows, points in zip(curves.values(), by_count, strict=True)
+    ]
+    return [SAID, "", *table(head, lines)]
+
+
+def is_of_curve(row: Row, curves: Mapping[tuple[str, str], Sequence[Row]]) -> bool:
+    """Whether a row is a point of a label curve that has only a number for a budget."""
+    points = {one.labels for one in curves.get((row.model, row.variant), ())}
+    return row.labels.isdecimal() and row.labels in points
+
+
+def _needed(found: LabelsNeeded | None) -> str:
+    if found is None:
+        return "not comparable"
+    text = f"{'at most ' if found.at_most else ''}{written(found.labels)}"
+    return text if found.low is None or found.high is None else f"{text} ({between(found.low, found.high)})"
+
+
+def _trainings(rows: Sequence[Row]) -> str:
+    counts = sorted({row.figures[RANKED_BY].seeds for row in rows})
+    return str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"

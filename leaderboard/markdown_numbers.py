@@ -1,0 +1,37 @@
+"""Numbers in Markdown: means, intervals and spreads, with the same digits everywhere."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from leaderboard.columns import number
+from leaderboard.value import Value
+
+TO: Final = "\u00a0to\u00a0"
+"""Between two numbers that stay on one line, by spaces that do not break."""
+
+
+def figure(value: Value | None, *, strong: bool = False) -> str:
+    """A mean with its 95% interval over episodes or, of published figures, their spread."""
+    if value is None:
+        return ""
+    text = f"**{mean(value)}**" if strong else mean(value)
+    if value.interval is not None:
+        return f"{text} ({between(*value.interval)})"
+    return text if value.std is None or value.samples is not None else f"{text} ± {written(value.std)}"
+
+
+def mean(value: Value | None) -> str:
+    """A mean alone."""
+    return "" if value is None else written(value.mean)
+
+
+def between(low: float | None, high: float | None) -> str:
+    """An interval as text on one line, with two digits for numbers below 10."""
+    bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else written(one) for one in (low, high))
+    return TO.join(bounds)
+
+
+def written(value: float | None) -> str:
+    """A number of a few digits, with commas and an ordinary minus sign."""
+    return number(value).replace("\u202f", ",").replace("\u2212", "-")

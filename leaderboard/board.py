@@ -197,8 +197,19 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         triplets=int(max(counts)) if counts else None,
         rows=_sorted(rows),
         control=control,
-        agreement=agreements({(row.model, _plain_variant(row), row.labels): row.figures for row in measured}, control),
+        agreement=agreements(
+            {(row.model, _plain_variant(row), row.labels): row.figures for row in _once_each(measured)}, control
+        ),
     )
+
+
+def _once_each(rows: Sequence[Row]) -> list[Row]:
+    """The rows without the points of label curves: most of these are one training, seen many times.
+
+    A model that was measured under numbers of labels alone keeps them.
+    """
+    usual = {(row.model, row.variant) for row in rows if not row.labels.isdecimal()}
+    return [row for row in rows if not row.labels.isdecimal() or (row.model, row.variant) not in usual]
 
 
 def _plain_variant(row: Row) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Final
 
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.registry import environment_title
@@ -16,14 +15,12 @@ from leaderboard.columns import control_columns
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.efficiency import label_curves
 from leaderboard.label_table import is_of_curve, label_lines
-from leaderboard.markdown import plain, table
+from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import TO, between, figure, mean, written
 from leaderboard.planners import tuned_share
 from leaderboard.value import Value
 
 Cell = Callable[[Row], str]
-WIDTH: Final = 120
-"""Characters of a line of words."""
 
 
 def board_section(board: Board) -> list[str]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 from leaderboard.board import RANKED_BY, Board, Row
 from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, needed_of_rows
-from leaderboard.markdown import plain, table
+from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import between, mean, written
 
 SAID: Final = (
@@ -34,7 +35,7 @@ def label_lines(board: Board) -> list[str]:
         ]
         for rows, points in zip(curves.values(), by_count, strict=True)
     ]
-    return [SAID, "", *table(head, lines)]
+    return [*textwrap.wrap(SAID, WIDTH), "", *table(head, lines)]
 
 
 def is_of_curve(row: Row, curves: Mapping[tuple[str, str], Sequence[Row]]) -> bool:

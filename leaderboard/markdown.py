@@ -6,6 +6,9 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
+WIDTH: Final = 120
+"""Characters of a line of words."""
+
 _SPECIAL: Final = re.compile(r"([\\`*\[\]<>|~&])")
 
 

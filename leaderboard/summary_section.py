@@ -9,8 +9,7 @@ from typing import Final
 
 from dmotion_bench.registry import environment_class, environment_names
 from leaderboard.board import Board
-from leaderboard.board_tables import WIDTH
-from leaderboard.markdown import plain, table
+from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import TO
 from leaderboard.markup import Markup, element, joined
 from leaderboard.summary import Standing, Summary

@@ -241,7 +241,9 @@ def test_the_gain_agrees_with_control_as_the_ranks_do(
         entries.append(controlled(name, base + 0.1 * place))
         predicted = controlled(name, base, column=None)
         figures = {"planning_gain": _figure(0.9 - 0.1 * place, 9), "mse": _figure(10.0 - place, 9)}
-        entries.append(Entry(dict(predicted.content) | {"figures": figures, "by_episode": {}}))
+        made = dict(predicted.content) | {"figures": figures, "by_episode": {}}
+        point = {"labels": {"asked": "8", "given": {}, "total": 8}, "run": f"{name}-8-s0"}
+        entries += [Entry(made), Entry(made | point)]  # a point of a label curve is no further training
     (board,) = make_boards(entries)
     found = {one.figure: one.correlation for one in board.agreement}
 

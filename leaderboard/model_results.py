@@ -15,6 +15,8 @@ from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board, Row
 from leaderboard.board_tables import labels, trainings
 from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
 from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.efficiency import label_curves
+from leaderboard.label_table import is_of_curve
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import figure, mean
 from leaderboard.markup import Markup, element, joined
@@ -28,6 +30,7 @@ SHOWN: Final = (
     "The charts show every step ahead and every control step. Of each data set they have the variant with the least "
     "error, with the usual label budget and, dashed, with others."
 )
+CURVE: Final = "Its error by the number of labels is in the boards' tables of labels needed."
 MORE_SHOTS: Final = re.compile(r"\d+-shot")
 _STEP: Final = re.compile(r"(\w+)\[(\d+)\]")
 _LINE_HEIGHT: Final = 18
@@ -37,10 +40,14 @@ Place = tuple[Board, Row]
 
 def model_lines(model: str, boards: Sequence[Board]) -> list[str]:
     """The lines of a model's results in a Markdown page; a sentence where there are none."""
-    predicted = [place for place in _places(model, boards) if RANKED_BY in place[1].figures]
-    if not predicted:
+    found = [place for place in _places(model, boards) if RANKED_BY in place[1].figures]
+    if not found:
         return ["", NOTHING, ""]
+    curves = {id(board): label_curves(board, RANKED_BY) for board in boards}
+    predicted = [(board, row) for board, row in found if not is_of_curve(row, curves[id(board)])]
     lines = ["", *_predictions(predicted, boards)]
+    if len(predicted) < len(found):
+        lines += ["", CURVE]
     controlled = [place for place in predicted if _last(place[1]) is not None]
     if controlled:
         lines += ["", *_control(controlled, boards)]

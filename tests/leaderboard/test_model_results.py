@@ -15,7 +15,7 @@ from dmotion_bench.registry import model_names
 from leaderboard.board import Board, make_boards
 from leaderboard.entry import Entry
 from leaderboard.entry_file import write_entry
-from leaderboard.model_results import NOTHING, model_charts, model_lines
+from leaderboard.model_results import CURVE, NOTHING, model_charts, model_lines
 from leaderboard.results import write_results
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -74,6 +74,17 @@ def _rows(lines: list[str]) -> list[list[str]]:
     tables = (line for line in lines if line.startswith("|"))
     cells = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in tables]
     return [row for row in cells if not row[0].startswith("---")]
+
+
+def test_the_points_of_a_label_curve_are_left_to_the_boards(result: Callable[..., Entry]) -> None:
+    points = [
+        result(f"dmotion-{total}-s0", (error, 1.0, 1.0), labels={"asked": asked, "given": {}, "total": total})
+        for asked, total, error in (("4", 4, 9.0), ("16", 16, 8.0), ("100%", 64, 7.0))
+    ]
+    lines = model_lines("dmotion", make_boards(points))
+    assert [row[1] for row in _rows(lines)[1:]] == ["64"]
+    assert CURVE in lines
+    assert CURVE not in model_lines("dmotion", make_boards(points[1:]))
 
 
 def test_the_rows_of_all_boards_stand_beside_copying_and_control(boards: list[Board]) -> None:

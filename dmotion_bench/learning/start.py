@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dmotion_bench.actions import Continuous
+from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.learning.curriculum import TrainingData, held_for_validation
 from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelBudget, LabelRequest
@@ -131,7 +131,7 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
     parts.append(spec.dataset)
     if not spec.dataset.endswith(f"-{spec.preset}"):
         parts.append(spec.preset)
-    if spec.labels not in (str(DEMONSTRATIONS) if isinstance(spec.action_spec, Continuous) else "one-shot", "100%"):
+    if spec.labels != _usual_labels(kind.supervision, spec.action_spec):
         parts.append(spec.labels.replace("%", "pct"))
     if spec.protocol != "episode":
         parts.append(f"split_{spec.protocol}")
@@ -141,6 +141,13 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
     if request.stream:
         parts.append("stream")
     return workspace.runs / "-".join([*parts, f"s{spec.seed}"])
+
+
+def _usual_labels(supervision: Supervision, actions: ActionSpec | None) -> str:
+    """The budget that a folder's name does not mention."""
+    if supervision is Supervision.ACTIONS:
+        return "100%"
+    return str(DEMONSTRATIONS) if isinstance(actions, Continuous) else "one-shot"
 
 
 def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, workspace: Workspace) -> Run:

@@ -15,7 +15,7 @@ from dmotion_bench.errors import FolderInUse, LabelsNotAvailable, RunCorrupt, Ru
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve, training_data
 from dmotion_bench.learning.training import Report, train
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
@@ -51,6 +51,22 @@ def trained(recorded, tmp_path_factory) -> Run:
     run = _run(recorded, tmp_path_factory.mktemp("runs") / "whole")
     _train(run, recorded)
     return run
+
+
+@pytest.mark.parametrize(
+    ("model", "labels", "name"),
+    [
+        ("dmotion", None, "dmotion-walk-test-small-s0"),
+        ("dmotion", "100%", "dmotion-walk-test-small-100pct-s0"),
+        ("idm-ed-cnn", "100%", "idm-ed-cnn-walk-test-small-100pct-s0"),
+        ("ed-cnn", "100%", "ed-cnn-walk-test-small-s0"),
+        ("ed-cnn", "64", "ed-cnn-walk-test-small-64-s0"),
+    ],
+)
+def test_each_budget_has_a_folder_of_its_own(recorded, tmp_path, model, labels, name) -> None:
+    request = TrainingRequest(model=model, labels=labels)
+    spec = resolve(request, Dataset.open(recorded))
+    assert default_path(request, spec, Workspace(tmp_path)) == tmp_path / "runs" / name
 
 
 @pytest.mark.slow

@@ -163,9 +163,16 @@ FAULTS = (
     ),
     Fault(
         name="a resumed training begins one step late",
-        file="dmotion_bench/learning/training.py",
-        right="self.state.step = facts.step",
-        wrong="self.state.step = facts.step + 1",
+        file="dmotion_bench/learning/training_state.py",
+        right="= facts.step, facts.best_step",
+        wrong="= facts.step + 1, facts.best_step",
+        tests=("tests/learning/test_training.py",),
+    ),
+    Fault(
+        name="patience counts from the phase's first step",
+        file="dmotion_bench/learning/training_state.py",
+        right="- self.best_step // validate_every",
+        wrong="- part.start // validate_every",
         tests=("tests/learning/test_training.py",),
     ),
     Fault(

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dmotion_bench.actions import ActionSpec, Continuous
+from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.learning.curriculum import TrainingData, held_for_validation
-from dmotion_bench.learning.labels import DEMONSTRATIONS, LabelBudget, LabelRequest
+from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.learning.run_manifest import stored_actions
@@ -131,7 +131,7 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
     parts.append(spec.dataset)
     if not spec.dataset.endswith(f"-{spec.preset}"):
         parts.append(spec.preset)
-    if spec.labels != _usual_labels(kind.supervision, spec.action_spec):
+    if spec.labels != _usual_labels(spec.model, kind.supervision, spec.action_spec):
         parts.append(spec.labels.replace("%", "pct"))
     if spec.protocol != "episode":
         parts.append(f"split_{spec.protocol}")
@@ -143,11 +143,11 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
     return workspace.runs / "-".join([*parts, f"s{spec.seed}"])
 
 
-def _usual_labels(supervision: Supervision, actions: ActionSpec | None) -> str:
+def _usual_labels(model: str, supervision: Supervision, actions: ActionSpec | None) -> str:
     """The budget that a folder's name does not mention."""
     if supervision is Supervision.ACTIONS:
         return "100%"
-    return str(DEMONSTRATIONS) if isinstance(actions, Continuous) else "one-shot"
+    return str(LabelRequest.for_model(model, supervision, None, actions))
 
 
 def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, workspace: Workspace) -> Run:

@@ -13,8 +13,7 @@ from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
 from leaderboard.columns import control_columns
 from leaderboard.control import FIGURES as CONTROLLED
-from leaderboard.efficiency import label_curves
-from leaderboard.label_table import is_of_curve, label_lines
+from leaderboard.label_table import label_lines, rows_beside_curves
 from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import TO, between, figure, mean, written
 from leaderboard.planners import tuned_share
@@ -122,9 +121,7 @@ def published_section(board: Board) -> list[str]:
 
 
 def _predictions(board: Board) -> list[str]:
-    curves = label_curves(board, RANKED_BY)
-    rows = [row for row in board.rows if row.kind != "published" and RANKED_BY in row.figures]
-    rows = [row for row in rows if not is_of_curve(row, curves)]
+    rows = [row for row in rows_beside_curves(board) if row.kind != "published" and RANKED_BY in row.figures]
     paper = {(row.model, row.labels): row for row in board.rows if row.kind == "published"}
 
     columns: dict[str, Cell] = {

@@ -148,9 +148,9 @@ def lines_of(rows: Sequence[Row]) -> list[list[Row]]:
     numbers alone make a curve, demonstrations are the second line.
     """
     rows = sorted(rows, key=lambda row: row.label_count or 0)
-    shots = [row for row in rows if row.labels.endswith("-shot")]
     numbered = [row for row in rows if not row.labels.endswith("-shot")]
-    return [rows] if not shots or len(numbered) < FEWEST_BUDGETS else [numbered, shots]
+    shots = [row for row in rows if row.labels.endswith("-shot")]
+    return [numbered, shots] if shots and len(numbered) >= FEWEST_BUDGETS else [rows]
 
 
 def needed_of_rows(rows: Sequence[Row], figure: str) -> LabelsNeeded | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from leaderboard.board import RANKED_BY, Board, Row
@@ -38,10 +38,11 @@ def label_lines(board: Board) -> list[str]:
     return [*textwrap.wrap(SAID, WIDTH), "", *table(head, lines)]
 
 
-def is_of_curve(row: Row, curves: Mapping[tuple[str, str], Sequence[Row]]) -> bool:
-    """Whether a row is a point of a label curve that has only a number for a budget."""
-    points = {one.labels for one in curves.get((row.model, row.variant), ())}
-    return row.labels.isdecimal() and row.labels in points
+def rows_beside_curves(board: Board) -> list[Row]:
+    """A board's rows without the points of its label curves that have only a number for a budget."""
+    curves = label_curves(board, RANKED_BY)
+    points = {(*name, row.labels) for name, rows in curves.items() for row in rows if row.labels.isdecimal()}
+    return [row for row in board.rows if (row.model, row.variant, row.labels) not in points]
 
 
 def _needed(found: LabelsNeeded | None) -> str:

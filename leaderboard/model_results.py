@@ -9,14 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from importlib import resources
+from operator import attrgetter
 from typing import Final
 
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board, Row
 from leaderboard.board_tables import labels, trainings
 from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
 from leaderboard.control import FIGURES as CONTROLLED
-from leaderboard.efficiency import label_curves
-from leaderboard.label_table import is_of_curve
+from leaderboard.label_table import rows_beside_curves
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import figure, mean
 from leaderboard.markup import Markup, element, joined
@@ -43,8 +43,8 @@ def model_lines(model: str, boards: Sequence[Board]) -> list[str]:
     found = [place for place in _places(model, boards) if RANKED_BY in place[1].figures]
     if not found:
         return ["", NOTHING, ""]
-    curves = {id(board): label_curves(board, RANKED_BY) for board in boards}
-    predicted = [(board, row) for board, row in found if not is_of_curve(row, curves[id(board)])]
+    beside = _places(model, boards, rows_beside_curves)
+    predicted = [place for place in beside if RANKED_BY in place[1].figures]
     lines = ["", *_predictions(predicted, boards)]
     if len(predicted) < len(found):
         lines += ["", CURVE]
@@ -76,9 +76,11 @@ def _pictures(model: str, boards: Sequence[Board]) -> dict[str, str]:
     return {kind: words for kind, words in said.items() if able[kind]}
 
 
-def _places(model: str, boards: Sequence[Board]) -> list[Place]:
+def _places(
+    model: str, boards: Sequence[Board], rows_of: Callable[[Board], Sequence[Row]] = attrgetter("rows")
+) -> list[Place]:
     """The measured rows of a model with their boards."""
-    return [(board, row) for board in boards for row in board.rows if row.kind == "measured" and row.model == model]
+    return [(board, row) for board in boards for row in rows_of(board) if row.kind == "measured" and row.model == model]
 
 
 def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:

@@ -14,7 +14,8 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, TypeVar
+from functools import cached_property
+from typing import Any, Final, TypeVar
 
 from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.registry import environment_title
@@ -24,16 +25,17 @@ from leaderboard.agreement import Agreement, agreements
 from leaderboard.column_table import ColumnTable, column_table
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.efficiency import beside_curves, label_curves
 from leaderboard.entry import Entry
+from leaderboard.row import Row
 from leaderboard.run_names import settings_of, unusual_settings, without_seed
-from leaderboard.value import Value, values_of
+from leaderboard.value import values_of
 
 RANKED_BY: Final = "mse"
 OTHER_PLANNER: Final = "another planner"
 """Marks a row of control that is not compared."""
 ORACLE: Final = "oracle"
 _CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
-RowKind = Literal["measured", "published", "reference"]
 _T = TypeVar("_T")
 
 REFERENCE_WORDS: Final = {
@@ -44,60 +46,6 @@ REFERENCE_WORDS: Final = {
     ORACLE: "true simulator as the model",
     "scripted": "scripted pusher",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """A model on a board.
-
-    Attributes:
-        kind: Measured here, printed elsewhere, or a predictor that knows nothing.
-        name: What it is called: the model's registry name, or what the reference does.
-        model: Gives it its colour, together with its variant; empty for references.
-        variant: What tells it from others of the model and budget, often nothing.
-        labels, label_count: The budget and what it came to.
-        entries: The results behind it.
-        figures: By their fixed names.
-        behind: How much higher its error is than the best's, paired; None where that is not known.
-        is_best: Whether it is the one the others are compared with.
-        elsewhere: Whether it was trained on another data set than the board's.
-        leads: Other figures in which it is the best, or statistically tied with the best.
-        planned_by: The version of control behind its figures of control; None where it has none.
-        planned_otherwise: Whether that is another one than the board's.
-    """
-
-    kind: RowKind
-    name: str
-    model: str = ""
-    variant: str = ""
-    labels: str = ""
-    label_count: int | None = None
-    entries: tuple[Entry, ...] = ()
-    figures: Mapping[str, Value]
-    behind: Estimate | None = None
-    is_best: bool = False
-    elsewhere: bool = False
-    leads: frozenset[str] = frozenset()
-    planned_by: Version | None = None
-    planned_otherwise: bool = False
-
-    @property
-    def title(self) -> str:
-        """The row's name, its variant, and whether it was published elsewhere."""
-        words = [self.name, self.variant and f"({self.variant})", self.kind == "published" and "as published"]
-        return " ".join(word for word in words if word)
-
-    @property
-    def seeds(self) -> int:
-        """Runs that it is the mean of."""
-        return len(self.entries)
-
-    @property
-    def ties(self) -> bool:
-        """Whether the row is the best, or tied with the best."""
-        return self.is_best or (
-            self.behind is not None and self.behind.low is not None and self.behind.low <= 0 <= (self.behind.high or 0)
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +84,16 @@ class Board:
     def measured(self) -> list[Entry]:
         """The entries that were measured here, without those of the table of control by columns."""
         return [entry for row in self.rows if row.kind == "measured" for entry in row.entries]
+
+    @cached_property
+    def label_curves(self) -> dict[tuple[str, str], list[Row]]:
+        """The rows of each model and variant that was measured under several budgets, the last of them all labels."""
+        return label_curves(self.rows, RANKED_BY)
+
+    @cached_property
+    def rows_beside_curves(self) -> list[Row]:
+        """The rows without the points of label curves that have only a number for a budget."""
+        return beside_curves(self.rows, RANKED_BY)
 
     @property
     def entries(self) -> list[Entry]:
@@ -184,6 +142,7 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         groups[*key, str(twins[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
         twins[one] += 1
     measured = _told_apart([_measured_row(own, planner) for own in groups.values()])
+    beside = beside_curves(measured, RANKED_BY)  # most points of a curve are of one training, seen many times
     comparable = published if entries and entries[0].actions == "discrete" else ()
     rows = [*_ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, planner)]
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
@@ -197,19 +156,8 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         triplets=int(max(counts)) if counts else None,
         rows=_sorted(rows),
         control=control,
-        agreement=agreements(
-            {(row.model, _plain_variant(row), row.labels): row.figures for row in _once_each(measured)}, control
-        ),
+        agreement=agreements({(row.model, _plain_variant(row), row.labels): row.figures for row in beside}, control),
     )
-
-
-def _once_each(rows: Sequence[Row]) -> list[Row]:
-    """The rows without the points of label curves: most of these are one training, seen many times.
-
-    A model that was measured under numbers of labels alone keeps them.
-    """
-    usual = {(row.model, row.variant) for row in rows if not row.labels.isdecimal()}
-    return [row for row in rows if not row.labels.isdecimal() or (row.model, row.variant) not in usual]
 
 
 def _plain_variant(row: Row) -> str:

@@ -9,14 +9,15 @@ from functools import partial
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.statistics import Estimate
-from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
+from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
 from leaderboard.columns import control_columns
 from leaderboard.control import FIGURES as CONTROLLED
-from leaderboard.label_table import label_lines, rows_beside_curves
+from leaderboard.label_table import label_lines
 from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import TO, between, figure, mean, written
 from leaderboard.planners import tuned_share
+from leaderboard.row import Row
 from leaderboard.value import Value
 
 Cell = Callable[[Row], str]
@@ -121,7 +122,7 @@ def published_section(board: Board) -> list[str]:
 
 
 def _predictions(board: Board) -> list[str]:
-    rows = [row for row in rows_beside_curves(board) if row.kind != "published" and RANKED_BY in row.figures]
+    rows = [row for row in board.rows_beside_curves if row.kind != "published" and RANKED_BY in row.figures]
     paper = {(row.model, row.labels): row for row in board.rows if row.kind == "published"}
 
     columns: dict[str, Cell] = {

@@ -25,12 +25,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import UsageError
-from leaderboard.board import REFERENCE_WORDS, Board, Row
+from leaderboard.board import REFERENCE_WORDS, Board
 from leaderboard.board_tables import labels, trainings, tuned, world
 from leaderboard.column_table import Outcome
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import between, figure, mean
+from leaderboard.row import Row
 from leaderboard.value import Value
 
 TUNED_MARK: Final = "†"

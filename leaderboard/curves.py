@@ -7,11 +7,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board, Row
+from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board
 from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
 from leaderboard.columns import UNWANTED, count, number
 from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, lines_of, needed_of_rows
 from leaderboard.markup import Markup, element, joined
+from leaderboard.row import Row
 
 Styles = Mapping[tuple[str, str], Style]
 """By model and variant."""
@@ -122,7 +123,7 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
 
 def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
     """Label curves as multiples of each model's own error with all labels, and the labels that each needs."""
-    curves = label_curves(board, figure)
+    curves = label_curves(board.rows, figure)
     if not curves:
         return None
     title = f"Worth of labels: {where}"
@@ -138,7 +139,7 @@ def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup |
 
 def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
     """Label curves as shares of the error of copying the last frame."""
-    curves = label_curves(board, figure)
+    curves = label_curves(board.rows, figure)
     copied = [row.figures[figure].mean for row in board.rows if row.name == COPYING and figure in row.figures]
     if not curves or not copied:
         return None
@@ -163,7 +164,7 @@ def _probes(board: Board, styles: Styles, where: str) -> Markup | None:
     action, chance = "probe_mlp[action]", "probe_mlp_shuffled[action]"
     read = [
         (row, row.figures[action].mean, *most)
-        for row in board.rows
+        for row in board.rows_beside_curves
         if row.model and action in row.figures and not _is_covered(row, board) and (most := _most_unwanted(row))
     ]
     if not read:
@@ -231,7 +232,7 @@ def _ahead(
     Not a line for several demonstrations of each action where there is one for one: it would cover it. The numbers
     have both.
     """
-    curves = {row.title + row.labels: (row, _steps(row, base)) for row in board.rows if row.model}
+    curves = {row.title + row.labels: (row, _steps(row, base)) for row in board.rows_beside_curves if row.model}
     curves = {name: (row, points) for name, (row, points) in curves.items() if len(points) > 1}
     if not curves:
         return None

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from dmotion_bench.scoring.statistics import expanded_tail
-from leaderboard.board import Board, Row
+from leaderboard.row import Row
 
 WITHIN: Final = 0.1
 ALL: Final = "100%"
@@ -131,14 +131,20 @@ def _drawn(
     return errors
 
 
-def label_curves(board: Board, figure: str) -> dict[tuple[str, str], list[Row]]:
+def label_curves(rows: Iterable[Row], figure: str) -> dict[tuple[str, str], list[Row]]:
     """The rows of each model and variant that were measured under several budgets, the last of them all labels."""
     groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
-    for row in board.rows:
+    for row in rows:
         if row.kind == "measured" and row.label_count and figure in row.figures and not row.elsewhere:
             groups[row.model, row.variant].append(row)
-    curves = {name: lines_of(rows)[0] for name, rows in groups.items()}
-    return {name: rows for name, rows in curves.items() if len(rows) >= FEWEST_BUDGETS and rows[-1].labels == ALL}
+    curves = {name: lines_of(own)[0] for name, own in groups.items()}
+    return {name: own for name, own in curves.items() if len(own) >= FEWEST_BUDGETS and own[-1].labels == ALL}
+
+
+def beside_curves(rows: Sequence[Row], figure: str) -> list[Row]:
+    """The rows without the points of label curves that have only a number for a budget."""
+    points = {id(row) for own in label_curves(rows, figure).values() for row in own if row.labels.isdecimal()}
+    return [row for row in rows if id(row) not in points]
 
 
 def lines_of(rows: Sequence[Row]) -> list[list[Row]]:

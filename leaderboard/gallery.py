@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from leaderboard.board import Board, Row
+from leaderboard.board import Board
 from leaderboard.entry import Entry
 from leaderboard.markup import Markup, element, joined
 from leaderboard.pictures import identity, shown
+from leaderboard.row import Row
 
 BUDGET: Final = 1_800_000
 """Characters of pictures on a page; steps that do not fit are left out on every board alike."""

@@ -6,10 +6,11 @@ import textwrap
 from collections.abc import Sequence
 from typing import Final
 
-from leaderboard.board import RANKED_BY, Board, Row
-from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, needed_of_rows
+from leaderboard.board import RANKED_BY, Board
+from leaderboard.efficiency import WITHIN, LabelsNeeded, needed_of_rows
 from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import between, mean, written
+from leaderboard.row import Row
 
 SAID: Final = (
     f"Labels needed: the fewest from which on the MSE stays within {WITHIN:.0%} of the model's own with all labels, "
@@ -19,7 +20,7 @@ SAID: Final = (
 
 def label_lines(board: Board) -> list[str]:
     """The table of a board's label curves under the budgets that all of its models have; nothing without curves."""
-    curves = label_curves(board, RANKED_BY)
+    curves = board.label_curves
     if not curves:
         return []
     by_count = [{row.label_count or 0: row for row in rows[:-1]} for rows in curves.values()]
@@ -36,13 +37,6 @@ def label_lines(board: Board) -> list[str]:
         for rows, points in zip(curves.values(), by_count, strict=True)
     ]
     return [*textwrap.wrap(SAID, WIDTH), "", *table(head, lines)]
-
-
-def rows_beside_curves(board: Board) -> list[Row]:
-    """A board's rows without the points of its label curves that have only a number for a budget."""
-    curves = label_curves(board, RANKED_BY)
-    points = {(*name, row.labels) for name, rows in curves.items() for row in rows if row.labels.isdecimal()}
-    return [row for row in board.rows if (row.model, row.variant, row.labels) not in points]
 
 
 def _needed(found: LabelsNeeded | None) -> str:

@@ -9,17 +9,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from importlib import resources
-from operator import attrgetter
 from typing import Final
 
-from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board, Row
+from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
 from leaderboard.board_tables import labels, trainings
 from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
 from leaderboard.control import FIGURES as CONTROLLED
-from leaderboard.label_table import rows_beside_curves
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import figure, mean
 from leaderboard.markup import Markup, element, joined
+from leaderboard.row import Row
 from leaderboard.value import Value
 
 CURVES: Final = "curves"
@@ -40,13 +39,11 @@ Place = tuple[Board, Row]
 
 def model_lines(model: str, boards: Sequence[Board]) -> list[str]:
     """The lines of a model's results in a Markdown page; a sentence where there are none."""
-    found = [place for place in _places(model, boards) if RANKED_BY in place[1].figures]
-    if not found:
+    predicted = [place for place in _places(model, boards) if RANKED_BY in place[1].figures]
+    if not predicted:
         return ["", NOTHING, ""]
-    beside = _places(model, boards, rows_beside_curves)
-    predicted = [place for place in beside if RANKED_BY in place[1].figures]
     lines = ["", *_predictions(predicted, boards)]
-    if len(predicted) < len(found):
+    if any(model == name for board in boards for name, _ in board.label_curves):
         lines += ["", CURVE]
     controlled = [place for place in predicted if _last(place[1]) is not None]
     if controlled:
@@ -76,11 +73,10 @@ def _pictures(model: str, boards: Sequence[Board]) -> dict[str, str]:
     return {kind: words for kind, words in said.items() if able[kind]}
 
 
-def _places(
-    model: str, boards: Sequence[Board], rows_of: Callable[[Board], Sequence[Row]] = attrgetter("rows")
-) -> list[Place]:
-    """The measured rows of a model with their boards."""
-    return [(board, row) for board in boards for row in rows_of(board) if row.kind == "measured" and row.model == model]
+def _places(model: str, boards: Sequence[Board]) -> list[Place]:
+    """The measured rows of a model with their boards, without the points of label curves."""
+    rows = ((board, row) for board in boards for row in board.rows_beside_curves)
+    return [(board, row) for board, row in rows if row.kind == "measured" and row.model == model]
 
 
 def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:

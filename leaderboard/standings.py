@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from dmotion_bench.planning.columns import COLUMNS
-from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board, Row
+from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable
 from leaderboard.columns import Column, columns_for, control_columns, count, interval, number, signed
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markup import Markup, element, joined
+from leaderboard.row import Row
 from leaderboard.value import Value
 
 SHOWN_SEPARATELY = "as published"
@@ -20,10 +21,24 @@ OTHER_PLANNER_NOTE = (
 
 
 def standings(board: Board, anchor: str) -> Markup:
-    """The table of predictions in its scrolling frame; the references of control stand in that of control."""
-    figures = {name for row in board.rows for name in row.figures}
-    rows = [row for row in board.rows if not row.figures or not set(row.figures) <= _of_control(row.figures)]
-    return _table(board, rows, columns_for(figures), f"{anchor}-caption", ranks=RANKED_BY)
+    """The tables of predictions: of the rows, and, folded away, of the points of label curves.
+
+    The references of control stand in that of control.
+    """
+    beside = board.rows_beside_curves
+    rows = [row for row in beside if not row.figures or not set(row.figures) <= _of_control(row.figures)]
+    table = _predictions(board, rows, f"{anchor}-caption")
+    points = [row for row in board.rows if row not in beside]
+    if not points:
+        return table
+    words = f"The label curves' points: {len(points)} more rows, each a model with a number of labels"
+    folded = element("details", element("summary", words), _predictions(board, points, f"{anchor}-points-caption"))
+    return joined([table, folded])
+
+
+def _predictions(board: Board, rows: Sequence[Row], caption_id: str) -> Markup:
+    columns = columns_for({name for row in rows for name in row.figures})
+    return _table(board, rows, columns, caption_id, ranks=RANKED_BY)
 
 
 def control_standings(board: Board, anchor: str) -> Markup | None:

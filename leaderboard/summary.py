@@ -21,7 +21,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board, Row
+from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
+from leaderboard.row import Row
 
 BUDGETS: Final = ("one-shot", "100%", "all")
 """The usual label budgets, the first that a model has: that of the paper's method, else all labels."""

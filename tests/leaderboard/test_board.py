@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from dmotion_bench.errors import EntryInvalid
-from leaderboard.board import Board, Row, make_boards
+from leaderboard.board import Board, make_boards
 from leaderboard.curves import assign_styles, legend
 from leaderboard.entry import Entry
 from leaderboard.page import make_page
+from leaderboard.row import Row
 from leaderboard.standings import control_standings
 
 Changed = Callable[..., Entry]

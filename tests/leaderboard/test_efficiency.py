@@ -12,9 +12,10 @@ import pytest
 from leaderboard.board import make_boards
 from leaderboard.board_tables import board_section
 from leaderboard.curves import assign_styles, charts
-from leaderboard.efficiency import CurvePoint, crossing, label_curves, labels_needed
+from leaderboard.efficiency import CurvePoint, crossing, labels_needed
 from leaderboard.entry import Entry
 from leaderboard.markdown_numbers import TO
+from leaderboard.page import make_page
 
 EPISODES, FRAMES = 30, 10
 
@@ -157,7 +158,7 @@ def test_demonstrations_of_each_action_are_no_points_of_a_curve_of_numbers(budge
     whole, shown = budgeted("a", "100%", 64, 1.0), budgeted("a", "one-shot", 4, 1.5)
 
     def curve(*entries: Entry) -> list[str]:
-        ((_, rows),) = label_curves(make_boards(entries)[0], "mse").items()
+        ((_, rows),) = make_boards(entries)[0].label_curves.items()
         return [row.labels for row in rows]
 
     assert curve(*numbered, shown, whole) == ["4", "16", "100%"]
@@ -189,3 +190,18 @@ def test_the_page_draws_what_is_read_of_the_action_against_the_most_of_the_rest(
     assert "b, labels" not in chart  # of whose world nothing else is known
     (board,) = make_boards([entry("b", probe_mlp_OF_action=0.75)])
     assert "What the latent action holds" not in str(charts(board, assign_styles([board])))
+
+
+def test_the_page_folds_the_points_of_curves_away_and_keeps_every_entry(budgeted: Callable[..., Entry]) -> None:
+    points = [budgeted("a", labels, total, error) for labels, total, error in (("4", 4, 4.0), ("16", 16, 2.0))]
+    rest = [budgeted("a", "100%", 64, 1.0), budgeted("b", "16", 16, 3.0)]
+    page = make_page([*points, *rest])
+    table, _, folded = page.partition("<summary>The label curves&#x27; points: 2 more rows")
+    assert folded
+    shown = table[table.index('class="standings"') :]
+    assert re.findall(r"<td[^>]*>\d+<small>(100%|4|16)</small>", shown) == ["100%", "16"]  # b has no curve
+    inside = folded[: folded.index("</details>")]
+    assert re.findall(r"<td[^>]*>\d+<small>(100%|4|16)</small>", inside) == ["16", "4"]
+    for entry in (*points, *rest):
+        assert f'href="#{entry.slug}"' in page
+        assert f'id="{entry.slug}"' in page

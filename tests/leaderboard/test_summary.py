@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from dmotion_bench.scoring.report import FigureJson
-from leaderboard.board import Board, Row, make_boards
+from leaderboard.board import Board, make_boards
 from leaderboard.entry import Entry
 from leaderboard.entry_file import read_entries
 from leaderboard.page import make_page
+from leaderboard.row import Row
 from leaderboard.summary import (
     Standing,
     Summary,

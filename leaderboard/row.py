@@ -1,0 +1,68 @@
+"""A row of a board: a model under one label budget, what was published of it, or a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from dmotion_bench.scoring.report import Version
+from dmotion_bench.scoring.statistics import Estimate
+from leaderboard.entry import Entry
+from leaderboard.value import Value
+
+RowKind = Literal["measured", "published", "reference"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A model on a board.
+
+    Attributes:
+        kind: Measured here, printed elsewhere, or a predictor that knows nothing.
+        name: What it is called: the model's registry name, or what the reference does.
+        model: Gives it its colour, together with its variant; empty for references.
+        variant: What tells it from others of the model and budget, often nothing.
+        labels, label_count: The budget and what it came to.
+        entries: The results behind it.
+        figures: By their fixed names.
+        behind: How much higher its error is than the best's, paired; None where that is not known.
+        is_best: Whether it is the one the others are compared with.
+        elsewhere: Whether it was trained on another data set than the board's.
+        leads: Other figures in which it is the best, or statistically tied with the best.
+        planned_by: The version of control behind its figures of control; None where it has none.
+        planned_otherwise: Whether that is another one than the board's.
+    """
+
+    kind: RowKind
+    name: str
+    model: str = ""
+    variant: str = ""
+    labels: str = ""
+    label_count: int | None = None
+    entries: tuple[Entry, ...] = ()
+    figures: Mapping[str, Value]
+    behind: Estimate | None = None
+    is_best: bool = False
+    elsewhere: bool = False
+    leads: frozenset[str] = frozenset()
+    planned_by: Version | None = None
+    planned_otherwise: bool = False
+
+    @property
+    def title(self) -> str:
+        """The row's name, its variant, and whether it was published elsewhere."""
+        words = [self.name, self.variant and f"({self.variant})", self.kind == "published" and "as published"]
+        return " ".join(word for word in words if word)
+
+    @property
+    def seeds(self) -> int:
+        """Runs that it is the mean of."""
+        return len(self.entries)
+
+    @property
+    def ties(self) -> bool:
+        """Whether the row is the best, or tied with the best."""
+        return self.is_best or (
+            self.behind is not None and self.behind.low is not None and self.behind.low <= 0 <= (self.behind.high or 0)
+        )

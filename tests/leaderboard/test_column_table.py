@@ -237,13 +237,16 @@ def test_the_gain_agrees_with_control_as_the_ranks_do(
     controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
 ) -> None:
     base, entries = left["dmotion", 0], []
+    whole = {"labels": {"asked": "100%", "given": {}, "total": 64}}
     for place, name in enumerate(("a", "b", "c", "d", "e", "f")):
-        entries.append(controlled(name, base + 0.1 * place))
+        entries.append(Entry(dict(controlled(name, base + 0.1 * place).content) | whole))
         predicted = controlled(name, base, column=None)
         figures = {"planning_gain": _figure(0.9 - 0.1 * place, 9), "mse": _figure(10.0 - place, 9)}
         made = dict(predicted.content) | {"figures": figures, "by_episode": {}}
-        point = {"labels": {"asked": "8", "given": {}, "total": 8}, "run": f"{name}-8-s0"}
-        entries += [Entry(made), Entry(made | point)]  # a point of a label curve is no further training
+        entries.append(Entry(made | whole))
+        for labels in (8, 16):  # the points of a label curve are no further rows
+            budget = {"labels": {"asked": str(labels), "given": {}, "total": labels}, "run": f"{name}-{labels}-s0"}
+            entries.append(Entry(made | budget))
     (board,) = make_boards(entries)
     found = {one.figure: one.correlation for one in board.agreement}
 

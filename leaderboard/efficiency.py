@@ -135,7 +135,7 @@ def label_curves(rows: Iterable[Row], figure: str) -> dict[tuple[str, str], list
     """The rows of each model and variant that were measured under several budgets, the last of them all labels."""
     groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in rows:
-        if row.kind == "measured" and row.label_count and figure in row.figures and not row.elsewhere:
+        if row.kind == "measured" and row.label_count and figure in row.figures:
             groups[row.model, row.variant].append(row)
     curves = {name: lines_of(own)[0] for name, own in groups.items()}
     return {name: own for name, own in curves.items() if len(own) >= FEWEST_BUDGETS and own[-1].labels == ALL}

@@ -136,7 +136,7 @@ def over_trainings(
     widened for their small number as the quantiles are for that of episodes: by sqrt(k / (k - 1)) and by Student's t
     instead of the normal. And it is scaled to what trainings truly differ by: means over the same episodes also differ
     because each training does some tasks better by chance, which the draws of episodes hold already. Of one training
-    the interval is over episodes alone.
+    the interval is over episodes alone. Of a figure that is nowhere negative it does not reach below zero.
 
     Args:
         sums: Of each training, each episode's sum over its samples.
@@ -158,6 +158,8 @@ def over_trainings(
             middle = middle + widened / ndtri((1 + LEVEL) / 2) * ((share * means).sum(axis=1) - middle)
         tail = expanded_tail(episodes)
         low, high = (float(one) for one in np.quantile(middle, [tail, 1 - tail]))
+        if (sums >= 0).all():
+            low = max(low, 0.0)
     per_episode = sums.mean(axis=0) / counts
     return Estimate(mean=float(each.mean()), std=float(per_episode.std()), low=low, high=high, n=int(counts.sum()))
 

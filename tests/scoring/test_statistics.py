@@ -134,6 +134,17 @@ def test_over_one_training_it_is_the_interval_over_episodes() -> None:
     assert (found.low, found.high) == pytest.approx((alone.low, alone.high))
 
 
+def test_an_interval_over_two_trainings_of_a_distance_does_not_reach_below_zero() -> None:
+    far_apart = np.array([[0.1] * 30, [0.9] * 30])
+    found = over_trainings(far_apart, np.ones(30))
+    assert found.low == 0.0
+    assert found.high is not None
+    assert found.high > 1
+    below = over_trainings(far_apart - 0.5, np.ones(30))  # of a figure that can be negative it does
+    assert below.low is not None
+    assert below.low < -0.5
+
+
 def test_a_share_has_wilsons_interval() -> None:
     assert wilson(6 / 20, 20) == pytest.approx((0.145, 0.519), abs=1e-3)  # Newcombe 1998, table I's kind of case
     assert wilson(48 / 50, 50) == pytest.approx((0.865, 0.989), abs=1e-3)

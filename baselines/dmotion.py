@@ -36,6 +36,7 @@ from baselines import dmotion_compact, dmotion_paper
 from baselines.dominant_shift import dominant_shift
 from baselines.layers import check_gate_floor, squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift, theta_of_shift
+from baselines.own_frames import OwnFrames
 from baselines.patches import rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
@@ -46,6 +47,7 @@ from dmotion_bench.learning.model import (
     Demonstrations,
     Losses,
     ModelInputs,
+    Phase,
     TrainingConfig,
     TripletBatch,
 )
@@ -84,6 +86,9 @@ class DMotionConfig:
             paper's. It is used with one agent and translations. Without it map 0 may come to have coordinates of its
             own, in which phi^0 names the action as well and is no shift in the picture.
         guided: Share of the training after which nothing guides phi^0.
+        own_frames: Share of the triplets, at the end of the training, whose x_{t-1} and x_t are the model's own, as
+            they are in planning (``own_frames.py``); it grows from 0 in proportion. 0 is the paper's.
+        own_steps: At most so many predictions in a row lead to such an x_t.
     """
 
     arch: Literal["compact", "paper"] = "compact"
@@ -101,6 +106,8 @@ class DMotionConfig:
     anneal: float = 0.2
     guide: float = 0.0
     guided: float = 0.4
+    own_frames: float = 0.0
+    own_steps: int = 4
 
     def __post_init__(self) -> None:
         if self.maps < 1 or self.kernel % 2 == 0:
@@ -113,6 +120,7 @@ class DMotionConfig:
             raise InvalidSetting("blur must be 1 or more, jitter 0 or more, anneal above 0 and at most 1.")
         if self.guide < 0 or not 0 < self.guided <= 1:
             raise InvalidSetting("guide must be 0 or more, guided above 0 and at most 1.")
+        OwnFrames(self.own_frames, self.own_steps)  # refuses what cannot be
         if self.warp and self.arch == "paper":
             raise InvalidSetting("warp is for arch=compact; the paper's interaction learner paints.")
         if self.gate_floor and self.arch == "paper":
@@ -163,6 +171,7 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         else:
             self.table = JointActionToLatent(inputs.actions, config.agents, identity.shape[-1], unaligned=identity)
         self.blur, self.jitter, self.guide = config.blur, config.jitter, config.guide
+        self.own_frames = OwnFrames(config.own_frames, config.own_steps)
 
     @classmethod
     def configure(cls, arch: str) -> DMotionConfig:
@@ -185,12 +194,17 @@ class DMotion(TwoFrameModel[DMotionConfig]):
             )
         return compact_recipe(preset)
 
+    def phases(self) -> tuple[Phase, ...]:
+        """One, of video alone; with the frames before a triplet if the model is to predict from its own."""
+        return (Phase(earlier=self.own_frames.earlier),)
+
     def progress(self, share: float) -> None:
         """Narrow the interpolation kernel, reduce the noise, and let go of phi^0 as the training proceeds."""
         left = max(0.0, 1 - share / self.config.anneal)
         self.blur = 1 + (self.config.blur - 1) * left
         self.jitter = self.config.jitter_end + (self.config.jitter - self.config.jitter_end) * (1 - share)
         self.guide = self.config.guide * max(0.0, 1 - share / self.config.guided)
+        self.own_frames.progress(share)
 
     def losses(self, batch: TripletBatch) -> Losses:
         """Equation 2, in squared [-1, 1] units, averaged over pixels and channels.
@@ -203,7 +217,11 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         blur = self.blur if self.training else 1.0
         reconstructed = self.decoder(self.transform(maps, motion, blur))
         count = self.config.agents
-        agents = self.transform(maps[:, :count], self._with_noise(motion[:, :count], maps.shape[-1]), blur)
+        held = maps[:, :count]
+        if self.training and (own := self.own_frames.of(batch, self.pack, self._followed)) is not None:
+            previous, current = own.put_into(previous, current)
+            held = held.index_copy(0, own.rows, self.image_encoder(own.current, count))
+        agents = self.transform(held, self._with_noise(motion[:, :count], maps.shape[-1]), blur)
         predicted = self._interact(previous, current, agents)
         each = squared_error(predicted, following)  # packing moves pixels about, the mean stays
         extraction, prediction = squared_error(reconstructed, following).mean(), each.mean()
@@ -313,6 +331,12 @@ class DMotion(TwoFrameModel[DMotionConfig]):
 
     def _frames(self, previous: Tensor, current: Tensor) -> list[Tensor]:
         return [previous, current] if self.config.second_frame else [current]
+
+    def _followed(self, previous: Tensor, current: Tensor, now: Tensor, after: Tensor) -> Float[Tensor, "b p hp wp"]:
+        """x''_{t+1}, packed, under the motions that are seen between two frames."""
+        count = self.config.agents
+        agents = self.transform(self.image_encoder(current, count), self.motion_encoder(now, after)[:, :count])
+        return self._interact(previous, current, agents)
 
     @property
     def _can_be_guided(self) -> bool:

@@ -201,7 +201,9 @@ def _entered(subject: ModelTrial, phase: Phase, *, training: bool) -> ForwardMod
 
 def _batch_of(subject: ModelTrial, phase: Phase) -> TripletBatch:
     """A batch as the training of a phase has it."""
-    return subject.batch(BATCH, actions=phase.needs_actions, labelled=phase.with_labels)
+    shown = phase.needs_actions and subject.kind.supervision is Supervision.FEW  # demonstrations, with nothing before
+    earlier = 0 if shown else phase.earlier
+    return subject.batch(BATCH, actions=phase.needs_actions, labelled=phase.with_labels, earlier=earlier)
 
 
 def _losses(subject: ModelTrial, model: ForwardModel[Any], batch: TripletBatch, seed: int = 0) -> Losses:
@@ -253,7 +255,7 @@ def _check_losses(subject: ModelTrial, phase: Phase) -> None:
         f"a gradient is not finite in the phase {phase.name!r}",
     )
     if subject.kind.supervision is Supervision.NONE:
-        told = subject.batch(BATCH, actions=True)
+        told = subject.batch(BATCH, actions=True, earlier=phase.earlier)
         blind = _losses(subject, _entered(subject, phase, training=True), batch)
         seeing = _losses(subject, _entered(subject, phase, training=True), told)
         subject.require(

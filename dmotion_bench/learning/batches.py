@@ -6,6 +6,7 @@ once, and a batch is one indexed read: nothing waits for data.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
@@ -50,6 +51,9 @@ class TripletBatches:
         triplets: What the indices point into.
         actions: Of each triplet, or None where they were not paid for.
         device: Where the batches are to be.
+
+    Attributes:
+        earlier: So many frames before each triplet come along.
     """
 
     def __init__(
@@ -58,7 +62,7 @@ class TripletBatches:
         actions: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"] | None,
         device: torch.device,
     ) -> None:
-        self.triplets, self.device = triplets, device
+        self.triplets, self.device, self.earlier = triplets, device, 0
         self._episodes = torch.from_numpy(triplets.episode).to(device)
         self._actions = None if actions is None else as_tensor(actions, device)
         self._resident: Tensor | None = None
@@ -75,6 +79,12 @@ class TripletBatches:
 
     def close(self) -> None:
         """Nothing is held open."""
+
+    def reaching_back(self, earlier: int) -> TripletBatches:
+        """The same batches, with so many frames before each triplet; what is on the device is shared."""
+        batches = copy.copy(self)
+        batches.earlier = earlier
+        return batches
 
     def _fits(self) -> bool:
         free, _ = torch.cuda.mem_get_info(self.device)
@@ -95,7 +105,17 @@ class TripletBatches:
             next=following,
             action=None if self._actions is None else self._actions[rows],
             episode=self._episodes[rows],
+            earlier=self._earlier(index) if self.earlier else None,
         )
+
+    def _earlier(self, index: Int[np.ndarray, " b"]) -> Float[Tensor, "b k c h w"]:
+        """The frames before the triplets of ``index``."""
+        places = self.triplets.before(index, self.earlier)
+        if self._resident is None:
+            stored = uploaded(self.triplets.cache.checked(places.ravel(), 1)[places], self.device)
+        else:
+            stored = self._resident[uploaded(places, self.device)]
+        return to_model(stored)
 
 
 class DemonstrationBatches:

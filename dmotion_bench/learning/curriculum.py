@@ -21,8 +21,8 @@ from dmotion_bench.learning.triplets import BatchOrder, TripletSet, steps_of
 from dmotion_bench.specs import Supervision
 
 VALIDATION_TRIPLETS = 1024
-Source = Callable[[int, int, int], tuple[Batches, BatchOrder | StreamedOrder]]
-"""The batches of a phase and their order, by batch size, seed and triplets of an episode side by side."""
+Source = Callable[[Phase, int, int], tuple[Batches, BatchOrder | StreamedOrder]]
+"""The batches of a phase and their order, by batch size and seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +95,7 @@ def parts_of(
     parts: list[Part] = []
     for number, phase in enumerate(phases):
         size = phase.batch_size or config.batch_size
-        batches, order = sources[phase.needs_actions](size, seed + number, phase.together)
+        batches, order = sources[phase.needs_actions](phase, size, seed + number)
         if phase.with_labels and shown is not None:
             beside = BatchOrder(len(shown), phase.with_labels, seed + number)
             batches = LabelsBeside(batches, DemonstrationBatches(shown), beside)
@@ -130,7 +130,7 @@ def _of_demonstrations(shown: Demonstrations) -> Source:
     """The triplets of a phase out of demonstrations; their episodes are not told, so none are side by side."""
     batches = DemonstrationBatches(shown)
 
-    def source(size: int, seed: int, together: int) -> tuple[Batches, BatchOrder]:
+    def source(phase: Phase, size: int, seed: int) -> tuple[Batches, BatchOrder]:
         return batches, BatchOrder(len(batches), size, seed)
 
     return source
@@ -145,8 +145,9 @@ def _of_sets(data: TrainingData, device: torch.device, needs_actions: bool) -> S
         triplets, actions = paid.triplets, paid.actions
     batches, episode = TripletBatches(triplets, actions, device), triplets.episode
 
-    def source(size: int, seed: int, together: int) -> tuple[Batches, BatchOrder]:
-        return batches, BatchOrder(len(batches), size, seed, episode=episode, together=together)
+    def source(phase: Phase, size: int, seed: int) -> tuple[Batches, BatchOrder]:
+        order = BatchOrder(len(batches), size, seed, episode=episode, together=phase.together)
+        return batches.reaching_back(phase.earlier), order
 
     return source
 
@@ -158,9 +159,9 @@ def _of_streams(data: TrainingData, device: torch.device, needs_actions: bool) -
     if needs_actions:
         triplets, actions = data.budget.streamed_actions(triplets)
 
-    def source(size: int, seed: int, together: int) -> tuple[Batches, StreamedOrder]:
-        order = triplets.order(size, seed, together)
-        return StreamedBatches(triplets, order, actions, device), order
+    def source(phase: Phase, size: int, seed: int) -> tuple[Batches, StreamedOrder]:
+        order = triplets.order(size, seed, phase.together)
+        return StreamedBatches(triplets, order, actions, device, phase.earlier), order
 
     return source
 

@@ -48,7 +48,8 @@ class TripletBatch:
     ``action`` is None in the training of unsupervised models, always. ``episode`` says which of them are moments of one
     recording, for losses that compare moments; it is no label. The training loop always gives it. ``labelled`` are the
     few labelled transitions that stand beside a batch of video in a phase that asks for them (``Phase.with_labels``);
-    in validation there are none.
+    in validation there are none. ``earlier`` are the frames before ``previous``, in a phase that asks for them
+    (``Phase.earlier``); before an episode's first frame stands the first one again.
     """
 
     previous: Float[Tensor, "b c h w"]
@@ -57,11 +58,13 @@ class TripletBatch:
     action: Actions | None = None
     episode: Int[Tensor, " b"] | None = None
     labelled: Demonstrations | None = None
+    earlier: Float[Tensor, "b k c h w"] | None = None
 
     def contiguous(self) -> TripletBatch:
         """The same triplets, their images contiguous in memory."""
         frames = {one: getattr(self, one).contiguous() for one in ("previous", "current", "next")}
-        return replace(self, **frames, labelled=self.labelled and self.labelled.contiguous())
+        earlier = None if self.earlier is None else self.earlier.contiguous()
+        return replace(self, **frames, labelled=self.labelled and self.labelled.contiguous(), earlier=earlier)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +94,8 @@ class Phase:
             them where the budget gives fewer; only of ``Supervision.FEW``.
         batch_size: Triplets a step, where a phase wants another number than the training's.
         together: So many triplets of one episode, any of its moments, stand side by side in a batch.
+        earlier: So many frames before each triplet come along (``TripletBatch.earlier``), for models that train on
+            several steps; with triplets out of demonstrations, and in validation, there are none.
     """
 
     name: str = "train"
@@ -99,6 +104,7 @@ class Phase:
     with_labels: int = 0
     batch_size: int | None = None
     together: int = 1
+    earlier: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)

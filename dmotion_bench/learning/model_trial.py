@@ -65,8 +65,8 @@ class ModelTrial:
         turns = place[:, None] * np.arange(1, spec.width + 1) * GOLDEN
         return as_tensor(spec.denormalise(2 * (turns % 1) - 1))
 
-    def batch(self, count: int, *, actions: bool, labelled: int = 0) -> TripletBatch:
-        """Triplets, with or without their actions; perhaps with a few labelled ones beside them."""
+    def batch(self, count: int, *, actions: bool, labelled: int = 0, earlier: int = 0) -> TripletBatch:
+        """Triplets, with or without their actions; perhaps with a few labelled ones beside them, or earlier frames."""
         return TripletBatch(
             previous=self.images(count, 1),
             current=self.images(count, 2),
@@ -74,6 +74,7 @@ class ModelTrial:
             action=self.actions(count) if actions else None,
             episode=torch.arange(count) // 2,
             labelled=self.demonstrations(each=1) if labelled else None,
+            earlier=torch.stack([self.images(count, 7 + place) for place in range(earlier)], 1) if earlier else None,
         )
 
     def demonstrations(self, each: int, shift: int = 0) -> Demonstrations:

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from einops import rearrange
 from jaxtyping import Float, Int, UInt8
+from torch import Tensor
 
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.batches import uploaded
@@ -154,6 +155,7 @@ class StreamedBatches:
         order: The order in which they are asked for.
         actions: Reads the actions of an episode; None where they were not paid for.
         device: Where the batches are to be.
+        earlier: So many frames before each triplet come along.
     """
 
     def __init__(
@@ -162,8 +164,9 @@ class StreamedBatches:
         order: StreamedOrder,
         actions: Callable[[int], Actions] | None,
         device: torch.device,
+        earlier: int = 0,
     ) -> None:
-        self.triplets, self.device = triplets, device
+        self.triplets, self.device, self.earlier = triplets, device, earlier
         self._order, self._actions = order, actions
         self._open: tuple[Window, ...] = ()
         self._ahead = ReadAhead(self._read, triplets.loaders)
@@ -209,7 +212,15 @@ class StreamedBatches:
             next=following,
             action=action,
             episode=uploaded(episodes, self.device),
+            earlier=self._earlier(episodes, steps) if self.earlier else None,
         )
+
+    def _earlier(self, episodes: Int[np.ndarray, " b"], steps: Int[np.ndarray, " b"]) -> Float[Tensor, "b k c h w"]:
+        """The frames before some triplets; before an episode's first one it stands again."""
+        places = np.maximum(steps[:, None] - 1 + np.arange(-self.earlier, 0), 0)
+        pairs = zip(episodes.tolist(), places, strict=True)
+        stored = uploaded(np.stack([self._ahead[episode].frames[row] for episode, row in pairs]), self.device)
+        return to_model(stored)
 
     def close(self) -> None:
         """Stop reading."""

@@ -44,7 +44,8 @@ class TripletSet:
 
     def __init__(self, cache: Frames, episode: Int[np.ndarray, " n"], step: Int[np.ndarray, " n"]) -> None:
         self.episode, self.step = episode, step
-        self._first = np.asarray(cache.offsets)[episode] + step - 1
+        self._begins = np.asarray(cache.offsets)[episode]
+        self._first = self._begins + step - 1
         self.cache = cache
 
     @classmethod
@@ -102,7 +103,7 @@ class TripletSet:
         """These triplets alone, sharing the frames."""
         chosen = object.__new__(TripletSet)
         chosen.episode, chosen.step = self.episode[index], self.step[index]
-        chosen._first, chosen.cache = self._first[index], self.cache
+        chosen._begins, chosen._first, chosen.cache = self._begins[index], self._first[index], self.cache
         return chosen
 
     @property
@@ -127,6 +128,13 @@ class TripletSet:
         for row, first in zip(out, places.tolist(), strict=True):
             row[...] = frames[first : first + 3]
         return out
+
+    def before(self, index: Int[np.ndarray, " b"], count: int) -> Int[np.ndarray, "b k"]:
+        """Where the frames before some triplets lie in the cache; before an episode's first one it stands again."""
+        earlier: Int[np.ndarray, "b k"] = np.maximum(
+            self._first[index, None] + np.arange(-count, 0), self._begins[index, None]
+        )
+        return earlier
 
 
 def steps_of(epochs: float, triplets: int, batch_size: int) -> int:

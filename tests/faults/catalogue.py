@@ -157,9 +157,16 @@ FAULTS = (
     Fault(
         name="DMotion's interaction learner sees every map instead of the agent's",
         file="baselines/dmotion.py",
-        right="agents = self.transform(maps[:, :count], self._with_noise(motion[:, :count], maps.shape[-1]), blur)",
+        right="agents = self.transform(held, self._with_noise(motion[:, :count], maps.shape[-1]), blur)",
         wrong="agents = self.transform(maps, self._with_noise(motion, maps.shape[-1]), blur).sum(1, keepdim=True)",
         tests=("tests/baselines/test_dmotion.py",),
+    ),
+    Fault(
+        name="a model's own frames are led by the motions of the step before",
+        file="baselines/own_frames.py",
+        right="in pairwise(frames[1:]):",
+        wrong="in pairwise(frames[:-1]):",
+        tests=("tests/baselines/test_own_frames.py",),
     ),
     Fault(
         name="a resumed training begins one step late",

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from dmotion_bench.learning.curriculum import TrainingData, demonstrations_of, parts_of, steps_before_labels
+from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.model import Phase, TrainingConfig
 from dmotion_bench.learning.triplets import TripletSet
@@ -100,3 +101,20 @@ def test_one_label_trains_and_validates_and_is_counted_once(dataset, labels, tra
     if labels == "1":
         own, also = part.batches(np.array([0])), part.validation(np.array([0]))
         assert torch.equal(own.current, also.current)
+
+
+def test_a_phase_is_given_the_frames_before_its_triplets_and_an_episodes_first_one_again(dataset) -> None:
+    data = _data(dataset, "none")
+    phases = (Phase(name="far", fraction=0.5, earlier=3), Phase(name="near", fraction=0.5))
+    far, near = parts_of(phases, data, CONFIG, 0, CPU)
+    index, cache = np.arange(len(data.train)), dataset.cache()
+    batch = far.batches(index)
+    assert batch.earlier is not None
+    assert batch.earlier.shape == (len(index), 3, *batch.current.shape[1:])
+    for row, (episode, step) in enumerate(zip(*data.train.places(index), strict=True)):
+        frames = to_model(torch.from_numpy(cache.frames[cache.offsets[episode] : cache.offsets[episode + 1]]))
+        assert torch.equal(batch.previous[row], frames[step - 1])
+        for image, back in zip(batch.earlier[row], (4, 3, 2), strict=True):
+            assert torch.equal(image, frames[max(0, step - back)])
+    assert near.batches(index).earlier is None
+    assert far.validation(np.array([0])).earlier is None

@@ -17,6 +17,7 @@ from walking_square import record_walks
 
 from dmotion_bench.errors import DatasetCorrupt, UsageError
 from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.batches import TripletBatches
 from dmotion_bench.learning.curriculum import parts_of
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
@@ -177,7 +178,8 @@ def test_batches_are_those_of_the_cache_for_any_number_of_loaders(walks, loaders
     assert len(triplets) == len(cached)
     order = triplets.order(8, seed=5)
     batches = StreamedBatches(triplets, order, lambda episode: walks.states(episode).actions, torch.device("cpu"))
-    read = StreamedBatches(triplets, order, None, torch.device("cpu"))
+    read = StreamedBatches(triplets, order, None, torch.device("cpu"), earlier=3)
+    reaching = TripletBatches(cached, None, torch.device("cpu")).reaching_back(3)
     for step in range(40):
         index = order.batch(step)
         batches.expect(step, 0, 1)
@@ -190,6 +192,8 @@ def test_batches_are_those_of_the_cache_for_any_number_of_loaders(walks, loaders
         assert batch.action.tolist() == expected
         assert batch.episode.tolist() == triplets.places(index)[0].tolist()
         torch.testing.assert_close(read(index).current, batch.current)  # nothing has to be expected
+        assert batch.earlier is None
+        assert torch.equal(read(index).earlier, reaching(index).earlier)
     batches.close()
     read.close()
 

@@ -38,7 +38,7 @@ def legend(board: Board, styles: Styles) -> Markup:
         button = element("button", key(style), name, type="button", aria_pressed="false", data_model=style.index)
         items.append(element("li", button))
     kinds = []
-    if any(_dash(row) == "dashed" for row in board.rows):
+    if any(_dash(row) == "dashed" for row in board.rows_beside_curves):
         elsewhere = ", or trained on another data set" if any(row.elsewhere for row in board.rows) else ""
         kinds.append(f"dashed: a share of the labels, or more demonstrations than one{elsewhere}")
     if any(row.kind == "published" for row in board.rows):

@@ -92,7 +92,7 @@ def main() -> None:
     except UsageError as error:
         _fail(str(error), 2)
     except ProcessLost as error:
-        _fail("" if is_led() else str(error), LOST)
+        _fail("" if is_led() else str(error), LOST, at_once=True)
     except Interrupted as error:
         _fail(str(error), exit_code())
     except DmbenchError as error:
@@ -112,10 +112,19 @@ def main() -> None:
         raise
 
 
-def _fail(said: str, code: int) -> NoReturn:
+def _fail(said: str, code: int, *, at_once: bool = False) -> NoReturn:
+    """Say it and exit; at once, without what Python does at its end.
+
+    There torch may wait for a thread of gloo that was just told of a lost process, and hold the lock that this thread
+    waits for. Such a process would stay for ever.
+    """
     with contextlib.suppress(OSError):  # who closed stderr does not want to know
         if said:  # else whoever started this process says it
             print(f"dmbench: {sentence(said)}", file=sys.stderr, flush=True)  # noqa: T201 (the command's own voice)
+    if at_once:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+        os._exit(code)
     raise SystemExit(code)
 
 

@@ -86,6 +86,30 @@ def test_all_end_together_and_the_run_goes_on(data: Path, tmp_path: Path, ended:
     assert finish(again).code == 130
 
 
+LOSES_ANOTHER = """
+import atexit
+
+from dmotion_bench.cli import app, main
+from dmotion_bench.errors import ProcessLost
+
+def lose():
+    raise ProcessLost(1)
+
+atexit.register(print, "the end of Python")
+app.register_commands = lose
+print("a result", end="")
+main()
+"""
+
+
+def test_who_has_lost_another_process_does_not_wait_for_the_end_of_python() -> None:
+    """Torch's threads may hold one another up there, and the process would stay for ever."""
+    done = subprocess.run([sys.executable, "-c", LOSES_ANOTHER], capture_output=True, text=True, check=False)
+    assert done.returncode == 75
+    assert done.stdout == "a result"
+    assert done.stderr.startswith("dmbench: process 1 of this training ends because another one has ended.")
+
+
 def test_others_read_what_the_first_has_finished(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Process 1 opens the checkpoint of the last sitting before the first one writes, and later no file at all."""
     (tmp_path / "hooks").mkdir()

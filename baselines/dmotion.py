@@ -209,7 +209,7 @@ class DMotion(TwoFrameModel[DMotionConfig]):
     def losses(self, batch: TripletBatch) -> Losses:
         """Equation 2, in squared [-1, 1] units, averaged over pixels and channels.
 
-        Not in the paper: what guides phi^0.
+        Not in the paper: what guides phi^0, and own frames.
         """
         previous, current, following = (self.pack(image) for image in (batch.previous, batch.current, batch.next))
         maps = self.image_encoder(current)

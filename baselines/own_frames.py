@@ -58,7 +58,7 @@ class OwnFrames:
 
     def __init__(self, share: float, steps: int) -> None:
         if not 0 <= share <= 1 or steps < 1:
-            raise InvalidSetting(f"own_frames is {share} and own_steps {steps}; from 0 to 1, and 1 or more.")
+            raise InvalidSetting(f"own_frames is {share} (from 0 to 1), own_steps {steps} (1 or more).")
         self.share, self.steps = share, steps
         self.now = 0.0
 

@@ -10,7 +10,7 @@ from typing import Final
 from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board
 from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
 from leaderboard.columns import UNWANTED, count, number
-from leaderboard.efficiency import WITHIN, LabelsNeeded, label_curves, lines_of, needed_of_rows
+from leaderboard.efficiency import WITHIN, LabelsNeeded, lines_of, needed_of_rows
 from leaderboard.markup import Markup, element, joined
 from leaderboard.row import Row
 
@@ -123,7 +123,7 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
 
 def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
     """Label curves as multiples of each model's own error with all labels, and the labels that each needs."""
-    curves = label_curves(board.rows, figure)
+    curves = board.label_curves
     if not curves:
         return None
     title = f"Worth of labels: {where}"
@@ -139,7 +139,7 @@ def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup |
 
 def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
     """Label curves as shares of the error of copying the last frame."""
-    curves = label_curves(board.rows, figure)
+    curves = board.label_curves
     copied = [row.figures[figure].mean for row in board.rows if row.name == COPYING and figure in row.figures]
     if not curves or not copied:
         return None

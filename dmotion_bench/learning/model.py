@@ -49,7 +49,7 @@ class TripletBatch:
     recording, for losses that compare moments; it is no label. The training loop always gives it. ``labelled`` are the
     few labelled transitions that stand beside a batch of video in a phase that asks for them (``Phase.with_labels``);
     in validation there are none. ``earlier`` are the frames before ``previous``, in a phase that asks for them
-    (``Phase.earlier``); before an episode's first frame stands the first one again.
+    (``Phase.earlier``); where an episode has none, its first frame is repeated.
     """
 
     previous: Float[Tensor, "b c h w"]

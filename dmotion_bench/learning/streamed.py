@@ -216,7 +216,7 @@ class StreamedBatches:
         )
 
     def _earlier(self, episodes: Int[np.ndarray, " b"], steps: Int[np.ndarray, " b"]) -> Float[Tensor, "b k c h w"]:
-        """The frames before some triplets; before an episode's first one it stands again."""
+        """The frames before some triplets; an episode's first one is repeated."""
         places = np.maximum(steps[:, None] - 1 + np.arange(-self.earlier, 0), 0)
         pairs = zip(episodes.tolist(), places, strict=True)
         stored = uploaded(np.stack([self._ahead[episode].frames[row] for episode, row in pairs]), self.device)

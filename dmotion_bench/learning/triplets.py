@@ -130,7 +130,7 @@ class TripletSet:
         return out
 
     def before(self, index: Int[np.ndarray, " b"], count: int) -> Int[np.ndarray, "b k"]:
-        """Where the frames before some triplets lie in the cache; before an episode's first one it stands again."""
+        """Where the frames before some triplets lie in the cache; an episode's first one is repeated."""
         earlier: Int[np.ndarray, "b k"] = np.maximum(
             self._first[index, None] + np.arange(-count, 0), self._begins[index, None]
         )

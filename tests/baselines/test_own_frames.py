@@ -113,7 +113,7 @@ def test_dmotion_predicts_the_recorded_frame_from_its_own_ones_in_training_alone
 
 
 def test_what_cannot_be_is_said() -> None:
-    with pytest.raises(InvalidSetting, match=r"own_frames is 1.5 and own_steps 4; from 0 to 1"):
+    with pytest.raises(InvalidSetting, match=r"own_frames is 1.5 \(from 0 to 1\), own_steps 4 \(1 or more\)"):
         DMotionConfig(own_frames=1.5)
     with pytest.raises(InvalidSetting, match="own_steps 0"):
         DMotionConfig(own_steps=0)

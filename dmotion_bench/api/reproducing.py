@@ -211,8 +211,7 @@ class _Work:
     """
 
     def __init__(self, plan: Plan, hands: Hands, watch: Watch) -> None:
-        self.plan, self.workspace, self.watch = plan, plan.workspace, watch
-        self.hands = replace(hands, workers=_workers(hands))
+        self.plan, self.workspace, self.watch, self.hands = plan, plan.workspace, watch, hands
         self.failures: dict[str, str] = {}
         self.pages: list[Path] = []
 
@@ -374,15 +373,6 @@ def score_reference_job(job: ReferenceJob) -> str | None:
 def _is_recorded(recording: Recording) -> bool:
     dataset = recording.dataset()
     return dataset is not None and dataset.recipe == recording.recipe
-
-
-def _workers(hands: Hands) -> int | None:
-    """Jobs at a time; on a GPU of this machine one."""
-    return 1 if hands.executor in (None, "local") and _on_gpu(hands.device) else hands.workers
-
-
-def _on_gpu(device: str) -> bool:
-    return device == "cuda" or (device == "auto" and torch.cuda.is_available())
 
 
 def _why_lacking(run: str, left_out: Mapping[str, str]) -> str:

@@ -25,6 +25,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
 _GIGABYTES: Final = 2.0  # that a job takes beside others
+_GPU_GIGABYTES: Final = 4.0  # likewise, of a GPU's memory
 _CLUSTER_GIGABYTES: Final = 16
 _CLUSTER_MINUTES: Final = 24 * 60
 
@@ -52,14 +53,20 @@ class Hands:
     watch: Callable[[Mapping[str, JobProgress]], None] = field(default=_nobody)
 
     def at_once(self, jobs: int) -> int | None:
-        """How many jobs beside each other pay: as many as there are processors and memory for, on a GPU one."""
+        """How many jobs beside each other pay: as many as there are processors and memory for, also on one GPU.
+
+        A small network's step is over on a GPU before a processor has told it the next one, so that many processes
+        together keep it busy (docs/benchmark.md).
+        """
         if self.workers:
             return self.workers
         if self.executor not in (None, "local"):
             return None
+        most = min(available_workers(_GIGABYTES), jobs)
         if self.device == "cuda" or (self.device == "auto" and torch.cuda.is_available()):
-            return 1
-        return min(available_workers(_GIGABYTES), jobs)
+            free, _ = torch.cuda.mem_get_info()
+            most = min(most, int(free / 2**30 / _GPU_GIGABYTES))
+        return max(1, most)
 
     def in_turn(self, jobs: int) -> bool:
         """Whether this process does one job after the other."""

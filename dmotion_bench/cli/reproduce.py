@@ -73,8 +73,8 @@ def reproduce(
         int | None,
         typer.Option(
             min=1,
-            help="How many jobs run at a time. Default: as many as there are processors and memory for. On a GPU of "
-            "this machine one training runs at a time.",
+            help="How many jobs run at a time. Default: as many as there are processors and memory for, also on a GPU, "
+            "which they share.",
             show_default=False,
         ),
     ] = None,

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.learning.action_encoding import as_tensor
@@ -23,6 +23,7 @@ from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.learning.triplets import BatchOrder, TripletSet
 
 RESIDENT_SHARE = 0.6  # of the free device memory may be frames
+_AT_ONCE = 4096  # frames that are brought to the device
 
 
 @runtime_checkable
@@ -42,6 +43,14 @@ def uploaded(array: np.ndarray, device: torch.device) -> Tensor:
     """An array on a device; on its way to a GPU it lies where the CPU need not wait for it."""
     tensor = torch.from_numpy(array)
     return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
+
+
+def _on_device(frames: UInt8[np.ndarray, "n h w 3"], device: torch.device) -> Tensor:
+    """Memory-mapped frames on a device, brought there piece by piece."""
+    held = torch.empty(frames.shape, dtype=torch.uint8, device=device)
+    for first in range(0, len(frames), _AT_ONCE):
+        held[first : first + _AT_ONCE] = torch.from_numpy(np.array(frames[first : first + _AT_ONCE]))
+    return held
 
 
 class TripletBatches:
@@ -68,7 +77,7 @@ class TripletBatches:
         self._resident: Tensor | None = None
         self._first = torch.from_numpy(triplets.first_frame)
         if device.type == "cuda" and self._fits():
-            self._resident = torch.from_numpy(np.asarray(triplets.cache.frames)).to(device)
+            self._resident = _on_device(triplets.cache.frames, device)
             self._first = self._first.to(device)
 
     def __len__(self) -> int:

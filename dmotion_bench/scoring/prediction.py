@@ -260,5 +260,6 @@ def _described(batch: TransitionBatch) -> dict[str, Shaped[np.ndarray, "b *a"]]:
 
 def _numpy(columns: Mapping[str, Tensor]) -> dict[str, Any]:
     return {
-        name: (values if values.dtype == torch.bool else values.float()).numpy() for name, values in columns.items()
+        name: (values if values.dtype == torch.bool else values.float()).cpu().numpy()
+        for name, values in columns.items()
     }

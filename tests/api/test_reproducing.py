@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from dmbench_command import dmbench
 from small_tables import CONTROL, TABLE, Known
 
 import dmotion_bench as dm
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
-from dmotion_bench.api.side_by_side import Hands
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning import table as learning_table
 from dmotion_bench.learning.run import Run
@@ -229,13 +227,6 @@ def test_frozen_columns_stand_on_one_page_although_killed_between_them(tmp_path:
     assert "mse" in measured[None]["figures"]
     assert measured[None]["dataset"]["name"] == "planar_push-tiny"
     assert not any(line.jobs for line in dm.reproduce(FROZEN, workspace=tmp_path, dry_run=True).cost.lines)
-
-
-def test_on_a_gpu_one_training_runs_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert reproducing._workers(Hands(workers=3, device="cpu")) == 3
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert reproducing._workers(Hands(workers=3)) == 1
-    assert reproducing._workers(Hands(workers=3, executor="ray")) == 3  # each asks Ray for a GPU
 
 
 def test_the_command_says_the_cost_and_what_is_wrong(

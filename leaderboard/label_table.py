@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from typing import Final
 
 from leaderboard.board import RANKED_BY, Board
@@ -12,6 +14,9 @@ from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import between, mean, written
 from leaderboard.row import Row
 
+MOST_BUDGETS: Final = 8
+"""Besides that of all labels; a page has no room for more."""
+
 SAID: Final = (
     f"Labels needed: the fewest from which on the MSE stays within {WITHIN:.0%} of the model's own with all labels, "
     "with the 95% interval over episodes and trainings. Then the MSE by the number of labels."
@@ -19,24 +24,31 @@ SAID: Final = (
 
 
 def label_lines(board: Board) -> list[str]:
-    """The table of a board's label curves under the budgets that all of its models have; nothing without curves."""
+    """The table of a board's label curves under the budgets that most of its models have; nothing without curves."""
     curves = board.label_curves
     if not curves:
         return []
     by_count = [{row.label_count or 0: row for row in rows[:-1]} for rows in curves.values()]
-    shared = sorted(set.intersection(*map(set, by_count)))
-    head = ["Model", "Labels needed", "Trainings", *(f"{count:,}" for count in shared), "all"]
+    shown = _shown(by_count)
+    head = ["Model", "Labels needed", "Trainings", *(f"{count:,}" for count in shown), "all"]
     lines = [
         [
             plain(rows[-1].title),
             _needed(needed_of_rows(rows, RANKED_BY)),
             _trainings(rows),
-            *(mean(points[count].figures[RANKED_BY]) for count in shared),
+            *(mean(points[count].figures[RANKED_BY]) if count in points else "" for count in shown),
             mean(rows[-1].figures[RANKED_BY]),
         ]
         for rows, points in zip(curves.values(), by_count, strict=True)
     ]
     return [*textwrap.wrap(SAID, WIDTH), "", *table(head, lines)]
+
+
+def _shown(by_count: Sequence[Collection[int]]) -> list[int]:
+    """The budgets that more than half of the models have; of many every second, third ... down from the largest."""
+    having = Counter(count for counts in by_count for count in counts)
+    common = sorted(count for count, models in having.items() if 2 * models > len(by_count))
+    return common[:: -math.ceil(len(common) / MOST_BUDGETS)][::-1] if common else []
 
 
 def _needed(found: LabelsNeeded | None) -> str:

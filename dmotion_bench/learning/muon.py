@@ -87,14 +87,14 @@ class _Recorded:
 
     def __init__(self, like: list[Tensor], products: torch.dtype) -> None:
         self._given = [matrices.clone() for matrices in like]
-        beside = torch.cuda.Stream(like[0].device)  # what is called for the first time may not be recorded
+        beside: Any = torch.cuda.Stream(like[0].device)  # type: ignore[no-untyped-call]  # a first call is not recorded
         beside.wait_stream(torch.cuda.current_stream(like[0].device))
         with torch.cuda.stream(beside):
             for matrices in self._given:
                 orthogonalised(matrices, products)
         torch.cuda.current_stream(like[0].device).wait_stream(beside)
         self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self._graph):
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):  # NCCL's own thread goes on meanwhile
             self._found = [orthogonalised(matrices, products) for matrices in self._given]
 
     def __call__(self, together: list[Tensor]) -> list[Tensor]:

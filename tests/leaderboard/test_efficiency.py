@@ -134,13 +134,14 @@ def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(budgeted
     assert "Worth of labels" not in str(charts(board, assign_styles([board])))
 
 
-def test_a_board_has_a_table_of_label_curves_with_the_budgets_that_all_of_them_have(
+def test_a_board_has_a_table_of_label_curves_with_the_budgets_that_most_of_them_have(
     budgeted: Callable[..., Entry],
 ) -> None:
     finer = [budgeted("a", str(count), count, 64.0 / count) for count in (4, 8, 16, 32)]
     coarser = [budgeted("b", str(count), count, error) for count, error in ((4, 9.5), (16, 1.05))]
-    whole = [budgeted(model, "100%", 64, 1.0) for model in ("a", "b")]
-    (board,) = make_boards([*finer, *coarser, *whole])
+    few = [budgeted("c", str(count), count, error) for count, error in ((16, 8.0), (20, 5.0))]
+    whole = [budgeted(model, "100%", 64, 1.0) for model in ("a", "b", "c")]
+    (board,) = make_boards([*finer, *coarser, *few, *whole])
     lines = board_section(board)
     place = next(number for number, line in enumerate(lines) if line.startswith("| Model | Labels needed |"))
     assert lines[place] == "| Model | Labels needed | Trainings | 4 | 16 | all |"
@@ -148,9 +149,17 @@ def test_a_board_has_a_table_of_label_curves_with_the_budgets_that_all_of_them_h
         f"| a | 59.7 (59.7{TO}59.7) | 1 | 16.0 | 4.00 | 1.00 |",
         f"| b | 15.9 (15.9{TO}15.9) | 1 | 9.50 | 1.05 | 1.00 |",
     ]
-    measured = [line for line in lines[:place] if line.startswith(("| a |", "| b |"))]
-    assert len(measured) == 2  # a number of labels has its place in that table alone
+    assert lines[place + 4].endswith("| 1 | | 8.00 | 1.00 |")  # without the budget that it lacks
+    measured = [line for line in lines[:place] if line.startswith(("| a |", "| b |", "| c |"))]
+    assert len(measured) == 3  # a number of labels has its place in that table alone
     assert "Labels needed" not in "".join(board_section(make_boards(whole)[0]))
+
+
+def test_of_many_budgets_the_table_has_every_second_one(budgeted: Callable[..., Entry]) -> None:
+    points = [budgeted("a", str(2**power), 2**power, 2.0 ** (14 - power)) for power in range(13)]
+    (board,) = make_boards([*points, budgeted("a", "100%", 9000, 1.0)])
+    (head,) = (line for line in board_section(board) if line.startswith("| Model | Labels needed |"))
+    assert head == "| Model | Labels needed | Trainings | 1 | 4 | 16 | 64 | 256 | 1,024 | 4,096 | all |"
 
 
 def test_demonstrations_of_each_action_are_no_points_of_a_curve_of_numbers(budgeted: Callable[..., Entry]) -> None:

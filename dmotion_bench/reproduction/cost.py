@@ -40,6 +40,8 @@ ASSUMPTIONS: Final = (
     "A training or a scoring that was begun counts as a whole.",
 )
 
+_ON_GPU: Final = "; trainings and predictions on the GPU, counted one after the other, though they share it."
+
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
@@ -128,7 +130,7 @@ class _Estimate:
                 self._reference(column, reference, state)
             self._score(column, state)
         self._pages()
-        told = f"Speeds are {self.speeds.told}" + ("; trainings and predictions on the GPU." if self.gpu else ".")
+        told = f"Speeds are {self.speeds.told}" + (_ON_GPU if self.gpu else ".")
         return Cost(lines=tuple(self.lines), assumptions=(told, *ASSUMPTIONS), unknown=tuple(self.unknown))
 
     def _add(

@@ -216,8 +216,13 @@ def _distances(figures: dict[str, Value]) -> list[tuple[re.Match[str], Value]]:
 
 
 def _series(place: Place, places: Sequence[Place], boards: Sequence[Board], points: Sequence[Point]) -> Series:
-    """A line of a row: its colour is its board's, and it is dashed unless its labels are the usual ones."""
+    """A line of a row: its colour is its board's, and it is dashed unless its labels are the usual ones.
+
+    Where a board has a model with one label for each action and with all labels, the former are the usual ones.
+    """
     board, row = place
+    mine = {one.labels for other, one in places if other.fingerprint == board.fingerprint}
+    usual = next((one for one in USUAL if one in mine), None)
     order = list(dict.fromkeys(one.fingerprint for one, _ in places))
     variant = f" ({row.variant})" if row.variant else ""
     steps = sorted(point.x for point in points)
@@ -226,7 +231,7 @@ def _series(place: Place, places: Sequence[Place], boards: Sequence[Board], poin
         name=f"{_dataset(board, boards)}{variant}, {row.labels if '-' in row.labels else f'labels {row.labels}'}",
         points=points,
         style=Style(order.index(board.fingerprint)),
-        dash="solid" if row.labels in USUAL else "dashed",
+        dash="solid" if row.labels == usual else "dashed",
         marked=frozenset(step for step in steps if step % every == 0 or step == steps[0]),
     )
 

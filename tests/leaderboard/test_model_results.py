@@ -128,6 +128,26 @@ def test_charts_have_the_best_variant_of_each_data_set_at_its_place(boards: list
     assert (middle - start) == pytest.approx((end - start) / 5, abs=0.2)  # 1, 0.9, 0.5
 
 
+def test_of_one_and_of_all_labels_on_a_data_set_the_line_of_all_is_dashed(result: Callable[..., Entry]) -> None:
+    every = {"asked": "100%", "given": {}, "total": 64}
+    second = result("ed-cnn-s0", (4.0, 8.0, 16.0)).content["dataset"] | {"fingerprint": "f" * 64, "name": "other"}
+    entries = [
+        result("dmotion-s0", (10.0, 40.0, 100.0)),
+        result("dmotion-100pct-s0", (9.0, 30.0, 90.0), labels=every),
+        result("dmotion-other-100pct-s0", (9.0, 30.0, 90.0), labels=every, dataset=second),
+    ]
+    picture = ElementTree.fromstring(model_charts("dmotion", make_boards(entries))["dmotion-rollout.svg"])
+    looks = {
+        name: [path.attrib["class"] for path in group.iter(f"{SVG}path") if "line" in path.attrib["class"]]
+        for name, group in _series(picture).items()
+    }
+    assert looks == {
+        "grid_world-tiny, one-shot": ["line solid"],
+        "grid_world-tiny, labels 100%": ["line dashed"],
+        "other, labels 100%": ["line solid"],
+    }
+
+
 def _series(picture: ElementTree.Element) -> dict[str, ElementTree.Element]:
     groups = [group for group in picture.iter(f"{SVG}g") if group.find(f"{SVG}title") is not None]
     return {str(group.findtext(f"{SVG}title")): group for group in groups}

@@ -15,7 +15,7 @@ from dmotion_bench.api.settings import DEVICES
 if TYPE_CHECKING:
     from dmotion_bench.scoring.score import Metric
 
-PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "mppi", "random-shooting")
+PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "icem-recall", "mppi", "random-shooting")
 OBJECTIVES: Final = ("centres", "feature", "pixel", "steps-to-go", "tabletop", "tracked", "tracked-risk")
 COLUMNS: Final = ("generic-risk", "generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
@@ -39,8 +39,9 @@ PlannerName = Annotated[
     typer.Option(
         metavar=listed(PLANNERS),
         help="How control searches for actions. cem is the paper's cross-entropy method, icem a newer variant of it, "
-        "random-shooting draws sequences once. exhaustive tries every sequence of discrete actions; mppi and gradient "
-        "are for continuous ones. A package of your own can add others. Default: cem.",
+        "icem-recall the same with what was seen earlier in the task in place of predictions, random-shooting draws "
+        "sequences once. exhaustive tries every sequence of discrete actions; mppi and gradient are for continuous "
+        "ones. A package of your own can add others. Default: cem.",
     ),
 ]
 PlannerSettings = Annotated[

@@ -5,6 +5,7 @@
     mpc.py        the control loop: observe, plan, act; many tasks at once, resumable
     agents.py     who chooses the actions: a model with a solver and an objective, idle, random, the oracle, a script
     tasks.py      stored tasks as problems: start state by replay, goal image, judged distance
+    experience.py what was seen to follow what in a task
     moments.py    where something can be gained, and what each of some fixed action sequences truly brings there
     journal.py    the progress of control, on disk
     choices.py    solvers and objectives by their names, with every field settable, and as a report holds them

@@ -22,6 +22,7 @@ from dmotion_bench.actions import ActionSpec, Discrete, as_actions
 from dmotion_bench.environment import Environment
 from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent, known_actions, was_taken
 from dmotion_bench.planning.dynamics.base import Observation
+from dmotion_bench.planning.experience import Experience
 from dmotion_bench.planning.journal import Journal, TaskRecord, as_array
 from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
@@ -203,6 +204,7 @@ def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
             generators=tuple(task_generator(loop.settings.seed, problem, step) for problem in problems),
             blocked=group.blocked.copy(),
             memory=memory,
+            experience=group.experience,
         )
         began = time.perf_counter()
         decision = group.decide(context)
@@ -226,6 +228,7 @@ class _Group:
     Attributes:
         worlds: Their simulators.
         blocked: Actions that left the image as it is, since it last changed.
+        experience: What was seen to follow what.
     """
 
     def __init__(self, loop: _Loop, problems: Sequence[Problem]) -> None:
@@ -235,6 +238,7 @@ class _Group:
         self._current = self._previous = np.stack([world.frame for world in self.worlds])
         count = len(loop.actions) if isinstance(loop.actions, Discrete) else 0
         self.blocked: Bool[np.ndarray, "b a"] = np.zeros((len(problems), count), np.bool_)
+        self.experience = Experience(self._current, count)
         self._agent.reset(self._current, self._goals)
         self._show()
 
@@ -260,6 +264,7 @@ class _Group:
         if self.blocked.shape[1]:
             for place in np.flatnonzero(~changed & taken).tolist():
                 self.blocked[place, actions[place]] = True
+        self.experience.took(actions, frames)
         self._previous = np.where(changed[:, None, None, None], self._current, self._previous)
         self._current = frames
         self._agent.observe(actions, frames)

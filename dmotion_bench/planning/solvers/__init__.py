@@ -4,7 +4,7 @@
 
     base.py             the contract: what a solver is given, and the plan it returns
     cem.py              the paper's cross-entropy method
-    icem.py             iCEM, with coloured noise and kept elites
+    icem.py             iCEM, with coloured noise and kept elites; also with what was seen in the task (icem-recall)
     random_shooting.py  the best of many sequences
     mppi.py             path integral control, for continuous actions
     gradient.py         gradient descent through a model, for continuous actions

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
+from dmotion_bench.planning.experience import Experience
 from dmotion_bench.planning.objectives.base import Evaluator
 
 Sequences = Int[np.ndarray, "b _s t"] | Float[np.ndarray, "b _s t a"]
@@ -27,12 +28,14 @@ class PlanContext:
         blocked: Actions that are not to be the first: they left the image as it is, since it last changed. None of
             continuous ones, where it has no columns.
         memory: What the solver wanted to remember at the step before, None at the first.
+        experience: What was seen to follow what in each task until now; None where nobody keeps it.
     """
 
     observation: Observation
     generators: tuple[np.random.Generator, ...]
     blocked: Bool[np.ndarray, "b discrete"]
     memory: Sequences | None = None
+    experience: Experience | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,20 @@ iteration to iteration, the best sequences of the step before, shifted by one, a
 first mean, momentum of the distribution, and the mean itself among the last candidates. For discrete actions coloured
 noise becomes a probability to repeat the action before. The number of samples does not fall from iteration to
 iteration here.
+
+``icem-recall`` is the same search in a model that is corrected by what was seen in the task (``experience.py``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dmotion_bench.actions import Discrete
+from dmotion_bench.planning.dynamics.base import Dynamics
+from dmotion_bench.planning.dynamics.model import ModelDynamics
+from dmotion_bench.planning.dynamics.recalled import RecalledDynamics
+from dmotion_bench.planning.objectives.base import Evaluator
+from dmotion_bench.planning.solvers.base import Plan, PlanContext
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 
 
@@ -22,3 +30,21 @@ class ImprovedCrossEntropy(CrossEntropy):
     kept_elites: int = 5
     noise_exponent: float = 2.0
     momentum: float = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecallingCrossEntropy(ImprovedCrossEntropy):
+    """iCEM that does not ask the model what it has seen: which image followed an action at an image of the task.
+
+    With continuous actions, which never repeat, and with the true simulator it is iCEM.
+    """
+
+    def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
+        """See ``CrossEntropy``."""
+        if context.experience is not None and isinstance(dynamics, ModelDynamics) and _is_discrete(dynamics):
+            dynamics = RecalledDynamics(dynamics, context.experience)
+        return super().plan(dynamics, evaluator, context)
+
+
+def _is_discrete(dynamics: Dynamics) -> bool:
+    return isinstance(dynamics.actions, Discrete)

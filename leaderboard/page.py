@@ -147,7 +147,7 @@ def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
     return element(
         "section",
         element("h2", board.title, element("small", board.dataset) if board.dataset else None),
-        element("p", shows(board), class_="shows") if board.measured else None,
+        element("p", shows(board), class_="shows") if board.measured or board.control else None,
         element("p", *_described(board), class_="note"),
         standings(board, _anchor(place)) if board.rows else None,
         agreement_note(board),

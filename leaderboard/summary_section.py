@@ -162,7 +162,11 @@ def shows(board: Board) -> str:
     with_ = f" with {' and '.join(sorted(kinds))} actions" if kinds - {"discrete"} else ""
     planned = any(name.startswith("control_distance") for row in board.rows for name in row.figures)
     then = ", and how near a planner that uses it brings the objects to their goals" if planned else ""
-    told = f"{_scene(board.environment)}how far each model's next frame{with_} is from the true one{then}."
+    predicted = f"how far each model's next frame{with_} is from the true one{then}"
+    controlled = (
+        "how near frozen planners bring the objects to their goals with each model, on tasks that nothing was chosen on"
+    )
+    told = f"{_scene(board.environment)}{predicted if board.measured else controlled}."
     return told[0].upper() + told[1:]
 
 

@@ -190,10 +190,12 @@ def test_the_page_opens_with_it_and_each_board_says_what_it_shows(entries: list[
     main = page[page.index("<main>") :]
     assert main.startswith("<main><section")
     assert 0 < main.index("All worlds together") < main.index('class="board"')
-    headings = re.findall(r'class="board".*?<h2>.*?</h2><p class="(\w+)">(.*?)</p>', page)
-    assert {kind for kind, _ in headings} == {"shows"}
+    headings = re.findall(r'class="board".*?<h2>.*?<small>(.*?)</small></h2><p class="(\w+)">(.*?)</p>', page)
+    assert {kind for _, kind, _ in headings} == {"shows"}
     assert len(headings) == page.count('class="board"')
-    assert all("next frame" in sentence for _, sentence in headings)
+    for data, _, sentence in headings:
+        assert ("frozen planners" if data.endswith("-test") else "next frame") in sentence
+    assert any(data == "robot_push-test" for data, _, _ in headings)
     assert re.search(r'<a href="#board-\d">Grid World</a>', page)
 
 

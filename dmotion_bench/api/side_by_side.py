@@ -56,7 +56,7 @@ class Hands:
         """How many jobs beside each other pay: as many as there are processors and memory for, also on one GPU.
 
         A small network's step is over on a GPU before a processor has told it the next one, so that many processes
-        together keep it busy (docs/benchmark.md).
+        together keep it busy (docs/experiments/speed.md).
         """
         if self.workers:
             return self.workers

@@ -77,8 +77,9 @@ def _by_gram_matrices(wide: Tensor) -> Tensor:
 class _Recorded:
     """``orthogonalised`` for matrices of given shapes on a GPU, as a CUDA graph.
 
-    The iteration is some 20 small products for each shape. To tell a GPU each of them takes a processor longer than
-    the GPU needs for it, and took up to two thirds of a training step [measured]; a graph is told at once.
+    The iteration is some 20 small products for each shape, 30 to 53% of all calls of a training step
+    (docs/experiments/speed.md). To tell a GPU of each takes a processor longer than the GPU needs for it; a graph is
+    told at once.
 
     Args:
         like: Matrices of the shapes.

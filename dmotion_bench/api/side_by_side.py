@@ -63,7 +63,7 @@ class Hands:
         if self.executor not in (None, "local"):
             return None
         most = min(available_workers(_GIGABYTES), jobs)
-        if self.device == "cuda" or (self.device == "auto" and torch.cuda.is_available()):
+        if _on_gpu(self.device):
             free, _ = torch.cuda.mem_get_info()
             most = min(most, int(free / 2**30 / _GPU_GIGABYTES))
         return max(1, most)
@@ -71,6 +71,10 @@ class Hands:
     def in_turn(self, jobs: int) -> bool:
         """Whether this process does one job after the other."""
         return self.executor in (None, "local") and self.at_once(jobs) == 1
+
+
+def _on_gpu(device: str) -> bool:
+    return device == "cuda" or (device == "auto" and torch.cuda.is_available())
 
 
 def gpus_of_a_job(hands: Hands) -> int:
@@ -170,9 +174,8 @@ def score_at_once(
     """
     name = hands.executor or "local"
     if name == "local":
-        where = compute_device(hands.device).type
-    else:  # this machine says nothing of those of a cluster
-        where = "cuda" if hands.device == "cuda" or (hands.device == "auto" and torch.cuda.is_available()) else "cpu"
+        compute_device(hands.device)  # refuses what is not here; this machine says nothing of those of a cluster
+    where = "cuda" if _on_gpu(hands.device) else "cpu"
     jobs = [
         ScoreJob(
             run=path.absolute(),

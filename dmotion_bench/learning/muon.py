@@ -88,7 +88,8 @@ class _Recorded:
 
     def __init__(self, like: list[Tensor], products: torch.dtype) -> None:
         self._given = [matrices.clone() for matrices in like]
-        beside: Any = torch.cuda.Stream(like[0].device)  # type: ignore[no-untyped-call]  # a first call is not recorded
+        # what is called for the first time may not be recorded
+        beside = torch.cuda.Stream(like[0].device)  # type: ignore[no-untyped-call]
         beside.wait_stream(torch.cuda.current_stream(like[0].device))
         with torch.cuda.stream(beside):
             for matrices in self._given:

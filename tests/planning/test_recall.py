@@ -13,7 +13,7 @@ from torch import Tensor
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.learning.model import ForwardModel, ModelInputs, TripletBatch
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
 from dmotion_bench.planning.choices import make_solver
 from dmotion_bench.planning.dynamics.base import pixels_of
 from dmotion_bench.planning.dynamics.model import ModelDynamics
@@ -49,7 +49,7 @@ class Wishful(ForwardModel[None]):
     def __init__(self) -> None:
         super().__init__(None, ModelInputs(height=CELLS, width=CELLS, actions=Discrete.numbered(3)))
 
-    def losses(self, batch: TripletBatch) -> object:  # type: ignore[override]
+    def losses(self, batch: TripletBatch) -> Losses:
         raise NotImplementedError
 
     def predict(

@@ -41,10 +41,7 @@ class RecallingCrossEntropy(ImprovedCrossEntropy):
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """See ``CrossEntropy``."""
-        if context.experience is not None and isinstance(dynamics, ModelDynamics) and _is_discrete(dynamics):
-            dynamics = RecalledDynamics(dynamics, context.experience)
+        known = context.experience if isinstance(dynamics.actions, Discrete) else None
+        if known is not None and isinstance(dynamics, ModelDynamics):
+            dynamics = RecalledDynamics(dynamics, known)
         return super().plan(dynamics, evaluator, context)
-
-
-def _is_discrete(dynamics: Dynamics) -> bool:
-    return isinstance(dynamics.actions, Discrete)

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines.gaussian import Gaussian
-from baselines.layers import SLOPE, CodedUNet, FrameEncoder, MotionTrunk, check_size, linear, squared_error
+from baselines.layers import SLOPE, CodedUNet, FrameEncoder, MotionTrunk, UNetConfig, check_size, linear, squared_error
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
@@ -42,7 +42,7 @@ Memory = tuple[Tensor, Tensor]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClaspConfig:
+class ClaspConfig(UNetConfig):
     """The choices that the paper leaves open.
 
     Attributes:
@@ -50,15 +50,14 @@ class ClaspConfig:
         beta: Weight of the divergence [per nat] of each latent action, composed ones too, against the mean squared
             error of images in [0, 1].
         hidden: Width of the recurrent predictor and of the composition network.
-        warp: Whether the decoder can carry what moves, by a flow, instead of painting it anew.
     """
 
     length: int = 16
     beta: float = 2e-4
     hidden: int = 128
-    warp: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.length < 1 or self.hidden < 1 or self.beta < 0:
             raise InvalidSetting("length and hidden must be 1 or more, beta 0 or more.")
 
@@ -85,7 +84,7 @@ class Clasp(ForwardModel[ClaspConfig]):
         )
         self.scene = FrameEncoder(inputs, config.hidden)
         self.predictor = nn.LSTMCell(config.hidden + config.length, config.hidden)
-        self.decoder = CodedUNet(config.hidden + config.length, frames=1, warps=config.warp)
+        self.decoder = CodedUNet(config.hidden + config.length, frames=1, config=config)
         self.table = ActionToLatent(inputs.actions, config.length)
 
     @classmethod

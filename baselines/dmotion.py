@@ -34,7 +34,7 @@ from torch import Tensor, nn
 
 from baselines import dmotion_compact, dmotion_paper
 from baselines.dominant_shift import dominant_shift
-from baselines.layers import check_gate_floor, squared_error
+from baselines.layers import UNetConfig, squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift, theta_of_shift
 from baselines.own_frames import OwnFrames
 from baselines.patches import rows_of
@@ -58,7 +58,7 @@ CLOSE: Final = 0.05  # in theta's units: nearer than this, the distance to the g
 
 
 @dataclass(frozen=True, kw_only=True)
-class DMotionConfig:
+class DMotionConfig(UNetConfig):
     """The choices that the paper leaves open or compares.
 
     Attributes:
@@ -70,10 +70,7 @@ class DMotionConfig:
         kernel: Side of cross convolution's kernels [px of the map].
         agent_entries: At how many places of the interaction learner the agent's map enters: 3 as in the paper, or 1.
         second_frame: Whether the interaction learner sees x_{t-1}.
-        warp: Whether the interaction learner can carry what moves instead of painting it anew; compact only. The
-            paper's paints.
-        gate_floor: The least share of what the interaction learner paints that is let in anywhere; compact only. Above
-            0 for video of which little moves: a gate that closed everywhere would learn nothing more.
+        warp, gate_floor, width: Of the interaction learner; compact only. The paper's paints, and has no gate.
         blur: Width of the interpolation kernel at the start of the training [px of the map]; shrinks to 1 over the
             share ``anneal`` of it. 1 is the paper's. With wide kernels the gradient of the motion reaches far.
         jitter: Standard deviation of the noise on phi^0 as the interaction learner sees it, at the start of the
@@ -98,8 +95,6 @@ class DMotionConfig:
     kernel: int = 27
     agent_entries: Literal[1, 3] = 3
     second_frame: bool = True
-    warp: bool = False
-    gate_floor: float = 0.0
     blur: float = 8.0
     jitter: float = 1.2
     jitter_end: float = 0.2
@@ -121,11 +116,11 @@ class DMotionConfig:
         if self.guide < 0 or not 0 < self.guided <= 1:
             raise InvalidSetting("guide must be 0 or more, guided above 0 and at most 1.")
         OwnFrames(self.own_frames, self.own_steps)  # refuses what cannot be
-        if self.warp and self.arch == "paper":
-            raise InvalidSetting("warp is for arch=compact; the paper's interaction learner paints.")
-        if self.gate_floor and self.arch == "paper":
-            raise InvalidSetting("gate_floor is for arch=compact; the paper's interaction learner has no gate.")
-        check_gate_floor(self.gate_floor)
+        super().__post_init__()
+        usual = UNetConfig()
+        for name in ("warp", "gate_floor", "width"):
+            if self.arch == "paper" and getattr(self, name) != getattr(usual, name):
+                raise InvalidSetting(f"{name} is for arch=compact; the paper's interaction learner has no such choice.")
 
 
 class DMotion(TwoFrameModel[DMotionConfig]):
@@ -160,7 +155,7 @@ class DMotion(TwoFrameModel[DMotionConfig]):
             frames=2 if config.second_frame else 1,
             agent_entries=config.agent_entries,
             agents=config.agents,
-            **({} if is_paper else {"warps": config.warp, "gate_floor": config.gate_floor}),  # the paper's paints
+            **({} if is_paper else {"config": config}),
         )
         identity = self.transform.identity()
         self.table: ActionToLatent | JointActionToLatent

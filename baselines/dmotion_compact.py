@@ -28,6 +28,7 @@ from baselines.layers import (
     WIDTHS,
     MotionTrunk,
     UNet,
+    UNetConfig,
     block,
     conv,
     left_to_adam,
@@ -114,7 +115,7 @@ class InteractionLearner(UNet):
     Args:
         frames: 2 as in the paper; 1 leaves x_{t-1} out.
         agent_entries: 3, or 1 for the input alone.
-        warps, gate_floor: As for ``UNet``.
+        config: As for ``UNet``.
         agents: Maps of agents.
     """
 
@@ -123,12 +124,11 @@ class InteractionLearner(UNet):
         frames: int = 2,
         agent_entries: int = 3,
         *,
-        warps: bool = False,
-        gate_floor: float = 0.0,
+        config: UNetConfig | None = None,
         agents: int = 1,
     ) -> None:
-        super().__init__(frames, warps=warps, gate_floor=gate_floor)
-        c, w, d = WIDTHS
+        super().__init__(frames, config)
+        c, w, d = self.widths
         self.agent_entries = agent_entries
         self.agent_in = conv(4 * agents, c, 1)
         if agent_entries == 3:

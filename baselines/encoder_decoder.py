@@ -13,7 +13,7 @@ from typing import ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from baselines.layers import CodedUNet, check_gate_floor, check_size, squared_error
+from baselines.layers import CodedUNet, UNetConfig, check_size, squared_error
 from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
@@ -23,21 +23,14 @@ from dmotion_bench.specs import Preset, Supervision
 
 
 @dataclass(frozen=True, kw_only=True)
-class EncoderDecoderConfig:
+class EncoderDecoderConfig(UNetConfig):
     """The choices of DMotion's interaction learner that do not concern the agent's map.
 
     Attributes:
         second_frame: Whether the network sees x_{t-1}, as in the paper.
-        warp: Whether it can carry what moves, by a flow, instead of painting it anew.
-        gate_floor: The least share of what it paints that is let in anywhere: above 0 for video of which little moves.
     """
 
     second_frame: bool = True
-    warp: bool = False
-    gate_floor: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_gate_floor(self.gate_floor)
 
 
 class EncoderDecoder(TwoFrameModel[EncoderDecoderConfig]):
@@ -54,12 +47,7 @@ class EncoderDecoder(TwoFrameModel[EncoderDecoderConfig]):
         super().__init__(config, inputs)
         check_size("the E-D CNN", inputs)
         self.encoding = ActionEncoding(inputs.actions)
-        self.network = CodedUNet(
-            self.encoding.width,
-            frames=2 if config.second_frame else 1,
-            warps=config.warp,
-            gate_floor=config.gate_floor,
-        )
+        self.network = CodedUNet(self.encoding.width, 2 if config.second_frame else 1, config)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:

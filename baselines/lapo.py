@@ -21,7 +21,7 @@ from einops import rearrange
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
+from baselines.layers import CodedUNet, MotionTrunk, UNetConfig, check_size, linear, squared_error
 from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
@@ -38,8 +38,8 @@ from dmotion_bench.specs import Preset, Supervision
 
 
 @dataclass(frozen=True, kw_only=True)
-class LapoConfig:
-    """The authors' choices, except for the decay.
+class LapoConfig(UNetConfig):
+    """The authors' choices, except for the decay, and those of the network that draws.
 
     Attributes:
         codebooks: Number of codebooks.
@@ -50,7 +50,6 @@ class LapoConfig:
         decay: Of the running means that the codes are; the authors' 0.999 is for 50,000 steps.
         restart: A code whose running count is below this is put on a part of the batch, drawn at random; so the first
             batch places them. Without it 7 of 128 codes were in use (docs/experiments/baseline-repairs.md).
-        warp: Whether the forward model can carry what moves, by a flow, instead of painting it anew.
     """
 
     codebooks: int = 2
@@ -60,9 +59,9 @@ class LapoConfig:
     commitment: float = 0.05
     decay: float = 0.99
     restart: float = 0.1
-    warp: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if min(self.codebooks, self.latents, self.codes, self.length) < 1:
             raise InvalidSetting("codebooks, latents, codes and length must be 1 or more.")
         if not 0 <= self.decay < 1 or self.commitment < 0 or self.restart <= 0:
@@ -132,7 +131,7 @@ class Lapo(TwoFrameModel[LapoConfig]):
         self.trunk = MotionTrunk(frames=3)
         self.latent = linear(MotionTrunk.length, config.action_length)
         self.quantizer = VectorQuantizer(config)
-        self.forward_model = CodedUNet(config.action_length, warps=config.warp)
+        self.forward_model = CodedUNet(config.action_length, config=config)
         self.table = ActionToLatent(inputs.actions, config.action_length)
 
     @classmethod

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.gaussian import Gaussian
-from baselines.layers import CodedUNet, MotionTrunk, check_size, linear, squared_error
+from baselines.layers import CodedUNet, MotionTrunk, UNetConfig, check_size, linear, squared_error
 from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
@@ -37,20 +37,19 @@ from dmotion_bench.specs import Preset, Supervision
 
 
 @dataclass(frozen=True, kw_only=True)
-class LatentActionConfig:
+class LatentActionConfig(UNetConfig):
     """AdaWorld's choices.
 
     Attributes:
         length: Numbers in a latent action.
         beta: Weight of the divergence [per nat] against the mean squared error of images in [0, 1].
-        warp: Whether the decoder can carry what moves, by a flow, instead of painting it anew.
     """
 
     length: int = 32
     beta: float = 2e-4
-    warp: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.length < 1 or self.beta < 0:
             raise InvalidSetting("length must be 1 or more, beta 0 or more.")
 
@@ -69,7 +68,7 @@ class LatentActionVAE(TwoFrameModel[LatentActionConfig]):
         check_size("the latent-action VAE", inputs)
         self.trunk = MotionTrunk(frames=2)
         self.moments = linear(MotionTrunk.length, 2 * config.length, 0.5)
-        self.decoder = CodedUNet(config.length, warps=config.warp)
+        self.decoder = CodedUNet(config.length, config=config)
         self.table = ActionToLatent(inputs.actions, config.length)
 
     @classmethod

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -219,24 +220,49 @@ def warped(image: Float[Tensor, "b c h w"], flow: Float[Tensor, "b 2 y x"]) -> F
     return F.grid_sample(image.contiguous(), places, padding_mode="border", align_corners=False)
 
 
+@dataclass(frozen=True, kw_only=True)
+class UNetConfig:
+    """What models whose frames a ``UNet`` draws may choose of it.
+
+    Attributes:
+        warp: Whether it can carry what moves, by a flow, instead of painting it anew.
+        gate_floor: The least share of what it paints that is let in anywhere. Above 0 for video of which little moves:
+            a gate that closed everywhere would learn nothing more.
+        width: Times as many channels as usual.
+    """
+
+    warp: bool = False
+    gate_floor: float = 0.0
+    width: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.gate_floor < 1:
+            raise InvalidSetting(f"gate_floor is {self.gate_floor}; it must be at least 0 and below 1.")
+        if self.width < 1:
+            raise InvalidSetting(f"width is {self.width}; it must be 1 or more.")
+
+
 class UNet(nn.Module):
     """Predicts the next packed frame from the last ones; other inputs are added to the features at three depths.
 
-    The output is blended into x_t by a gate per pixel: what does not move is copied.
+    The output is blended into x_t by a gate per pixel: what does not move is copied. It can also be painted over what
+    a flow, which a second gate lets in, has taken along from x_t. The floor of the first gate matters where little of
+    the video moves: the gate can close everywhere while the painting is still bad, and above 0 it can open again.
 
     Args:
         frames: How many frames it sees, x_t the last of them.
-        warps: Whether what moves can be carried there from x_t, by a flow that a second gate lets in, instead of
-            being painted anew.
-        gate_floor: The least share of the painting that the gate lets in anywhere, from 0 to below 1. Where little of
-            the video moves, a gate can close everywhere while the painting is still bad; then nothing is learned any
-            more. Above 0 it can open again.
+        config: Its choices.
+
+    Attributes:
+        widths: The channels of the three depths.
     """
 
-    def __init__(self, frames: int = 2, *, warps: bool = False, gate_floor: float = 0.0) -> None:
+    def __init__(self, frames: int = 2, config: UNetConfig | None = None) -> None:
         super().__init__()
-        self.gate_floor = gate_floor
-        c, w, d = WIDTHS
+        config = config or UNetConfig()
+        self.gate_floor = config.gate_floor
+        self.widths = [config.width * usual for usual in WIDTHS]
+        c, w, d = self.widths
         self.frames_in = conv(CHANNELS * frames, c, 1)
         self.level0 = block(c, c)
         self.down1, self.level1 = conv(c, w, stride=2), block(w, w)
@@ -245,8 +271,8 @@ class UNet(nn.Module):
         self.up1, self.merge1 = up(d, w), block(w, w)
         self.up0, self.merge0 = up(w, c), block(c, c)
         self.painting, self.gate = output(c, CHANNELS), output(c, PATCH**2)
-        self.warps = warps
-        if warps:
+        self.warps = config.warp
+        if self.warps:
             self.flow, self.warp_gate = output(c, 2), output(c, PATCH**2)
 
     def next_frame(
@@ -289,16 +315,6 @@ class UNet(nn.Module):
         return torch.lerp(current, moved, _share(self.warp_gate, features))
 
 
-def check_gate_floor(floor: float) -> None:
-    """Raise an error unless the floor is a share that leaves the gate something to decide.
-
-    Raises:
-        InvalidSetting: It is not.
-    """
-    if not 0 <= floor < 1:
-        raise InvalidSetting(f"gate_floor is {floor}; it must be at least 0 and below 1.")
-
-
 class _Floor(torch.autograd.Function):
     """What is below a bound is raised to it, and its gradient goes on as long as it asks for more."""
 
@@ -333,12 +349,12 @@ class CodedUNet(UNet):
 
     Args:
         code: Length of the vector.
-        frames, warps, gate_floor: As for ``UNet``.
+        frames, config: As for ``UNet``.
     """
 
-    def __init__(self, code: int, frames: int = 2, *, warps: bool = False, gate_floor: float = 0.0) -> None:
-        super().__init__(frames, warps=warps, gate_floor=gate_floor)
-        self.code_in, self.code_1, self.code_2 = (linear(code, width) for width in WIDTHS)
+    def __init__(self, code: int, frames: int = 2, config: UNetConfig | None = None) -> None:
+        super().__init__(frames, config)
+        self.code_in, self.code_1, self.code_2 = (linear(code, channels) for channels in self.widths)
 
     def forward(
         self,

@@ -22,7 +22,15 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baselines.layers import CodedUNet, MotionTrunk, check_gate_floor, check_size, left_to_adam, linear, squared_error
+from baselines.layers import (
+    CodedUNet,
+    MotionTrunk,
+    UNetConfig,
+    check_size,
+    left_to_adam,
+    linear,
+    squared_error,
+)
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
 from dmotion_bench.actions import ActionSpec, Continuous
@@ -36,22 +44,15 @@ STRIDE = 16  # [px]: a roll by so many changes nothing for the trunk
 
 
 @dataclass(frozen=True, kw_only=True)
-class RelabellingConfig:
-    """The choices that the published method leaves open.
+class RelabellingConfig(UNetConfig):
+    """The choices that the published method leaves open, and those of the forward model's network.
 
     Attributes:
         frames: How many frames the inverse model sees: x_t and x_{t+1}, or x_{t-1} before them. A third frame tells of
             velocities, and takes more labels to be told from chance.
-        warp: Whether the forward model can carry what moves, by a flow, instead of painting it anew.
-        gate_floor: The least share of what it paints that is let in anywhere: above 0 for video of which little moves.
     """
 
     frames: Literal[2, 3] = 2
-    warp: bool = False
-    gate_floor: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_gate_floor(self.gate_floor)
 
 
 class InverseModel(nn.Module):
@@ -104,7 +105,7 @@ class InverseRelabelling(ForwardModel[RelabellingConfig]):
         check_size("inverse-dynamics relabelling", inputs)
         self.inverse = InverseModel(inputs.actions, config.frames)
         self.encoding = ActionEncoding(inputs.actions)
-        self.network = CodedUNet(self.encoding.width, warps=config.warp, gate_floor=config.gate_floor)
+        self.network = CodedUNet(self.encoding.width, config=config)
         self.phase = INVERSE
 
     @classmethod

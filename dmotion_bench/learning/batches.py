@@ -1,7 +1,8 @@
 """Batches of triplets on the device that trains or predicts.
 
-On the CPU a batch is gathered from the memory-mapped cache. On a GPU the frames lie in device memory as uint8,
-once, and a batch is one indexed read: nothing waits for data.
+On the CPU a batch is gathered from the memory-mapped cache. On a GPU the frames lie in device memory as uint8, once,
+and a batch is one indexed read. Those of a data set with more than 2 GB are gathered as on the CPU, since several
+trainings may share the GPU; it was as fast (docs/experiments/speed.md).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.learning.triplets import BatchOrder, TripletSet
 
-RESIDENT_SHARE = 0.6  # of the free device memory may be frames
+RESIDENT = 2 << 30  # bytes of frames that may lie on the device: half of what a training beside others has there
 _AT_ONCE = 4096  # frames that are brought to the device
 
 
@@ -97,7 +98,7 @@ class TripletBatches:
 
     def _fits(self) -> bool:
         free, _ = torch.cuda.mem_get_info(self.device)
-        return bool(self.triplets.cache.nbytes < RESIDENT_SHARE * free)
+        return bool(self.triplets.cache.nbytes <= min(RESIDENT, free // 2))
 
     def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
         """The triplets of ``index``, images in [-1, 1], channels-last in memory."""

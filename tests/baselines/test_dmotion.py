@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -173,11 +175,11 @@ def test_sizes_that_it_cannot_take_are_said(height: int) -> None:
         DMotion(DMotionConfig(), ModelInputs(height=height, width=height, actions=Discrete.numbered(4)))
 
 
-def test_the_papers_interaction_learner_paints() -> None:
-    with pytest.raises(InvalidSetting, match="warp is for arch=compact"):
-        DMotionConfig(arch="paper", warp=True)
-    with pytest.raises(InvalidSetting, match="gate_floor is for arch=compact"):
-        DMotionConfig(arch="paper", gate_floor=0.01)
+@pytest.mark.parametrize("setting", [{"warp": True}, {"gate_floor": 0.01}, {"width": 2}])
+def test_the_papers_interaction_learner_has_no_such_choice(setting: dict[str, Any]) -> None:
+    (name,) = setting
+    with pytest.raises(InvalidSetting, match=f"{name} is for arch=compact"):
+        DMotionConfig(arch="paper", **setting)
 
 
 def test_going_back_undoes_going_there() -> None:

@@ -14,7 +14,7 @@ from baselines.layers import (
     WIDTHS,
     RoundConv2d,
     UNet,
-    check_gate_floor,
+    UNetConfig,
     conv,
     over_frames,
     squared_error,
@@ -114,7 +114,7 @@ def test_warping_reads_each_pixel_where_the_flow_points() -> None:
 
 
 def test_a_u_net_that_warps_can_carry_the_frame_without_painting() -> None:
-    network = UNet(1, warps=True)
+    network = UNet(1, UNetConfig(warp=True))
     with torch.no_grad():
         for layer in (network.flow, network.warp_gate, network.gate):
             layer.weight.zero_()
@@ -130,7 +130,7 @@ def test_a_u_net_that_warps_can_carry_the_frame_without_painting() -> None:
 
 def test_warping_adds_a_flow_and_its_gate_to_what_paints() -> None:
     names = set(UNet(2).state_dict())
-    assert {name for name in UNet(2, warps=True).state_dict() if name not in names} == {
+    assert {name for name in UNet(2, UNetConfig(warp=True)).state_dict() if name not in names} == {
         f"{layer}.{kind}" for layer in ("flow", "warp_gate") for kind in ("weight", "bias")
     }
 
@@ -183,7 +183,7 @@ def test_a_gate_lets_in_one_share_per_pixel_for_all_colours() -> None:
 def _closed(floor: float) -> tuple[UNet, Tensor, Tensor]:
     """A network whose gate is closed everywhere, what it predicts of noise, and by how much its painting differs."""
     torch.manual_seed(0)
-    network = UNet(1, gate_floor=floor)
+    network = UNet(1, UNetConfig(gate_floor=floor))
     assert network.gate.bias is not None
     torch.nn.init.constant_(network.gate.bias, -300.0)
     packed, seen = pack(torch.rand(2, 3, 32, 32) * 2 - 1), []
@@ -211,4 +211,18 @@ def test_a_gate_that_closed_everywhere_learns_nothing_and_with_a_floor_opens_aga
 @pytest.mark.parametrize("floor", [-0.1, 1.0, float("nan")])
 def test_a_floor_that_cannot_be_is_refused(floor: float) -> None:
     with pytest.raises(InvalidSetting, match="gate_floor is"):
-        check_gate_floor(floor)
+        UNetConfig(gate_floor=floor)
+
+
+def test_a_wider_network_has_wider_layers_and_the_same_in_and_out() -> None:
+    usual, wide = UNet(2), UNet(2, UNetConfig(width=2))
+    assert wide.widths == [2 * channels for channels in usual.widths]
+    packed = pack(torch.rand(3, 3, 32, 32))
+    for network in (usual, wide):
+        assert network.next_frame([packed, packed], torch.zeros(3, network.widths[0], 1, 1)).shape == packed.shape
+    assert wide.middle[0][0].weight.numel() == 4 * usual.middle[0][0].weight.numel()
+
+
+def test_a_network_without_channels_is_refused() -> None:
+    with pytest.raises(InvalidSetting, match="width is 0"):
+        UNetConfig(width=0)

@@ -219,15 +219,23 @@ def _told_apart(rows: list[Row]) -> list[Row]:
 
     Both are taken from their runs' names.
     """
-    counts: dict[tuple[str, ...], int] = defaultdict(int)
-    for row in rows:
-        counts[row.model, row.variant, row.labels] += 1
-    apart = [
-        _beyond(row, settings_of if counts[row.model, row.variant, row.labels] > 1 else unusual_settings)
-        for row in rows
-    ]
-    names = [(row.model, row.variant, row.labels) for row in apart]
-    return [_by_weights(row) if names.count(name) > 1 else row for row, name in zip(apart, names, strict=True)]
+    alone = [_beyond(row, unusual_settings) for row in rows]
+    apart = _where_alike(rows, alone, [_beyond(row, _settings_or_name) for row in rows])
+    apart = _where_alike(apart, apart, [_beyond(row, settings_of) for row in rows])
+    return _where_alike(apart, apart, [_by_weights(row) for row in apart])
+
+
+def _settings_or_name(entry: Entry) -> str:
+    """What is unusual about a run, or its name where that does not say."""
+    unusual = unusual_settings(entry)
+    return settings_of(entry) if unusual is None else unusual
+
+
+def _where_alike(of: list[Row], rows: list[Row], instead: list[Row]) -> list[Row]:
+    """``rows``, and the others in the place of those whose row of ``of`` shares its model, variant and budget."""
+    names = [(row.model, row.variant, row.labels) for row in of]
+    counts = Counter(names)
+    return [other if counts[name] > 1 else row for row, other, name in zip(rows, instead, names, strict=True)]
 
 
 def _by_weights(row: Row) -> Row:

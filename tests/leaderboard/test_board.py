@@ -238,7 +238,7 @@ def test_a_variant_of_a_model_has_its_own_colour_and_marker(result: Callable[...
         ("a-DATASET-s0", ""),
         ("a-DATASET-epochs_3-s0", "epochs 3"),
         ("a-DATASET-5-shot-epochs_3-s1", "epochs 3"),
-        ("a-DATASET-epochs_3-threads_1-s1", "epochs 3, threads 1"),
+        ("a-DATASET-epochs_3-threads_1-s1", "epochs 3"),
         ("a-DATASETx-s0", "a-DATASETx"),
     ],
 )
@@ -381,3 +381,15 @@ def test_another_s_run_of_the_same_name_and_seed_is_a_row_of_its_own(
     measured = [row for row in board.rows if row.kind == "measured"]
     assert [row.seeds for row in measured] == [1, 1]
     assert {row.variant for row in measured} == {f"weights {sound.content['weights'][:8]}", "weights 99999999"}
+
+
+def test_the_number_of_threads_tells_rows_apart_only_where_nothing_else_does(result: Callable[..., Entry]) -> None:
+    dataset = str(result("a", np.ones(40)).content["dataset"]["name"])
+
+    def variants(*settings: str) -> set[str]:
+        runs = [f"a-{dataset}-{one}-s0" for one in settings]
+        (board,) = make_boards([result("a", np.ones(40), run=run) for run in runs])
+        return {row.variant for row in board.rows if row.kind == "measured"}
+
+    assert variants("threads_1", "epochs_3") == {"", "epochs 3"}
+    assert variants("epochs_3-threads_1", "epochs_3-threads_2") == {"epochs 3, threads 1", "epochs 3, threads 2"}

@@ -16,7 +16,16 @@ if TYPE_CHECKING:
     from dmotion_bench.scoring.score import Metric
 
 PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "icem-recall", "mppi", "random-shooting")
-OBJECTIVES: Final = ("centres", "feature", "pixel", "steps-to-go", "tabletop", "tracked", "tracked-risk")
+OBJECTIVES: Final = (
+    "centres",
+    "feature",
+    "pixel",
+    "steps-to-go",
+    "tabletop",
+    "tracked",
+    "tracked-risk",
+    "tracked-vanishing",
+)
 COLUMNS: Final = ("generic-risk", "generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
@@ -60,7 +69,7 @@ ObjectiveName = Annotated[
         metavar=listed(OBJECTIVES),
         help="What control minimises. centres is the paper's: the distance of the objects that a predicted frame shows "
         "from their places in the goal; tracked remembers hidden objects as well, tracked-risk also counts what may "
-        "disappear, tabletop follows objects through predicted frames and avoids falls. A package of your own can add "
+        "disappear, tracked-vanishing counts it where video shows that things stay away, tabletop follows objects through predicted frames and avoids falls. A package of your own can add "
         "others. Default: the one that the environment names, and feature for models that draw no frames.",
     ),
 ]

@@ -48,7 +48,7 @@ from dmotion_bench.planning.mpc import (
     ControlSettings,
     control,
 )
-from dmotion_bench.planning.objectives.base import Objective
+from dmotion_bench.planning.objectives.base import Objective, taught
 from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.tasks import Judge, load_problems, task_environment
 from dmotion_bench.scoring.earlier_planning import (
@@ -308,7 +308,7 @@ def agent_of(
     """Whoever acts: a model with its solver and objective, or a reference by its name."""
     solver = make_solver(scoring.planner, scoring.planner_set)
     needs_pixels = None if isinstance(model, str) else model.needs_pixels
-    _, objective = scoring.planned_with(dataset, needs_pixels=needs_pixels)
+    objective = taught(scoring.planned_with(dataset, needs_pixels=needs_pixels)[1], dataset)
     if isinstance(model, str):
         return make_reference(model, dataset.spec, lambda: task_environment(dataset.recipe), solver, objective)
     return ModelAgent(model, dataset.spec, solver, objective, device=device)

@@ -36,7 +36,7 @@ from dmotion_bench.planning.dynamics.base import Dynamics, Observation
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.dynamics.simulator import Simulation, SimulatorDynamics
 from dmotion_bench.planning.moments import Moment, carried_out, find_moment, fixed_sequences
-from dmotion_bench.planning.objectives.base import Objective
+from dmotion_bench.planning.objectives.base import Objective, taught
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.planning.solvers.rollouts import Rollouts
 from dmotion_bench.planning.solvers.search import Search
@@ -154,10 +154,11 @@ def gain_tables(
     """
     truth = known_truth(dataset, split, scoring, how)
     name = scoring.objective or generic_objective(dataset.spec, needs_pixels=model.needs_pixels)
+    objective = taught(make_objective(name, scoring.objective_set), dataset)
     dynamics = ModelDynamics(model, bf16=False, device=how.device)
     groups, found = _groups(truth.moments), []
     for done, group in enumerate(groups):
-        found.append(_picks(dynamics, make_objective(name, scoring.objective_set), dataset, group, truth.sequences))
+        found.append(_picks(dynamics, objective, dataset, group, truth.sequences))
         how.progress("gain captured", done + 1, len(groups))
     picks = np.concatenate(found)
     return [
@@ -315,7 +316,7 @@ def _frame_objective(dataset: ReadableDataset, scoring: GainScoring) -> Objectiv
     """By which the true frames are judged; one that looks at a model's features has none to look at."""
     if scoring.objective in (None, "feature"):
         return make_objective(generic_objective(dataset.spec, needs_pixels=True))
-    return make_objective(scoring.objective, scoring.objective_set)
+    return taught(make_objective(scoring.objective, scoring.objective_set), dataset)
 
 
 def _samples(who: str, spec: ActionSpec, truth: Truth, picks: Int[np.ndarray, " m"] | None) -> pa.Table:

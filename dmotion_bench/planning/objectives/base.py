@@ -12,6 +12,7 @@ from torch import Tensor
 
 from dmotion_bench.planning.dynamics.base import Actions, Dynamics, State
 from dmotion_bench.specs import EnvSpec
+from dmotion_bench.storage.readable import ReadableDataset
 
 CostState = tuple[Tensor, ...]
 """What a cost carries from one predicted step to the next, besides the dynamics' state; empty if nothing."""
@@ -95,6 +96,19 @@ class Objective(Protocol):
         Raises:
             InvalidSetting: The objective needs something that the environment lacks.
         """
+
+
+@runtime_checkable
+class LearnsFromVideo(Protocol):
+    """The settings of an objective that learns something from video, without labels, before it is used."""
+
+    def learned(self, video: ReadableDataset) -> Objective:
+        """The objective after it has seen the video of a data set."""
+
+
+def taught(objective: Objective, video: ReadableDataset) -> Objective:
+    """An objective that has learned from a data set's video what it wants to know; most want nothing."""
+    return objective.learned(video) if isinstance(objective, LearnsFromVideo) else objective
 
 
 class Memoryless:

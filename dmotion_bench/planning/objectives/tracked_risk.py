@@ -110,7 +110,11 @@ class TrackedRiskEvaluator(TrackedEvaluator):
 
     def _risk(self, now: BoundingBoxes, task: Int[Tensor, " n"]) -> Float[Tensor, "n k"]:
         """The risk that each object is lost with the step from what is seen now to these frames."""
+        return self._fading(now, task) * self._clear[task, None]
+
+    def _fading(self, now: BoundingBoxes, task: Int[Tensor, " n"]) -> Float[Tensor, "n k"]:
+        """How far each object that is seen now fades in these frames: 0 if it stays, 1 if it is no longer there."""
         own, before = self._settings, self._now.of(task)
         left = now.pixels / before.pixels.clamp(min=1)
-        risk = ((own.safe_from - left) / (own.safe_from - own.lost_below)).clamp(0, 1)
-        return risk * before.seen * self._clear[task, None]
+        faded = ((own.safe_from - left) / (own.safe_from - own.lost_below)).clamp(0, 1)
+        return faded * before.seen

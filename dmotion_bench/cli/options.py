@@ -70,7 +70,8 @@ ObjectiveName = Annotated[
         help="What control minimises. centres is the paper's: the distance of the objects that a predicted frame shows "
         "from their places in the goal; tracked remembers hidden objects as well, tracked-risk also counts what may "
         "disappear, tracked-vanishing counts it where video shows that things stay away, tabletop follows objects "
-        "through predicted frames and avoids falls. A package of your own can add others. Default: the one that the environment names, and feature for models that draw no frames.",
+        "through predicted frames and avoids falls. A package of your own can add others. Default: the one that the "
+        "environment names, and feature for models that draw no frames.",
     ),
 ]
 ObjectiveSettings = Annotated[

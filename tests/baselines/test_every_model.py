@@ -13,7 +13,7 @@ import pytest
 import torch
 from noise_world import noise_episode, noise_spec
 
-from baselines.layers import UNet
+from baselines.layers import WIDTHS, UNet
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.devices import launch
@@ -120,18 +120,19 @@ def test_the_papers_networks_keep_the_contract_and_train_at_64_pixels(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_draws_with_a_u_net_can_warp(name: str, build, step, video, batch) -> None:
+def test_what_draws_with_a_u_net_can_warp_and_be_wider(name: str, build, step, video, batch) -> None:
     kind = model_class(name)
     if "warp" not in {field.name for field in dataclasses.fields(kind.Config)}:
         assert not any(isinstance(part, UNet) for part in build(kind).modules())
         return
-    model = build(kind, warp=True)
+    model = build(kind, warp=True, width=2)
     model.enter(model.phases()[-1])
     (drawing,) = (part for part in model.modules() if isinstance(part, UNet))
     before = drawing.flow.weight.clone()
     step(model, batch if kind.supervision is Supervision.ACTIONS else video, 2)
     assert not torch.equal(drawing.flow.weight, before)
     assert not any(hasattr(part, "flow") for part in build(kind).modules())
+    assert drawing.widths == [2 * usual for usual in WIDTHS]
 
 
 @pytest.mark.parametrize("name", sorted({*NAMES} - {"dmotion", "dmotion-no-stn"}))

@@ -2,7 +2,7 @@
 
 On the CPU a batch is gathered from the memory-mapped cache. On a GPU the frames lie in device memory as uint8, once,
 and a batch is one indexed read. Those of a data set with more than 2 GB are gathered as on the CPU, since several
-trainings may share the GPU; it was as fast (docs/experiments/speed.md).
+trainings may share the GPU (docs/experiments/speed.md).
 """
 
 from __future__ import annotations

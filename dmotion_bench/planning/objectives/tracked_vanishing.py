@@ -16,6 +16,8 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.planning.dynamics.base import Dynamics
+from dmotion_bench.planning.objectives.base import CostState
 from dmotion_bench.planning.objectives.centres import require_objects
 from dmotion_bench.planning.objectives.tracked_risk import TrackedRisk, TrackedRiskEvaluator
 from dmotion_bench.planning.objectives.tracking import BoundingBoxes, Tracker
@@ -110,6 +112,12 @@ class TrackedVanishingEvaluator(TrackedRiskEvaluator):
         super().__init__(spec, first, goals, settings)
         self._vanishings = vanishings
 
+    def begin(self, dynamics: Dynamics) -> CostState:
+        """What is carried is the risk; the chance at each object's place holds for the whole control step."""
+        carried = super().begin(dynamics)
+        self._chance = self._vanishings.chance(self._now.centre)
+        return carried
+
     def _risk(self, now: BoundingBoxes, task: Int[Tensor, " n"]) -> Float[Tensor, "n k"]:
         """The risk that each object vanishes for good with the step from what is seen now to these frames."""
-        return self._fading(now, task) * self._vanishings.chance(self._now.centre)[task]
+        return self._fading(now, task) * self._chance[task]

@@ -213,7 +213,7 @@ def warped(image: Float[Tensor, "b c h w"], flow: Float[Tensor, "b 2 y x"]) -> F
         flow: From each pixel to the one it is read from, (right, down) [px]; of any size, interpolated to the image's.
     """
     height, width = image.shape[2:]
-    flow = F.interpolate(flow, size=(height, width), mode="bilinear", align_corners=False)
+    flow = F.interpolate(flow.contiguous(), size=(height, width), mode="bilinear", align_corners=False)
     down = torch.arange(height, device=image.device)[:, None] + 0.5
     right = torch.arange(width, device=image.device)[None, :] + 0.5
     places = torch.stack([(right + flow[:, 0]) * (2 / width) - 1, (down + flow[:, 1]) * (2 / height) - 1], dim=-1)

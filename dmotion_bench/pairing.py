@@ -19,7 +19,14 @@ from jaxtyping import Float
 
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
-from dmotion_bench.scoring.report import REPORT_FOLDER, TRANSFERS, Report, read_report, read_report_samples
+from dmotion_bench.scoring.report import (
+    REPORT_FOLDER,
+    TRANSFERS,
+    Report,
+    read_report,
+    read_report_samples,
+    report_place,
+)
 from dmotion_bench.scoring.samples import (
     CONTROL,
     FIGURE_COLUMNS,
@@ -29,6 +36,8 @@ from dmotion_bench.scoring.samples import (
     column,
 )
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate, paired_difference
+from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.wording import command
 
 HIGHER_IS_BETTER: Final = frozenset(
@@ -95,38 +104,39 @@ def scored(run: Path, folder: Path | None = None) -> tuple[Report, pa.Table]:
     report = read_report(folder)
     samples = None if report is None else read_report_samples(folder, report)
     if report is None or samples is None:
-        on = ("--data", folder.name) if folder.parent.name == TRANSFERS else ()
-        score = command("dmbench score", run, *on)
+        there, split = (folder.parent, ("--split", folder.name)) if folder.name in SPLIT_NAMES else (folder, ())
+        on = ("--data", there.name) if there.parent.name == TRANSFERS else ()
+        score = command("dmbench score", run, *on, *split)
         raise RunMissing(f"the run {str(run)!r} has no whole report; score it with {score}.")
     return report, samples
 
 
-def scored_on(run: Path, dataset: str) -> tuple[Report, pa.Table]:
-    """A run's report on a data set of this name, its own or another, and the samples.
+def scored_on(run: Path, dataset: str | None, split: SplitName = "test") -> tuple[Report, pa.Table]:
+    """A run's report on a data set of this name, its own (also by None) or another, and the samples.
 
     Raises:
         RunMissing: There is none.
     """
-    own = read_report(run / REPORT_FOLDER)
-    if own is not None and own.dataset["name"] == dataset:
-        return scored(run)
-    return scored(run, run / REPORT_FOLDER / TRANSFERS / Path(dataset).name)
+    place = report_place(None, split)
+    own = read_report(run / place)
+    if dataset is None or (own is not None and own.dataset["name"] == dataset):
+        return scored(run, run / place)
+    return scored(run, run / report_place(dataset, split))
 
 
-def compare_runs(first: Path, second: Path, dataset: str | None = None) -> list[Difference]:
+def compare_runs(first: Path, second: Path, dataset: str | None = None, split: SplitName = "test") -> list[Difference]:
     """Every figure of two runs that can be paired, in the report's order.
 
     Args:
         first, second: The runs' folders.
         dataset: The name of the data set that both were scored on; each one's own if left out.
+        split: Whose episodes both were scored on.
 
     Raises:
         RunMissing: One of them is not scored.
         RunMismatch: They were not scored on the same triplets.
     """
-    (one, one_samples), (other, other_samples) = (
-        scored(run) if dataset is None else scored_on(run, dataset) for run in (first, second)
-    )
+    (one, one_samples), (other, other_samples) = (scored_on(run, dataset, split) for run in (first, second))
     for what, left, right in (
         ("data set", one.dataset["fingerprint"], other.dataset["fingerprint"]),
         ("split", one.settings["split"], other.settings["split"]),

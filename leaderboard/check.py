@@ -126,7 +126,8 @@ def check_entry(
     except DatasetError as error:
         check.missing.append(f"data set of the training: {error}")
         return check.verdict()
-    folder = report_folder(run.path, run.spec.fingerprint, dataset, check.entry.column)
+    split = "test" if asked is None else asked.split
+    folder = report_folder(run.path, run.spec.fingerprint, dataset, split, check.entry.column)
     against_run(check, run, dataset, folder)
     samples = _stored_samples(check, folder)
     if asked is None or read is None:

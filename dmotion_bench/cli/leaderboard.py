@@ -201,15 +201,20 @@ def compare(
     data: Annotated[
         Path | None, typer.Option(help="Data set that both were scored on. Default: the one that they were trained on.")
     ] = None,
+    split: Annotated[
+        str,
+        typer.Option(metavar=listed(("test", "validation")), help="Which held-out episodes both were scored on."),
+    ] = "test",
     everything: Annotated[bool, typer.Option("--all", help="Compare every figure, not only the main ones.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Tell which of two runs is better, by their difference on the same frames and its interval."""
     from dmotion_bench.workspace import Workspace
 
+    require_one_of("split", split, ("test", "validation"))
     workspace = Workspace.current()
     one, other = (workspace.run(run) for run in (first, second))
-    differences = _part("compare")(one, other, None if data is None else workspace.dataset(data).name)
+    differences = _part("compare")(one, other, None if data is None else workspace.dataset(data).name, split)
     if as_json:
         typer.echo(json.dumps({"first": str(one), "second": str(other), "differences": list(map(_plain, differences))}))
         return

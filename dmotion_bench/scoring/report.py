@@ -115,11 +115,8 @@ class Report:
     @property
     def place(self) -> Path:
         """The report's path within the run's folder."""
-        own = Path(REPORT_FOLDER)
-        if self.trained_on is None:
-            return own
-        there = own / TRANSFERS / Path(self.dataset["name"]).name
-        return there if self.column is None else there / Path(self.column).name
+        elsewhere = None if self.trained_on is None else str(self.dataset["name"])
+        return report_place(elsewhere, self.settings["split"], self.column)
 
     @property
     def column(self) -> str | None:
@@ -140,6 +137,21 @@ class Report:
             "figures": self.figures,
             "reference": self.reference,
         }
+
+
+def report_place(dataset: str | None, split: str = "test", column: str | None = None) -> Path:
+    """The path of a report within its run's folder.
+
+    Args:
+        dataset: The name of what it is about; None: the run's own.
+        split: Whose episodes were scored; those of the test have the plain place.
+        column: Of the table of control, whose tasks are of no split.
+    """
+    own = Path(REPORT_FOLDER)
+    there = own if dataset is None else own / TRANSFERS / Path(dataset).name
+    if column is not None:
+        return there / Path(column).name
+    return there if split == "test" else there / Path(split).name
 
 
 def write_report(folder: Path, report: Report, samples: pa.Table) -> Report:

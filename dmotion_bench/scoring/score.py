@@ -308,7 +308,7 @@ def scored_data(
                 "its held-out episodes may no longer be held out; train again with 'dmbench train'."
             )
         dataset = transferable(run, dataset, split, column)
-    return dataset, report_folder(run.path, run.spec.fingerprint, dataset, column)
+    return dataset, report_folder(run.path, run.spec.fingerprint, dataset, split, column)
 
 
 def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa.Table]:

@@ -2,7 +2,7 @@
 
 The figures are those of the other data set's held-out episodes, the same that runs trained on it are scored on, so
 they stand on one board and can be paired. Such a report lies beside the run's own, in ``report/on/NAME/``, and says
-what the run was trained on.
+what the run was trained on. A report of validation episodes lies below that of the test, in ``validation/``.
 
 It must be the same environment: the same actions and pictures of the same size. And the episodes must be new to the
 run: two recordings with the same seed begin their episodes alike, and where nothing that can be seen varies, one may
@@ -27,35 +27,41 @@ from dmotion_bench.errors import DatasetError, DatasetMissing, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.run_manifest import stored_actions
 from dmotion_bench.scoring.overlap import copied_episodes
-from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS
+from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS, report_place
 from dmotion_bench.specs import IMPORTED, SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.readable import ReadableDataset
+from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.wording import command, shortened, shown
 
 _SHOWN: Final = 5
 
 
-def report_folder(run: Path, trained_on: str, dataset: ReadableDataset, column: str | None = None) -> Path:
+def report_folder(
+    run: Path, trained_on: str, dataset: ReadableDataset, split: SplitName = "test", column: str | None = None
+) -> Path:
     """The folder of a run's report on a data set.
 
     Args:
         run: The run's folder.
         trained_on: Fingerprint of the run's own data set.
         dataset: What it is scored on.
+        split: Whose episodes are scored.
         column: Of the table of control; each has a report of its own.
     """
-    own = run / REPORT_FOLDER
-    if dataset.fingerprint == trained_on:
-        return own
-    there = own / TRANSFERS / dataset.name
-    return there if column is None else there / column
+    elsewhere = None if dataset.fingerprint == trained_on else dataset.name
+    return run / report_place(elsewhere, split, column)
 
 
 def transfer_folders(run: Path) -> list[Path]:
-    """The folders of a run's reports on other data sets than its own, and of the columns there, sorted."""
+    """The folders of a run's reports on other data sets than its own, and of the columns there, sorted.
+
+    Not of those on validation episodes, which are for choosing and stand on no leaderboard.
+    """
     there = run / REPORT_FOLDER / TRANSFERS
-    return sorted(path.parent for depth in ("*", "*/*") for path in there.glob(f"{depth}/{REPORT_FILE}"))
+    found = [path.parent for path in there.glob(f"*/{REPORT_FILE}")]
+    found += [path.parent for path in there.glob(f"*/*/{REPORT_FILE}") if path.parent.name not in SPLIT_NAMES]
+    return sorted(found)
 
 
 def transferable(run: Run, dataset: Dataset, split: SplitName, column: str | None = None) -> Dataset:

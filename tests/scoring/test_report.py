@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import operator
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import pytest
 from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning.run import Run
+from dmotion_bench.pairing import compare_runs
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import PublishedFigure, PublishedResult, published_for
@@ -199,8 +201,25 @@ def test_the_validation_episodes_are_others(make_run: MakeRun, grid: Dataset, tm
 
     score_run(path, metrics=("prediction",), settings=ScoreSettings(split="validation", resamples=100))
 
-    episodes = pq.read_table(path / "report/samples.parquet")["episode"].unique().to_pylist()
+    episodes = pq.read_table(path / "report/validation/samples.parquet")["episode"].unique().to_pylist()
     assert episodes == grid.split("validation").tolist()
+
+
+def test_scoring_on_validation_episodes_leaves_the_report_of_the_test(make_run: MakeRun, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    settings = ScoreSettings(split="validation", resamples=100)
+    test = score_run(run.path, metrics=("prediction",), settings=QUICK)
+
+    chosen = score_run(run.path, metrics=("prediction",), settings=settings)
+
+    assert chosen.place == Path("report/validation")
+    assert read_report(run.path / chosen.place) == chosen
+    assert read_report(run.path / test.place) == test
+    assert compare_runs(run.path, run.path, split="validation")[0].first == chosen.figures["mse"]["mean"]
+    assert compare_runs(run.path, run.path)[0].first == test.figures["mse"]["mean"]
+    shutil.rmtree(run.path / "report/validation")
+    with pytest.raises(RunMissing, match="--split validation"):
+        compare_runs(run.path, run.path, split="validation")
 
 
 def test_what_is_wrong_is_said(make_run: MakeRun, tmp_path: Path) -> None:

@@ -72,6 +72,23 @@ def test_it_is_marked_and_stands_beside_the_run_s_own(
     assert transfer_folders(run.path) == [run.path / "report/on/other"] == [run.path / report.place]
 
 
+def test_validation_episodes_have_a_report_of_their_own_that_no_leaderboard_reads(
+    make_run: MakeRun, other: Dataset, tmp_path: Path
+) -> None:
+    run = make_run(tmp_path / "run")
+    test = _score(run, other)
+    chosen = score_run(
+        run.path, metrics=("prediction",), settings=ScoreSettings(split="validation", resamples=100), data=other.path
+    )
+
+    assert chosen.place == Path("report/on/other/validation")
+    assert read_report(run.path / chosen.place) == chosen
+    assert read_report(run.path / test.place) == test
+    assert transfer_folders(run.path) == [run.path / test.place]
+    (difference, *_) = compare_runs(run.path, run.path, "other", "validation")
+    assert difference.first == chosen.figures[difference.figure]["mean"]
+
+
 def test_it_is_kept_while_it_is_true_and_its_own_data_set_is_no_other(
     make_run: MakeRun, grid: Dataset, other: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,9 +21,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from baselines.gaussian import Gaussian
-from baselines.layers import SLOPE, CodedUNet, FrameEncoder, MotionTrunk, UNetConfig, check_size, linear, squared_error
+from baselines.layers import SLOPE, FrameEncoder, MotionTrunk, check_size, linear, squared_error
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
+from baselines.unet import CodedUNet, UNetConfig
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.action_to_latent import ActionToLatent

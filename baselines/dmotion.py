@@ -34,12 +34,13 @@ from torch import Tensor, nn
 
 from baselines import dmotion_compact, dmotion_paper
 from baselines.dominant_shift import dominant_shift
-from baselines.layers import UNetConfig, squared_error
+from baselines.layers import squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift, theta_of_shift
 from baselines.own_frames import OwnFrames
 from baselines.patches import rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
+from baselines.unet import UNetConfig
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.action_to_latent import ActionToLatent, JointActionToLatent

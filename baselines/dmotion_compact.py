@@ -23,18 +23,9 @@ from einops import rearrange
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from baselines.layers import (
-    OUTPUT_GAIN,
-    WIDTHS,
-    MotionTrunk,
-    UNet,
-    UNetConfig,
-    block,
-    conv,
-    left_to_adam,
-    up,
-)
+from baselines.layers import OUTPUT_GAIN, WIDTHS, MotionTrunk, block, conv, left_to_adam, up
 from baselines.patches import CHANNELS, from_patches, pack, patches, unpack
+from baselines.unet import UNet, UNetConfig
 
 __all__ = ["Decoder", "ImageEncoder", "InteractionLearner", "MotionEncoder", "pack", "unpack"]
 

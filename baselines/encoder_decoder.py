@@ -13,10 +13,11 @@ from typing import ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from baselines.layers import CodedUNet, UNetConfig, check_size, squared_error
+from baselines.layers import check_size, squared_error
 from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
+from baselines.unet import CodedUNet, UNetConfig
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 from dmotion_bench.learning.model import Losses, ModelInputs, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision

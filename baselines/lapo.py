@@ -21,10 +21,11 @@ from einops import rearrange
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from baselines.layers import CodedUNet, MotionTrunk, UNetConfig, check_size, linear, squared_error
+from baselines.layers import MotionTrunk, check_size, linear, squared_error
 from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
+from baselines.unet import CodedUNet, UNetConfig
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import (

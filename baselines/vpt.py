@@ -22,17 +22,10 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from baselines.layers import (
-    CodedUNet,
-    MotionTrunk,
-    UNetConfig,
-    check_size,
-    left_to_adam,
-    linear,
-    squared_error,
-)
+from baselines.layers import MotionTrunk, check_size, left_to_adam, linear, squared_error
 from baselines.patches import pack, unpack
 from baselines.recipe import compact_recipe
+from baselines.unet import CodedUNet, UNetConfig
 from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch

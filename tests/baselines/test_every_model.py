@@ -13,7 +13,8 @@ import pytest
 import torch
 from noise_world import noise_episode, noise_spec
 
-from baselines.layers import WIDTHS, UNet
+from baselines.layers import WIDTHS
+from baselines.unet import UNet
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.devices import launch

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -21,16 +21,19 @@ from dmotion_bench.learning.driving import predicted
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.agents import REFERENCES, Agent, known_actions, was_taken
-from dmotion_bench.planning.choices import DEFAULT_SOLVER, make_solver
+from dmotion_bench.planning.choices import make_solver
 from dmotion_bench.planning.dynamics.model import in_units
 from dmotion_bench.planning.mpc import ControlProgress, ControlResult, ControlSettings, Scene, control
-from dmotion_bench.planning.tasks import Problem, load_problems, task_environment
+from dmotion_bench.planning.tasks import Problem, World, load_problems, task_environment
 from dmotion_bench.scoring.control import ControlScoring, agent_of
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.control import SHOWN, control_blueprint, log_goal, log_step
+from dmotion_bench.viewing.filmstrip import Film, filmstrip, write_filmstrip
 from dmotion_bench.viewing.live import recording_to
 from dmotion_bench.workspace import AnyPath, Workspace
+
+STRIP: Final = ".png"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +75,7 @@ def plan(
     run: AnyPath | None = None,
     task: int = 0,
     *,
-    planner: str = DEFAULT_SOLVER,
+    planner: str | None = None,
     planner_settings: Settings = None,
     objective: str | None = None,
     objective_settings: Settings = None,
@@ -80,6 +83,7 @@ def plan(
     seed: int = 0,
     data: AnyPath | None = None,
     save: AnyPath | None = None,
+    column: str | None = None,
     workspace: AnyPath | None = None,
     progress: Progress = None,
 ) -> Planned:
@@ -89,18 +93,20 @@ def plan(
         run: A trained run, by folder or name, or a reference: ``"idle"``, ``"random"``, ``"oracle"``, ``"scripted"``.
             Default: the workspace's only run.
         task: Its number in the data set.
-        planner, planner_settings: The solver, and its fields that differ from their defaults.
+        planner, planner_settings: The solver, ``"cem"`` by default, and its fields that differ from their defaults.
         objective, objective_settings: Likewise; None for the one that suits.
         steps: Number of actions.
         seed: Of the solver's random numbers.
         data: The data set with the task. Default: the one of the training.
-        save: A file ``FILE.rrd`` to watch it in Rerun afterwards.
+        save: A file ``FILE.rrd`` to watch it in Rerun afterwards, or ``FILE.png`` for a filmstrip of a few moments.
+        column: Of the table of control, in place of the planner and the objective.
         workspace: The folder with ``data/`` and ``runs/``; the current one by default.
         progress: A function that is told after every step, or True for a bar.
 
     Raises:
         RunMissing, UnknownName: There is no such run, task, planner or objective.
-        UsageError: The data set was imported, so nobody can act in it; or ``save`` is no .rrd file.
+        UsageError: The data set was imported, so nobody can act in it; ``save`` is no such file; or a column and a
+            planner are named.
         DatasetError: The data set stores no tasks.
 
     Example:
@@ -108,26 +114,26 @@ def plan(
         >>> planned.distance[0], len(planned.actions)
         (1.0, 2)
     """
-    require_rrd("save", save)
+    require_known_suffix("save", save)
     chosen = control_scoring(
-        None, planner, planner_settings, objective, objective_settings, steps=steps, seed=seed, group=1
+        None, planner, planner_settings, objective, objective_settings, steps=steps, seed=seed, group=1, column=column
     )
     place = Workspace.current() if workspace is None else Workspace(workspace)
     trial = open_trial(run, task, chosen, place, data)
-    if save is None:
-        return trial.solve(progress=progress)
+    if save is None or Path(save).suffix == STRIP:
+        return trial.solve(progress=progress, strip=None if save is None else Path(save))
     with recording_to(trial.title, trial.blueprint, file=Path(save)) as recording:
         return trial.solve(recording, progress)
 
 
-def require_rrd(option: str, file: AnyPath | None) -> None:
-    """Refuse a file that Rerun would not know.
+def require_known_suffix(option: str, file: AnyPath | None) -> None:
+    """Refuse a file that is neither for Rerun nor a filmstrip.
 
     Raises:
-        UsageError: It does not end in .rrd.
+        UsageError: It ends in something else.
     """
-    if file is not None and Path(file).suffix != ".rrd":
-        raise UsageError(f"{option} {str(file)!r} must end in .rrd, as Rerun knows its files by it.")
+    if file is not None and Path(file).suffix not in (".rrd", STRIP):
+        raise UsageError(f"{option} {str(file)!r} must end in .rrd, for Rerun, or in {STRIP}, for a filmstrip.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,20 +163,31 @@ class Trial:
     @cached_property
     def blueprint(self) -> rrb.Blueprint:
         """How a recording of it is laid out."""
+        return control_blueprint(self.dataset.spec, self._horizon, self._pictures)
+
+    @property
+    def _horizon(self) -> int:
         solver = make_solver(self.chosen.planner, self.chosen.planner_set)
-        return control_blueprint(self.dataset.spec, getattr(solver, "horizon", 5), self._pictures)
+        return int(getattr(solver, "horizon", 5))
 
     @property
     def _pictures(self) -> bool:
         return self.model is not None and self.model.needs_pixels
 
-    def solve(self, recording: rr.RecordingStream | None = None, progress: Progress = None) -> Planned:
+    def solve(
+        self, recording: rr.RecordingStream | None = None, progress: Progress = None, strip: Path | None = None
+    ) -> Planned:
         """Run the control loop.
 
         Args:
             recording: Where every step is logged to, as ``blueprint`` lays it out.
             progress: Told after every step.
+            strip: A file for a filmstrip.
+
+        Raises:
+            ViewerError: The filmstrip cannot be written.
         """
+        film, worlds = Film(), list[World]()
         if recording is not None:
             log_goal(recording, self.problem.goal_frame)
         said = [""]
@@ -178,6 +195,8 @@ class Trial:
 
             def watch(scene: Scene) -> None:
                 said[0] = f"distance {scene.distance[0]:.3f}"
+                film.take(scene.context.observation)
+                worlds[:] = scene.worlds
                 if recording is not None:
                     self._log(recording, scene)
 
@@ -192,6 +211,12 @@ class Trial:
                 watch=watch,
                 on_progress=advance,
             )
+        if strip is not None:
+            film.current.append(worlds[0].frame)
+            shown = self.model if self._pictures else None
+            distance, actions = result.distance[0], result.actions[0]
+            picture = filmstrip(film, self.problem.goal_frame, distance, actions, shown, ahead=self._horizon)
+            write_filmstrip(picture, strip)
         return self._planned(result)
 
     def _log(self, recording: rr.RecordingStream, scene: Scene) -> None:

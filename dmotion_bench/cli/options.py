@@ -82,11 +82,15 @@ ObjectiveSettings = Annotated[
         help="Change a setting of the objective that is named, such as lost_distance=1. Can be repeated.",
     ),
 ]
+_BY_COLUMN: Final = (
+    "Plan by a column of the table of control, whose planner and objective are frozen, in place of '--planner' and "
+    "'--objective'."
+)
+PlanColumnName = Annotated[str | None, typer.Option(metavar=listed(COLUMNS), help=_BY_COLUMN)]
 ColumnName = Annotated[
     str | None,
     typer.Option(
         metavar=listed(COLUMNS),
-        help="Plan by a column of the table of control, whose planner and objective are frozen, in place of "
-        "'--planner' and '--objective'. The tasks must be new to the run: name their data set with '--data'.",
+        help=f"{_BY_COLUMN} The tasks must be new to the run: name their data set with '--data'.",
     ),
 ]

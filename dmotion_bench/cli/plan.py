@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dmotion_bench.cli.options import ObjectiveName, ObjectiveSettings, PlannerName, PlannerSettings
-from dmotion_bench.wording import command
+from dmotion_bench.cli.options import ObjectiveName, ObjectiveSettings, PlanColumnName, PlannerName, PlannerSettings
+from dmotion_bench.wording import command, shown
 
 if TYPE_CHECKING:
     from dmotion_bench.api.planning import Planned
@@ -30,6 +30,7 @@ def plan(
     planner_set: PlannerSettings = None,
     objective: ObjectiveName = None,
     objective_set: ObjectiveSettings = None,
+    column: PlanColumnName = None,
     steps: Annotated[int, typer.Option(min=1, help="Number of actions to take.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the planner's random numbers.")] = 0,
     data: Annotated[
@@ -39,31 +40,40 @@ def plan(
         bool, typer.Option("--web", help="Show the task on a local web page instead of in a window.")
     ] = False,
     save: Annotated[
-        Path | None, typer.Option(metavar="FILE.rrd", help="Write a Rerun file instead of opening a window.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write a file instead of opening a window: FILE.rrd for Rerun, or FILE.png for a filmstrip of a few "
+            "moments, seen and imagined.",
+        ),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the result as one JSON object and open no window.")
     ] = False,
 ) -> None:
     """Plan one control task with a model and watch it in Rerun."""
-    from dmotion_bench.api.planning import open_trial, require_rrd
+    from dmotion_bench.api.planning import STRIP, open_trial, require_known_suffix
     from dmotion_bench.api.scoring import control_scoring
     from dmotion_bench.cli.live import live_recording
     from dmotion_bench.cli.progress import BarOnDemand
     from dmotion_bench.viewing.viewer import require_display
     from dmotion_bench.workspace import Workspace
 
-    require_rrd("--save", save)
-    chosen = control_scoring(None, planner, planner_set, objective, objective_set, steps=steps, seed=seed, group=1)
+    require_known_suffix("--save", save)
+    chosen = control_scoring(
+        None, planner, planner_set, objective, objective_set, steps=steps, seed=seed, group=1, column=column
+    )
     trial = open_trial(run, task, chosen, Workspace.current(), data)
     if window := not (web or save or as_json):
         require_display()  # said before the work, not after it
-    watched = window or web or save is not None
+    strip = save if save is not None and save.suffix == STRIP else None
+    film = save if strip is None else None
+    watched = window or web or film is not None
     with (
-        live_recording(trial.title, trial.blueprint, window=window, web=web, save=save) as recording,
+        live_recording(trial.title, trial.blueprint, window=window, web=web, save=film) as recording,
         BarOnDemand() as bar,
     ):
-        planned = trial.solve(recording if watched else None, bar)
+        planned = trial.solve(recording if watched else None, bar, strip)
         bar.end()  # the viewer may stay open for long
     if as_json:
         typer.echo(json.dumps(planned.to_json()))
@@ -82,5 +92,7 @@ def _show(planned: Planned, save: Path | None) -> None:
     if planned.frames:
         each = planned.frames / planned.steps
         typer.echo(f"  {each:.0f} frames predicted a step, {planned.planning_seconds:.1f} s of planning in all")
-    if save is not None:
+    if save is not None and save.suffix == ".rrd":
         typer.echo(f"Watch it with {command('dmbench view', save)}.")
+    elif save is not None:
+        typer.echo(f"The filmstrip is {shown(str(save))}.")

@@ -17,7 +17,9 @@
     curves.py       the curves of a training
     chart.py        a chart with a logarithmic axis
     animation.py    a recorded and an imagined episode side by side, as GIF or WebP
+    captions.py     frames in rows and columns with words, as one picture
     control.py      a control task, watched live
+    filmstrip.py    a control task as one picture
     drive.py        a model's predictions while somebody drives them
     live.py         recordings that are watched while they are made
     follow.py       a training or a recording that is watched while it goes on

@@ -13,29 +13,21 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from dmotion_bench.errors import LabelsNotAvailable, UsageError, ViewerError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.readable import ReadableDataset
+from dmotion_bench.viewing.captions import captioned
 from dmotion_bench.viewing.dataset import labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, can_imagine, imagine
-from dmotion_bench.viewing.tracks import Color
 
 STEPS: Final = 30
 """Imagined steps, if nothing else is asked for."""
 FRAME_MS: Final = 250
 LAST_MS: Final = 1500
 """How long the last frame stays before the animation begins again."""
-SIDE: Final = 256
-"""A frame is enlarged by a whole number to about this width [px]."""
-GAP: Final = 6
-TEXT: Final = 26
-LINE: Final = 38
-BACKGROUND: Final[Color] = (22, 22, 26)
-WORDS: Final[Color] = (235, 235, 235)
-FAINT: Final[Color] = (165, 165, 172)
 
 
 def animate(
@@ -90,27 +82,14 @@ def _column(runs: Mapping[str, Run], dataset: ReadableDataset, episode: int, not
 
 def _picture(columns: Sequence[_Column], rows: Sequence[str], time: int) -> Image.Image:
     """From top to bottom: a title for each episode, words and frames for each row, and the step."""
-    height, width = columns[0].films[0].shape[1:3]
-    scale = max(1, round(SIDE / width))
-    wide, high = width * scale, height * scale
-    across = [GAP + place * (wide + GAP) for place in range(len(columns))]
-    down = [LINE + place * (LINE + high) for place in range(len(rows) + 1)]
-    picture = Image.new("RGB", (across[-1] + wide + GAP, down[-1] + LINE), BACKGROUND)
-    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(TEXT)
-
-    def write(words: str, left: int, top: int, color: Color) -> None:
-        draw.text((left, top + LINE // 2), words, font=font, fill=color, anchor="lm")
-
-    for column, left in zip(columns, across, strict=True):
-        write(column.title, left, 0, FAINT)
-        for film, top in zip(column.films, down, strict=False):
-            frame = Image.fromarray(film[min(time, len(film) - 1)])
-            picture.paste(frame.resize((wide, high), Image.Resampling.NEAREST), (left, top + LINE))
     ahead = time + 1 - GIVEN
-    words = [*rows, f"step {ahead}" if ahead > 0 else "both frames are given"]
-    for line, top in zip(words, down, strict=True):
-        write(line, GAP, top, WORDS)
-    return picture
+    shown = [
+        (words, [film[min(time, len(film) - 1)] for film in films])
+        for words, films in zip(rows, zip(*(column.films for column in columns), strict=True), strict=True)
+    ]
+    return captioned(
+        [column.title for column in columns], shown, f"step {ahead}" if ahead > 0 else "both frames are given"
+    )
 
 
 def write_animation(pictures: Sequence[Image.Image], path: Path) -> None:

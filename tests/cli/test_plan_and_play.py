@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from dmbench_command import Outcome, dmbench
 from known_model import result_of
+from PIL import Image
 from rrd_contents import curve, read
 
 from dmotion_bench.actions import Continuous, Discrete
@@ -19,10 +20,11 @@ from dmotion_bench.cli.keys import read_keys, single_keys
 from dmotion_bench.cli.play import bindings, commands, moves
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.start import TrainingRequest, open_run
-from dmotion_bench.planning.tasks import task_environment
+from dmotion_bench.planning.tasks import load_problems, task_environment
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.viewing.captions import GAP, LINE, SIDE
 from dmotion_bench.workspace import Workspace
 
 
@@ -91,6 +93,20 @@ def test_a_plan_is_recorded_for_rerun(
     assert not list(tmp_path.glob("*.part"))
 
 
+def test_a_filmstrip_is_written_of_a_columns_plan(
+    run: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "plan.png"
+    said = dmbench(["plan", run, "--steps", "2", "--column", "paper", "--save", str(file)], capsys, monkeypatch)
+    assert said.code == 0
+    assert f"The filmstrip is {str(file)!r}." in said.out
+    with Image.open(file) as picture:
+        assert picture.width == GAP + 4 * (SIDE + GAP)  # start, after 1, after 2, goal
+        start = np.asarray(picture)[2 * LINE : 2 * LINE + SIDE : 2, GAP : GAP + SIDE : 2]
+    (problem,) = load_problems(Dataset.open(Workspace(os.environ["DMBENCH_WORKSPACE"]).data / "grid"), [0])
+    np.testing.assert_array_equal(start, problem.start_frame)
+
+
 @pytest.mark.slow
 def test_references_are_planned_with_by_name(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -123,7 +139,9 @@ def test_references_are_scored_by_name(
     ("words", "code", "sentence"),
     [
         (["plan", "idle"], 1, "this machine has no display"),
-        (["plan", "idle", "--save", "plan.mp4"], 2, "must end in .rrd"),
+        (["plan", "idle", "--save", "plan.mp4"], 2, "must end in .rrd, for Rerun, or in .png, for a filmstrip"),
+        (["plan", "idle", "--json", "--column", "generics"], 2, "did you mean 'generic'"),
+        (["plan", "idle", "--json", "--column", "paper", "--planner", "cem"], 2, "'paper' says how to plan"),
         (["plan", "idle", "--json", "--task", "3"], 2, "no task named '3'; known: 0 to 2"),
         (["plan", "idle", "--json", "--planner", "exhausting"], 2, "did you mean 'exhaustive'"),
         (["plan", "idle", "--json", "--cost", "pixels"], 2, "did you mean 'pixel'"),

@@ -16,7 +16,8 @@ from pushed_squares import SPEC
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.viewing.animation import FRAME_MS, GAP, LAST_MS, LINE, SIDE, animate, write_animation
+from dmotion_bench.viewing.animation import FRAME_MS, LAST_MS, animate, write_animation
+from dmotion_bench.viewing.captions import GAP, LINE, SIDE
 from dmotion_bench.viewing.imagination import GIVEN, imagine
 from dmotion_bench.workspace import Workspace
 

@@ -23,8 +23,8 @@ OBJECTIVES: Final = (
     "steps-to-go",
     "tabletop",
     "tracked",
+    "tracked-belief",
     "tracked-risk",
-    "tracked-vanishing",
 )
 COLUMNS: Final = ("generic-risk", "generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
@@ -69,9 +69,9 @@ ObjectiveName = Annotated[
         metavar=listed(OBJECTIVES),
         help="What control minimises. centres is the paper's: the distance of the objects that a predicted frame shows "
         "from their places in the goal; tracked remembers hidden objects as well, tracked-risk also counts what may "
-        "disappear, tracked-vanishing counts it where video shows that things stay away, tabletop follows objects "
-        "through predicted frames and avoids falls. A package of your own can add others. Default: the one that the "
-        "environment names, and feature for models that draw no frames.",
+        "disappear, tracked-belief remembers and counts in predicted frames, too, where video shows that things stay "
+        "away, tabletop follows objects through predicted frames and avoids falls. A package of your own can add "
+        "others. Default: the one that the environment names, and feature for models that draw no frames.",
     ),
 ]
 ObjectiveSettings = Annotated[

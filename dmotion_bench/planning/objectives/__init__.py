@@ -6,8 +6,8 @@
     centres.py    the paper's: squared distances of the objects' centres
     tracked.py    the same with a memory: a hidden object is where it was last seen
     tracked_risk.py  the same, and the risk that the next action makes an object disappear
-    tracked_vanishing.py  the same, where things that vanish do not come back
-    vanishing.py  where that is, learned from video
+    tracked_belief.py  tracked objects, in imagined images as well
+    vanishing.py  where things vanish for good, learned from video
     tracking.py   where objects are, those that are hidden too, as far as pictures tell
     steps_to_go.py  the same, and a learned number of steps to the goal beyond the horizon
     pixel.py      the difference of pictures

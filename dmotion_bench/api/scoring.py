@@ -74,8 +74,9 @@ def score(
         planner, planner_settings: For control: the solver, ``"cem"`` by default, and its fields that differ from
             their defaults.
         objective, objective_settings: For control: likewise; None for the one that suits.
-        column: In place of these a frozen planner of the table of control: ``"generic-risk"``, ``"generic"``,
-            ``"paper"`` or ``"task-knowledge"``; with ``data``, whose tasks the run must not know.
+        column: In place of these a frozen planner of the table of control: ``"generic-risk"``,
+            ``"generic-belief"``, ``"generic"``, ``"paper"`` or ``"task-knowledge"``; with ``data``, whose
+            tasks the run must not know.
         data: Another data set of the same environment, or an import. Default: the one of the training.
         batch_size: Predictions computed at once.
         precision: ``"float32"`` or ``"bf16"``.

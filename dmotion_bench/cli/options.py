@@ -26,7 +26,7 @@ OBJECTIVES: Final = (
     "tracked-belief",
     "tracked-risk",
 )
-COLUMNS: Final = ("generic-risk", "generic", "paper", "task-knowledge")
+COLUMNS: Final = ("generic-risk", "generic-belief", "generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
 EXECUTORS: Final = ("local", "ray", "slurm")

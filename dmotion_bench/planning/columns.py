@@ -1,4 +1,4 @@
-"""The columns of the table of control, and the tasks that it is about: the protocols ``dmbench-2`` and ``dmbench-3``.
+"""The columns of the table of control, and the tasks that it is about: the protocols ``dmbench-2`` to ``dmbench-4``.
 
 A column is a planner that is frozen: a solver and an objective, with every field that differs from its default. It was
 chosen on development tasks alone. The tasks of the table are those of a test data set, which is recorded with a seed of
@@ -29,8 +29,11 @@ from dmotion_bench.wording import command
 PROTOCOL: Final = "dmbench-2"
 """Of the test tasks, and of the columns that were there from the beginning."""
 
-LATER_PROTOCOL: Final = "dmbench-3"
-"""The same tasks and columns, and one column more."""
+WITH_RISK: Final = "dmbench-3"
+"""The same tasks and columns, and *generic-risk*."""
+
+WITH_BELIEF: Final = "dmbench-4"
+"""The same again, and *generic-belief*."""
 
 TASKS: Final = 100
 """Of a development or a test data set; an episode of its own for each, as far as there are enough."""
@@ -93,7 +96,18 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
                 planner="icem",
                 planner_set=("cost_at=last",),
                 for_objects="tracked-risk",
-                protocol=LATER_PROTOCOL,
+                protocol=WITH_RISK,
+            ),
+            Column(
+                name="generic-belief",
+                title="Generic, with belief",
+                meaning="Knows nothing of the scene but that hidden objects are where they were last seen, in imagined "
+                "images as well, and where video without labels shows that what vanishes does not come back.",
+                planner="icem",
+                planner_set=("cost_at=last",),
+                for_objects="tracked-belief",
+                protocol=WITH_BELIEF,
+                models=("dmotion", "ed-cnn", "oracle"),
             ),
             Column(
                 name="generic",

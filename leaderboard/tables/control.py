@@ -16,7 +16,7 @@ _SUPERVISED: Final = ("ed-cnn", "wm-ae", "wm-vae", "cswm", "jepa")
 _VIDEO: Final = ("dmotion", "dmotion-no-stn", "lapo", "lam-vae", "clasp")
 
 TABLE: Final = Table(
-    title="control by frozen planners on test tasks (protocol dmbench-3), and prediction",
+    title="control by frozen planners on test tasks (protocols dmbench-2 to dmbench-4), and prediction",
     worlds=tuple(World(environment=name, control_on=World.for_tasks(name, TEST)) for name in TEST_TASKS),
     entrants=(
         *(Entrant(model=name, labels=("one-shot",)) for name in _VIDEO),

@@ -65,7 +65,10 @@ def test_the_papers_column_is_the_papers_planner(tasks: Dataset) -> None:
     assert objective["name"] == "centres"
 
 
-@pytest.mark.parametrize(("name", "objective"), [("generic", "tracked"), ("generic-risk", "tracked-risk")])
+@pytest.mark.parametrize(
+    ("name", "objective"),
+    [("generic", "tracked"), ("generic-risk", "tracked-risk"), ("generic-belief", "tracked-belief")],
+)
 def test_the_generic_columns_are_the_same_in_every_world_and_of_the_oracle_by_pictures(
     tasks: Dataset, name: str, objective: str
 ) -> None:
@@ -79,6 +82,7 @@ def test_the_generic_columns_are_the_same_in_every_world_and_of_the_oracle_by_pi
 def test_columns_of_the_later_protocol_leave_those_of_the_earlier_as_they_were() -> None:
     assert {name: column.protocol for name, column in COLUMNS.items()} == {
         "generic-risk": "dmbench-3",
+        "generic-belief": "dmbench-4",
         "generic": PROTOCOL,
         "paper": PROTOCOL,
         "task-knowledge": PROTOCOL,

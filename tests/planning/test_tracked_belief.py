@@ -73,12 +73,21 @@ def test_the_chance_is_that_of_the_place() -> None:
     assert imagined(judge(), picture(red=(AT[0] + 2, AT[1])), HIDDEN).risk.item() == 0
 
 
-def test_what_is_imagined_again_is_not_lost() -> None:
-    of = judge(gone=[True] * 50)
-    back = picture(red=(AT[0] + 2, AT[1]))
-    assert imagined(of, back, HIDDEN).risk.item() > 0
-    assert imagined(of, back, HIDDEN, HIDDEN).risk.item() > 0
-    assert imagined(of, back, HIDDEN, back).risk.item() == 0
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_what_is_imagined_again_is_hardly_lost_by_bayes_rule(share: float) -> None:
+    of = judge(gone=[number < 50 * share for number in range(50)])
+    back, whole = picture(red=(AT[0] + 2, AT[1])), LEFT - 22**2
+    after = 0.05 * share / (0.05 * share + 1 - share)
+    assert imagined(of, back, HIDDEN).risk.item() == pytest.approx(whole * share, rel=1e-3)
+    assert imagined(of, back, HIDDEN, HIDDEN).risk.item() == pytest.approx(whole * share, rel=1e-3)
+    assert imagined(of, back, HIDDEN, back).risk.item() == pytest.approx(whole * after, rel=1e-3)
+    assert imagined(of, back, HIDDEN, back, back).risk.item() == pytest.approx(whole * after, rel=1e-3)
+    assert imagined(of, back, HIDDEN, back, HIDDEN).risk.item() == pytest.approx(whole * share, rel=1e-3)
+
+
+def test_what_certainly_stays_away_is_lost_although_it_is_imagined_again() -> None:
+    of, back = judge(gone=[True] * 50), picture(red=(AT[0] + 2, AT[1]))
+    assert imagined(of, back, HIDDEN, back).risk.item() == pytest.approx(LEFT - 22**2, rel=1e-3)
 
 
 def test_what_real_images_hide_was_not_lost_by_an_action() -> None:

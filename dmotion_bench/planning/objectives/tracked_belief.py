@@ -3,9 +3,9 @@
 ``tracked`` holds each imagined image against what real images have shown, and an object that it does not show costs a
 fixed distance. So it refuses every plan that ends with the agent in front of an object. Here an imagined image updates
 the belief just as a real one does (``tracking.py``). An object that is seen no longer is hidden or lost: lost with the
-chance that things that vanish there do not come back, which video has shown (``vanishing.py``), and not lost if it is
-imagined again. One that is lost costs as much as all objects together at the start, as in the distance that control is
-judged by (``planning/tasks.py``). Only images are used, and no label.
+chance that things that vanish there do not come back, which video has shown (``vanishing.py``). If it is imagined again
+it is hardly lost; but models draw traces of what is lost, too. One that is lost costs as much as all objects together
+at the start, as in the distance that control is judged by (``planning/tasks.py``). Only images are used, and no label.
 """
 
 from __future__ import annotations
@@ -42,15 +42,17 @@ class TrackedBelief:
     Attributes:
         fully_seen, box_margin_px: Of the tracker (``TrackingSettings``).
         lost_below: In the video a thing has vanished if less than this share of it is left from one frame to the next.
+        drawn_again: How likely a model draws a lost object again, where it would draw one that was only hidden.
     """
 
     fully_seen: float = 0.85
     box_margin_px: float = 1.0
     lost_below: float = 0.15
+    drawn_again: float = 0.05
     finds_objects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        require_bounds(self, from_zero=("fully_seen", "box_margin_px", "lost_below"))
+        require_bounds(self, from_zero=("fully_seen", "box_margin_px", "lost_below", "drawn_again"))
 
     def learned(self, video: ReadableDataset) -> TaughtBelief:
         """Learn from the video of a data set's episodes that hold no task; its labels are not read.
@@ -100,7 +102,7 @@ class TaughtBelief:
         """
         require_objects(spec)
         return TrackedBeliefEvaluator(
-            Tracker(spec, self.settings), torch.from_numpy(first), torch.from_numpy(goals), self.vanishings
+            spec, self.settings, torch.from_numpy(first), torch.from_numpy(goals), self.vanishings
         )
 
 
@@ -108,7 +110,8 @@ class TrackedBeliefEvaluator:
     """Remembers where the objects of some tasks are.
 
     Args:
-        tracker: Finds them in images.
+        spec: Says what the objects look like.
+        settings: Of the objective.
         first, goals: What is seen at the start, and what should be seen; what one hides is completed from the other.
         vanishings: What video showed.
 
@@ -118,13 +121,14 @@ class TrackedBeliefEvaluator:
 
     def __init__(
         self,
-        tracker: Tracker,
+        spec: EnvSpec,
+        settings: TrackedBelief,
         first: UInt8[Tensor, "b h w 3"],
         goals: UInt8[Tensor, "b h w 3"],
         vanishings: Vanishings,
     ) -> None:
-        self._tracker, self._vanishings = tracker, vanishings
-        self.known, self.wanted = tracker.meet(first, goals)
+        self._tracker, self._settings, self._vanishings = Tracker(spec, settings), settings, vanishings
+        self.known, self.wanted = self._tracker.meet(first, goals)
         off = (self.known.centre - self.wanted.centre).norm(dim=-1).nan_to_num(0.0)
         self._lost = torch.where(self.wanted.seen, off, 0.0).sum(1).square()
 
@@ -145,8 +149,9 @@ class TrackedBeliefEvaluator:
         *believed, lost = cost_state
         before = BoundingBoxes(**dict(zip(_NAMES, believed, strict=True)))
         after = self._tracker.believed(before, self._tracker.look(pixels_of(dynamics, state)))
-        vanished = torch.where(before.seen, self._vanishings.chance(before.centre), lost)
-        lost = torch.where(after.seen, 0.0, vanished)
+        vanished = torch.maximum(lost, self._vanishings.chance(before.centre))
+        again = lost * self._settings.drawn_again / (lost * self._settings.drawn_again + 1 - lost).clamp(min=1e-9)
+        lost = torch.where(before.seen == after.seen, lost, torch.where(after.seen, again, vanished))
         distance, risk = self._each(after, lost, task)
         cost = StepCost(distance=distance, risk=risk, bonus=torch.zeros_like(distance), total=distance + risk)
         return cost, (*_fields(after), lost)

@@ -60,7 +60,9 @@ class Film:
         if not len(since):
             return None
         previous, current = (torch.from_numpy(one[first]) for one in (self.previous, self.current))
-        last: Frame = predicted(model, previous, current, torch.from_numpy(since[None]))[0, -1].numpy()
+        taken = torch.from_numpy(since[None])
+        taken = taken.float() if taken.is_floating_point() else taken
+        last: Frame = predicted(model, previous, current, taken)[0, -1].numpy()
         return last
 
 

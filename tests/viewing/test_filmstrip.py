@@ -59,6 +59,16 @@ def test_below_what_was_seen_stands_what_the_model_made_of_the_images_before(fil
         assert (_tile(picture, column, 1) == BACKGROUND).all()
 
 
+def test_continuous_actions_are_taken_in_their_units(film: Film, moved_runs: list[Run], moved: Dataset) -> None:
+    model, actions = moved_runs[0].model, moved.labels(0).actions[:7].astype(np.float64)
+    found = film.imagined(model, actions, moment=4, ahead=3)
+    images = (to_model(torch.from_numpy(one[1])[None]) for one in (film.previous, film.current))
+    with torch.inference_mode():
+        expected = to_pixels(model.rollout(*images, torch.from_numpy(actions[None, 1:4]).float()))[0, -1].numpy()
+    assert found is not None
+    np.testing.assert_array_equal(found, expected)
+
+
 def test_of_a_reference_there_is_what_was_seen(film: Film) -> None:
     picture = filmstrip(film, film.current[0], DISTANCE, ACTIONS, None, ahead=3)
     assert picture.height == 2 * LINE + LINE + SIDE

@@ -130,7 +130,7 @@ class TrackedBeliefEvaluator:
         self._tracker, self._settings, self._vanishings = Tracker(spec, settings), settings, vanishings
         self.known, self.wanted = self._tracker.meet(first, goals)
         off = (self.known.centre - self.wanted.centre).norm(dim=-1).nan_to_num(0.0)
-        self._lost = torch.where(self.wanted.seen, off, 0.0).sum(1).square()
+        self._price = torch.where(self.wanted.seen, off, 0.0).sum(1).square()
 
     def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """Update the believed places after what real images show."""
@@ -139,7 +139,7 @@ class TrackedBeliefEvaluator:
     def begin(self, dynamics: Dynamics) -> CostState:
         """What is believed is carried, and the chance that each object was lost on the way; all on one device."""
         device = dynamics.device
-        self.known, self.wanted, self._lost = self.known.to(device), self.wanted.to(device), self._lost.to(device)
+        self.known, self.wanted, self._price = self.known.to(device), self.wanted.to(device), self._price.to(device)
         return (*_fields(self.known), torch.zeros_like(self.known.centre[..., 0]))
 
     def step(
@@ -160,7 +160,7 @@ class TrackedBeliefEvaluator:
         self, after: BoundingBoxes, lost: Float[Tensor, "n k"], task: Int[Tensor, " n"]
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
         """The squared distances, summed over the objects, and what is added for those that may be lost."""
-        sought, price = self.wanted.seen[task], self._lost[task, None]
+        sought, price = self.wanted.seen[task], self._price[task, None]
         squared = (after.centre - self.wanted.centre[task]).square().sum(-1)
         squared = torch.where(sought, squared.where(~squared.isnan(), price), 0.0)
         more = torch.where(sought, (price - squared).clamp(min=0) * lost, 0.0)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionTaken
@@ -51,7 +51,7 @@ def predicted(
     model: ForwardModel[Any],
     previous: UInt8[Tensor, "h w 3"],
     current: UInt8[Tensor, "h w 3"],
-    sequences: Int[Tensor, "m t"],
+    sequences: Int[Tensor, "m t"] | Float[Tensor, "m t a"],
 ) -> UInt8[Tensor, "m t h w 3"]:
     """The frames that a model predicts for some sequences of actions."""
     before, now = (to_model(image[None]).expand(len(sequences), -1, -1, -1) for image in (previous, current))

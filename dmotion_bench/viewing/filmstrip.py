@@ -17,6 +17,7 @@ from jaxtyping import Float
 from PIL import Image
 
 from dmotion_bench.errors import ViewerError
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.driving import predicted
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.agents import was_taken
@@ -60,9 +61,7 @@ class Film:
         if not len(since):
             return None
         previous, current = (torch.from_numpy(one[first]) for one in (self.previous, self.current))
-        taken = torch.from_numpy(since[None])
-        taken = taken.float() if taken.is_floating_point() else taken
-        last: Frame = predicted(model, previous, current, taken)[0, -1].numpy()
+        last: Frame = predicted(model, previous, current, as_tensor(since[None]))[0, -1].numpy()
         return last
 
 

@@ -46,8 +46,8 @@ class Parts:
             Verdict(entry="away", findings=(), missing=("weights: no run",)),
         ][: 1 if quick else 3]
 
-    def compare(self, first: Path, second: Path, dataset: str | None) -> list[Difference]:
-        self.asked.append((first, second))
+    def compare(self, first: Path, second: Path, dataset: str | None, split: str) -> list[Difference]:
+        self.asked.append((first, second, split))
         clear = Estimate(mean=-2.0, std=1.0, low=-3.0, high=-1.0, n=70)
         unclear = Estimate(mean=0.1, std=1.0, low=-1.0, high=1.2, n=70)
         return [
@@ -129,6 +129,12 @@ def test_compare_says_better_only_where_the_interval_does(run: Callable[..., Res
     assert position[-1] == "tied"
     assert not any("objects" in line for line in lines)
     assert any("miss_rate_objects" in line for line in run("compare", "a", "b", "--all").stdout.splitlines())
+
+
+def test_compare_takes_the_split_that_both_were_scored_on(run: Callable[..., Result], parts: Parts) -> None:
+    assert run("compare", "a", "b").exit_code == run("compare", "a", "b", "--split", "validation").exit_code == 0
+    assert [split for _, _, split in parts.asked] == ["test", "validation"]
+    assert run("compare", "a", "b", "--split", "train").exit_code != 0
 
 
 def test_compare_as_json(run: Callable[..., Result], parts: Parts) -> None:

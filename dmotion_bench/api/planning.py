@@ -195,8 +195,9 @@ class Trial:
 
             def watch(scene: Scene) -> None:
                 said[0] = f"distance {scene.distance[0]:.3f}"
-                film.take(scene.context.observation)
-                worlds[:] = scene.worlds
+                if strip is not None:
+                    film.take(scene.context.observation)
+                    worlds[:] = scene.worlds
                 if recording is not None:
                     self._log(recording, scene)
 

@@ -15,11 +15,10 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from dmotion_bench.errors import LabelsNotAvailable, UsageError, ViewerError
+from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.run import Run
-from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.readable import ReadableDataset
-from dmotion_bench.viewing.captions import captioned
+from dmotion_bench.viewing.captions import captioned, picture_file
 from dmotion_bench.viewing.dataset import labels_if_any
 from dmotion_bench.viewing.imagination import GIVEN, can_imagine, imagine
 
@@ -102,16 +101,13 @@ def write_animation(pictures: Sequence[Image.Image], path: Path) -> None:
     durations = [FRAME_MS] * (len(pictures) - 1) + [LAST_MS]
     shown = [one.quantize(256) for one in pictures] if path.suffix == ".gif" else list(pictures)
     how: dict[str, int] = {} if path.suffix == ".gif" else {"quality": 80}
-    try:
-        with atomic_file(path) as file:
-            shown[0].save(
-                file,
-                format=path.suffix.removeprefix("."),
-                save_all=True,
-                append_images=shown[1:],
-                duration=durations,
-                loop=0,
-                **how,
-            )
-    except OSError as error:
-        raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None
+    with picture_file(path) as file:
+        shown[0].save(
+            file,
+            format=path.suffix.removeprefix("."),
+            save_all=True,
+            append_images=shown[1:],
+            duration=durations,
+            loop=0,
+            **how,
+        )

@@ -1,14 +1,18 @@
-"""Frames in rows and columns, enlarged, with words above each: one picture of them."""
+"""Frames in rows and columns, enlarged, with words above each: one picture of them, and a file for pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import IO, Any, Final
 
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from dmotion_bench.errors import ViewerError
+from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.viewing.tracks import Color
 
 SIDE: Final = 256
@@ -28,10 +32,10 @@ def captioned(titles: Sequence[str], rows: Sequence[tuple[str, Sequence[Frame | 
 
     Args:
         titles: Of the columns.
-        rows: The words and the frames of each; None leaves a place empty. The first row has a frame in each column.
+        rows: The words and the frames of each, all of one size; None leaves a place empty.
         below: The last words.
     """
-    (height, width), *_ = [frame.shape[:2] for frame in rows[0][1] if frame is not None]
+    height, width = next(frame.shape[:2] for _, frames in rows for frame in frames if frame is not None)
     scale = max(1, round(SIDE / width))
     wide, high = width * scale, height * scale
     across = [GAP + place * (wide + GAP) for place in range(len(titles))]
@@ -52,3 +56,18 @@ def captioned(titles: Sequence[str], rows: Sequence[tuple[str, Sequence[Frame | 
                 picture.paste(enlarged, (left, top + LINE))
     write(below, GAP, down[-1], WORDS)
     return picture
+
+
+@contextlib.contextmanager
+def picture_file(path: Path) -> Iterator[IO[Any]]:
+    """A file for a picture, complete or absent.
+
+    Raises:
+        ViewerError: It cannot be written.
+        StorageFull: There is no space left for it.
+    """
+    try:
+        with atomic_file(path) as file:
+            yield file
+    except OSError as error:
+        raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None

@@ -16,15 +16,13 @@ import torch
 from jaxtyping import Float
 from PIL import Image
 
-from dmotion_bench.errors import ViewerError
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.driving import predicted
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.agents import was_taken
 from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.planning.objectives.base import Taken
-from dmotion_bench.storage.atomic import atomic_file
-from dmotion_bench.viewing.captions import Frame, captioned
+from dmotion_bench.viewing.captions import Frame, captioned, picture_file
 
 SHARES: Final = (0.25, 0.5, 1.0)
 """Of the task's steps: when pictures are taken, besides the start."""
@@ -101,8 +99,5 @@ def write_filmstrip(picture: Image.Image, path: Path) -> None:
         ViewerError: It cannot be written.
         StorageFull: There is no space left for it.
     """
-    try:
-        with atomic_file(path) as file:
-            picture.save(file, format="png")
-    except OSError as error:
-        raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None
+    with picture_file(path) as file:
+        picture.save(file, format="png")

@@ -46,6 +46,10 @@ def dies_at_one(number: int) -> int:
     return number
 
 
+def parent_when_begun(number: int) -> int:
+    return os.getppid()
+
+
 def raises_at_one(number: int) -> int:
     from dmotion_bench.errors import UnknownName
 

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from functools import partial
+from multiprocessing import connection, get_context, parent_process
+from multiprocessing.context import BaseContext
 from pathlib import Path
 from threading import Thread
-from typing import cast
+from typing import Final, cast
 
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result
-from dmotion_bench.execution.processes import end_with
+
+_LOOK_AGAIN: Final = 0.5  # [s]
 
 
 class SerialExecutor:
@@ -27,7 +31,8 @@ class SerialExecutor:
 class LocalExecutor:
     """Processes on this machine; they end with their parent, however it ends.
 
-    Each is a pool of its own: a process that is killed costs the job that it was at, and no other.
+    Each is a pool of its own: a process that is killed costs the job that it was at, and no other. On Linux they are
+    forked from one server process, which has loaded the function's module once for all of them.
 
     Args:
         workers: How many processes.
@@ -39,6 +44,7 @@ class LocalExecutor:
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a worker process")
+        context = _context(function)
         idle: list[ProcessPoolExecutor | None] = [None] * self._workers  # None: not started yet, or killed
         started: list[ProcessPoolExecutor] = []
         running: dict[Future[Result], tuple[ProcessPoolExecutor, int, Job]] = {}
@@ -47,7 +53,7 @@ class LocalExecutor:
             while True:
                 while idle and (numbered := queue.next()) is not None:
                     if (pool := idle.pop()) is None:
-                        started.append(pool := _process())
+                        started.append(pool := _process(context))
                     try:
                         running[pool.submit(function, numbered[1])] = (pool, *numbered)
                     except BrokenProcessPool:  # killed while it waited
@@ -72,8 +78,24 @@ class LocalExecutor:
             _end(started)
 
 
-def _process() -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_become_worker, initargs=(os.getpid(),))
+def _context(function: Callable[[Job], Result]) -> BaseContext:
+    """How processes begin: never as a fork of this one, whose threads may hold locks."""
+    if sys.platform != "linux":  # elsewhere there is no server, or it is less reliable
+        return get_context("spawn")
+    context = get_context("forkserver")
+    module = getattr(_called(function), "__module__", None)
+    shared = [name for name in (module, "torch") if name in sys.modules and name != "__main__"]
+    context.set_forkserver_preload(shared)
+    return context
+
+
+def _called(function: Callable[[Job], Result]) -> object:
+    """What a partial function calls."""
+    return _called(function.func) if isinstance(function, partial) else function
+
+
+def _process(context: BaseContext) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, mp_context=context, initializer=_become_worker, initargs=(dict(os.environ),))
 
 
 def _end(pools: list[ProcessPoolExecutor]) -> None:
@@ -95,10 +117,23 @@ def _stop(pool: ProcessPoolExecutor) -> None:
         process.terminate()
 
 
-def _become_worker(parent: int) -> None:
-    """Leave Ctrl-C to the parent, and end when it is gone."""
+def _become_worker(environment: dict[str, str]) -> None:
+    """Leave Ctrl-C to the command, take its variables of now, and end when it or the server is gone.
+
+    The server has the variables of its own start; it ends with the last of the command and its workers.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with(parent)
+    os.environ.clear()
+    os.environ.update(environment)
+    command, server = parent_process(), os.getppid()
+    assert command is not None  # a worker is never the first process
+
+    def watch() -> None:
+        while not connection.wait([command.sentinel], timeout=_LOOK_AGAIN) and os.getppid() == server:
+            pass
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def local_executor(workers: int) -> Executor:

@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from mortal_workers import LeavesTraces, RecordsAndDiesOnce, dies_at_one, raises_at_one
+from mortal_workers import LeavesTraces, RecordsAndDiesOnce, dies_at_one, parent_when_begun, raises_at_one
 from noise_world import files_of
 from pretend_slurm import install_slurm
 
@@ -182,6 +182,21 @@ def test_closing_ends_what_runs(tmp_path: Path) -> None:
     results.close()
     assert not (tmp_path / "ended-1").exists()
     assert_no_pool_is_left()
+
+
+def test_processes_begin_with_the_variables_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DMBENCH_ONE", "DMBENCH_TWO"):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, name)
+            got = set(LocalExecutor(2).map_unordered(os.getenv, ["DMBENCH_ONE", "DMBENCH_TWO"]))
+        assert got == {name, None}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there is no server of processes")
+def test_processes_are_forks_of_one_server_and_load_nothing_again() -> None:
+    servers = {parent for _ in range(2) for parent in LocalExecutor(2).map_unordered(parent_when_begun, range(2))}
+    assert len(servers) == 1
+    assert os.getpid() not in servers
 
 
 def test_the_last_result_leaves_no_pool_that_still_ends() -> None:

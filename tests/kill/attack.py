@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from tests.kill.contents import Content, listing, timeless
 from tests.kill.scenarios import Scenario, environment, said
@@ -229,9 +230,10 @@ def _catches(process: int, number: signal.Signals) -> bool:
 
 
 def _children(process: int) -> list[int]:
-    found = Path(f"/proc/{process}/task/{process}/children")
-    with contextlib.suppress(OSError, ValueError):
-        return [int(word) for word in found.read_text().split()]
+    """The processes below it, the youngest last; workers may be the children of a server."""
+    with contextlib.suppress(psutil.Error):
+        below = psutil.Process(process).children(recursive=True)
+        return [one.pid for one in sorted(below, key=lambda one: (one.create_time(), one.pid))]
     return []
 
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
+import psutil
 import pytest
 from noise_world import files_of
 
@@ -64,9 +65,8 @@ def start(script: Path, dataset: Path, recipe: DatasetRecipe, workers: int) -> s
     return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
-def children(process: int) -> list[int]:
-    listed = Path(f"/proc/{process}/task/{process}/children").read_text().split()
-    return [int(one) for one in listed]
+def processes_below(process: int) -> list[int]:
+    return [one.pid for one in psutil.Process(process).children(recursive=True)]
 
 
 def runs(process: int) -> bool:
@@ -93,7 +93,7 @@ def test_killed_at_any_moment_it_goes_on_and_gives_the_same_bytes(
         for _ in range(generator.randrange(shards // kills)):
             recording.stdout.readline()  # a shard is done
         time.sleep(generator.random() * 0.04)
-        workers_of_it = children(recording.pid)
+        workers_of_it = processes_below(recording.pid)
         recording.kill()
         recording.wait()
         deadline = time.monotonic() + 10

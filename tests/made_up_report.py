@@ -54,9 +54,3 @@ def write_made_up(run: Run, mse: Mapping[int, Sequence[float]], column: str = "m
     folder = run.path / REPORT_FOLDER
     write_report(folder, report, rows.table())
     return folder
-
-
-def remove(folder: Path) -> None:
-    for file in folder.iterdir():
-        file.unlink()
-    folder.rmdir()

@@ -276,7 +276,8 @@ def write_animation_of(
 def _side_by_side(targets: Sequence[Target], data: Path | None, workspace: Workspace) -> list[Path]:
     if len(targets) > 1:
         return [one.path for one in targets]
-    return beside(targets[0], workspace) if targets[0].kind == "report" and data is None else []
+    plain = targets[0].kind == "report" and targets[0].report is None
+    return beside(targets[0], workspace) if plain and data is None else []
 
 
 def scene_of(target: Target, episodes: list[int], split: SplitName | None, data: Path | None = None) -> Scene:
@@ -287,8 +288,8 @@ def scene_of(target: Target, episodes: list[int], split: SplitName | None, data:
     if target.kind == "data set":
         dataset = Dataset.open(target.path)
         return dataset_scene(dataset, choose_episodes(dataset, episodes, split))
-    (run,), dataset, chosen, told = _chosen([target.path], episodes, split, data)
-    scene = run_scene(run, dataset, chosen, told)
+    (run,), dataset, chosen, told = _chosen([target.path], episodes, split, data, target.report)
+    scene = run_scene(run, dataset, chosen, told, target.report)
     return replace(scene, front="Report") if target.kind == "report" else scene
 
 
@@ -298,12 +299,17 @@ def scene_of_several(paths: list[Path], episodes: list[int], split: SplitName | 
 
 
 def _chosen(
-    paths: list[Path], episodes: list[int], split: SplitName | None, data: Path | None
+    paths: list[Path],
+    episodes: list[int],
+    split: SplitName | None,
+    data: Path | None,
+    report: Path | None = None,
 ) -> tuple[list[Run], Dataset, list[int], dict[int, str]]:
     """Some runs, their data set (or the one at ``data``), the episodes to show, and what is said of these.
 
-    They are the episodes asked for. Otherwise those are chosen that the reports of the runs tell most about: of one
-    run the worst, the middle and the best; of several the worst, the best and where they differ most.
+    They are the episodes asked for. Otherwise those are chosen that the reports of the runs tell most about (of one run
+    the report in the folder that is named, if one is): of one run the worst, the middle and the best; of several the
+    worst, the best and where they differ most.
     """
     runs = [Run.open(path) for path in paths]
     if len(runs) > 1:
@@ -315,7 +321,8 @@ def _chosen(
     if not episodes and split is None and len(paths) > 1:
         told = contrasting_episodes([run.path for run in runs])
     elif not episodes and split is None:
-        told = telling_episodes(runs[0].path, report_folder(runs[0].path, runs[0].spec.fingerprint, dataset))
+        plain = report_folder(runs[0].path, runs[0].spec.fingerprint, dataset)
+        told = telling_episodes(runs[0].path, report or plain)
     chosen = choose_episodes(dataset, episodes or list(told), split or (None if episodes or told else "test"))
     return runs, dataset, chosen, told
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import rerun as rr
@@ -42,7 +43,11 @@ TRUE_MOTION: Color = (255, 255, 255)
 
 
 def run_scene(
-    run: Run, dataset: ReadableDataset, episodes: Sequence[int], why: Mapping[int, str] | None = None
+    run: Run,
+    dataset: ReadableDataset,
+    episodes: Sequence[int],
+    why: Mapping[int, str] | None = None,
+    report: Path | None = None,
 ) -> Scene:
     """One tab an episode, one for the report if there is one, and one for the training.
 
@@ -52,13 +57,14 @@ def run_scene(
             what it sees; of another model there is the video to see, and the training.
         episodes: Numbers of episodes.
         why: What is said of an episode on its tab, such as ``"worst"``.
+        report: The folder of the report; None: the one on the data set's test episodes.
 
     Raises:
         RunMissing: The training is not done.
     """
     notes = why or {}
     tabs = [_tab(run, dataset, episode, notes.get(episode, "")) for episode in episodes]
-    figures = report_tab(run.path, report_folder(run.path, run.spec.fingerprint, dataset))
+    figures = report_tab(run.path, report or report_folder(run.path, run.spec.fingerprint, dataset))
     training = training_tab(read_curves(run.metrics), _of_training(run), samples_of(run.path))
     return Scene(
         name=run.name,

@@ -20,11 +20,13 @@ class Target:
         kind: What it is; a report is shown with its run.
         path: The data set's, the run's or the file's.
         data: The data set of a report on another one than the run's own.
+        report: The folder of a report on validation episodes, or of one of a column of control.
     """
 
     kind: Literal["data set", "run", "report", "recording"]
     path: Path
     data: Path | None = None
+    report: Path | None = None
 
 
 def find_target(given: Path, workspace: Workspace) -> Target:
@@ -43,10 +45,8 @@ def find_target(given: Path, workspace: Workspace) -> Target:
             return Target("data set", folder)
         if (folder / RUN_MANIFEST).is_file():
             return Target("run", folder)
-        if (folder / REPORT_FILE).is_file() and (folder.resolve().parent / RUN_MANIFEST).is_file():
-            return Target("report", folder.resolve().parent)
-        if (folder / REPORT_FILE).is_file() and (run := _transferred(folder.resolve())) is not None:
-            return Target("report", run, workspace.dataset(folder.resolve().name))
+        if (folder / REPORT_FILE).is_file() and (found := _report(folder.resolve(), workspace)) is not None:
+            return found
     if given.name == REPORT_FOLDER:
         for run in (given.parent, workspace.runs / given.parent):
             if (run / RUN_MANIFEST).is_file():
@@ -62,7 +62,14 @@ def find_target(given: Path, workspace: Workspace) -> Target:
     raise UnknownName("data set or run", asked, known, "dmbench list datasets' or 'dmbench list runs")
 
 
-def _transferred(report: Path) -> Path | None:
-    """The run of a report on another data set than its own, ``RUN/report/on/NAME``."""
-    names, run = report.parts[-3:-1], report.parents[2] if len(report.parents) > 2 else report
-    return run if names == (REPORT_FOLDER, TRANSFERS) and (run / RUN_MANIFEST).is_file() else None
+def _report(folder: Path, workspace: Workspace) -> Target | None:
+    """The report in a folder of a run, ``RUN/report[/on/NAME][/SPLIT or COLUMN]`` (``scoring.report.report_place``)."""
+    run = next((parent for parent in folder.parents if (parent / RUN_MANIFEST).is_file()), None)
+    if run is None:
+        return None
+    data, (first, *below) = None, folder.relative_to(run).parts
+    if below[:1] == [TRANSFERS] and len(below) > 1:
+        data, below = workspace.dataset(below[1]), below[2:]
+    if first != REPORT_FOLDER or len(below) > 1:
+        return None
+    return Target("report", run, data, folder if below else None)

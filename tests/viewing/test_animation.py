@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from dmbench_command import dmbench
 from jaxtyping import UInt8
-from made_up_report import remove, write_made_up
+from made_up_report import write_made_up
 from PIL import Image, ImageSequence
 from pushed_squares import SPEC
 
@@ -81,7 +82,7 @@ def _in_workspace(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None
 def _scored(run: Run) -> Iterator[None]:
     folder = write_made_up(run, {1: [10.0, 30.0], 4: [90.0, 10.0], 5: [1.0, 3.0]})
     yield
-    remove(folder)
+    shutil.rmtree(folder)
 
 
 @pytest.mark.slow

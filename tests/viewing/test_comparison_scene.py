@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up_report import remove, write_made_up
+from made_up_report import write_made_up
 from rrd_contents import curve, layout_of, static, tabs_of, values
 
 from dmotion_bench.api.viewing import beside
@@ -37,7 +38,7 @@ def scored(run: Run, other_run: Run) -> Iterator[list[Path]]:
     folders = [write_made_up(run, ONE), write_made_up(other_run, OTHER)]
     yield [run.path, other_run.path]
     for folder in folders:
-        remove(folder)
+        shutil.rmtree(folder)
 
 
 @pytest.mark.parametrize("kind", ["one_step", "imagined"])

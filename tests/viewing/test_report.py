@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from made_up_report import remove, write_made_up
+from made_up_report import write_made_up
 from rrd_contents import static, tabs_of
 
+from dmotion_bench.api.viewing import scene_of_targets
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import REPORT_FOLDER
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.report import report_tab, telling_episodes
 from dmotion_bench.viewing.run import run_scene
 from dmotion_bench.viewing.scene import application_id, write_scene
+from dmotion_bench.viewing.target import Target
+from dmotion_bench.workspace import Workspace
 
 MSE = {1: [10.0, 30.0], 4: [90.0, 10.0], 5: [1.0, 3.0]}  # of the triplets of each episode
 
@@ -23,7 +27,7 @@ MSE = {1: [10.0, 30.0], 4: [90.0, 10.0], 5: [1.0, 3.0]}  # of the triplets of ea
 def scored(run: Run) -> Iterator[Path]:
     folder = write_made_up(run, MSE)
     yield run.path
-    remove(folder)
+    shutil.rmtree(folder)
 
 
 def test_worst_middle_and_best_by_the_mean_of_an_episodes_steps(scored: Path) -> None:
@@ -38,8 +42,21 @@ def test_where_actions_are_not_known_it_is_the_error_with_the_true_motion(
         assert telling_episodes(run.path) == {4: "worst, MSE 50", 1: "middle, MSE 20", 5: "best, MSE 2"}
         write_scene(run_scene(run, dataset, []), rrd)
     finally:
-        remove(folder)
+        shutil.rmtree(folder)
     assert "| mse true motion | 24 ± 2 |" in static(rrd, "/report/figures", "TextDocument:text")[0]
+
+
+def test_a_report_on_validation_episodes_is_shown_in_place_of_the_plain_one(
+    scored: Path, run: Run, dataset: Dataset, rrd: Path
+) -> None:
+    folder = scored / REPORT_FOLDER / "validation"
+    folder.mkdir()
+    for file in ("report.json", "samples.parquet"):
+        (scored / REPORT_FOLDER / file).rename(folder / file)
+    target = Target("report", run.path, report=folder)
+    write_scene(scene_of_targets([target], [], None, None, Workspace(run.path.parent.parent)), rrd)
+    assert tabs_of(rrd)[0] == "Episode 4 (worst, MSE 50)"
+    assert "| mse | 24 ± 2 |" in static(rrd, "/report/figures", "TextDocument:text")[0]
 
 
 def test_rerun_takes_the_name_as_it_is() -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up_report import remove, write_made_up
+from made_up_report import write_made_up
 from PIL import Image
 from rrd_contents import layout_of
 
@@ -35,7 +36,7 @@ def reports(run: Run, other_run: Run) -> Iterator[None]:
     folders = [write_made_up(one, {EPISODE: [10.0, 30.0], 5: [1.0, 3.0]}) for one in (run, other_run)]
     yield
     for folder in folders:
-        remove(folder)
+        shutil.rmtree(folder)
 
 
 def shot(scene: Scene, folder: Path) -> Iterator[tuple[Camera, set[str]]]:

@@ -84,3 +84,20 @@ def test_a_report_on_another_data_set_belongs_to_both(workspace: Workspace, run:
             find_target(report.with_name("elsewhere"), workspace)
     finally:
         shutil.rmtree(run.path / "report")
+
+
+@pytest.mark.parametrize("place", ["validation", "on/squares-tiny/validation", "on/squares-tiny/generic-risk"])
+def test_a_report_of_validation_episodes_or_of_a_column_is_itself(workspace: Workspace, run: Run, place: str) -> None:
+    report = run.path / "report" / place
+    report.mkdir(parents=True)
+    (report / "report.json").write_text("{}")
+    data = workspace.data / "squares-tiny" if place.startswith("on") else None
+    try:
+        for given in (report, Path(run.name) / "report" / place):
+            assert find_target(given, workspace) == Target("report", run.path.resolve(), data, report.resolve())
+        (deeper := report / "more").mkdir()
+        (deeper / "report.json").write_text("{}")
+        with pytest.raises(UsageError, match="cannot be shown"):
+            find_target(deeper, workspace)
+    finally:
+        shutil.rmtree(run.path / "report")

@@ -22,11 +22,12 @@ from dmotion_bench.scoring.score import Scores, score_run
 from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
-from leaderboard.check import CheckSettings, _same_scores, check_entry, check_paths
+from leaderboard.check import CheckSettings, check_entry, check_paths
 from leaderboard.entry import Entry, published_entry
 from leaderboard.entry_file import write_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, to_png
+from leaderboard.rescored import same_scores
 from leaderboard.verdict import Findings
 
 from .conftest import SETTINGS
@@ -361,7 +362,7 @@ def test_figures_that_came_later_may_be_missing_and_are_held_to_what_they_are(
         figures = {name: Estimate(**figure) for name, figure in entry.content["figures"].items()}
         mine = {name: one for name, one in figures.items() if not name.startswith("control")}
         check = Findings(entry=entry)
-        _same_scores(
+        same_scores(
             check, Scores(samples=pa.table({}), figures=mine | {"probe_mlp[movers]": probe(0.001)}, reference={})
         )
         return check.wrong

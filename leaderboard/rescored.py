@@ -1,0 +1,173 @@
+"""Hold an entry against its run's stored samples, and these and its pictures against those of a new scoring."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from jaxtyping import Bool
+
+from dmotion_bench.errors import RunCorrupt
+from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.prediction import MODEL
+from dmotion_bench.scoring.references import REFERENCES
+from dmotion_bench.scoring.report import SAMPLES_FILE
+from dmotion_bench.scoring.samples import FIGURE_COLUMNS, GAIN, GAIN_COLUMNS, column, read_samples
+from dmotion_bench.scoring.score import Scores, ScoreSettings
+from dmotion_bench.storage.shard import file_facts
+from leaderboard.comparison import sums_by_episode
+from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.pictures import from_png, identity
+from leaderboard.verdict import SAME, SHOWN, Findings
+
+ROUNDING: Final = 1e-3
+"""Relative; between the figures of two scorings."""
+
+SAMPLE_ROUNDING: Final = 1e-2
+"""Relative and absolute; between two scorings of one sample."""
+
+PICTURE_ROUNDING: Final = 3  # pixel values
+LATER: Final = ("probe_", "codebook_")
+"""Figures that entries of this version of scoring may lack: they came later, and changed no other."""
+
+_KEY: Final = ("episode", "step", "ahead")
+
+
+def stored_samples(check: Findings, folder: Path) -> pa.Table | None:
+    """The samples beside the run's report."""
+    said, path = check.entry.content["samples"], folder / SAMPLES_FILE
+    if not path.is_file():
+        check.wrong.append(f"samples: there is no {str(path)!r} to hold the figures against")
+        return None
+    check.expect("samples.file", said["file"], SAMPLES_FILE)
+    check.expect("samples.sha256", said["sha256"], file_facts(path).sha256)
+    try:
+        samples = read_samples(path)
+    except RunCorrupt as error:
+        check.wrong.append(f"samples: {error}")
+        return None
+    check.expect("samples.rows", said["rows"], len(samples))
+    return samples
+
+
+def against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings) -> None:
+    """Compare every figure with the one computed from the stored samples."""
+    content = check.entry.content
+    stored = np.unique(column(samples, "predictor").astype(str)).tolist()
+    everything = {**{name: {} for name in (*REFERENCES, *stored)}, **content["reference"], MODEL: content["figures"]}
+    for predictor, said in everything.items():
+        if predictor == "paper":
+            continue
+        found = figures_of(samples, predictor, resamples=settings.resamples)
+        mine = {name: one.to_json() for name, one in found.items()}
+        where = "figures" if predictor == MODEL else f"reference.{predictor}"
+        check.expect_figures(f"{where}, from the samples", said, mine)
+    said, ours = content["by_episode"], sums_by_episode(samples)
+    if said.keys() != ours.keys() or not all(_same_sums(said[name], ours[name]) for name in ours):
+        check.wrong.append("by_episode: other sums than those of the samples")
+
+
+def _same_sums(said: Mapping[str, Any], found: Mapping[str, Any]) -> bool:
+    same = (said["episode"], said["n"]) == (found["episode"], found["n"])
+    return same and np.allclose(said["sum"], found["sum"], rtol=SAME, atol=SAME)
+
+
+def same_scores(check: Findings, scores: Scores) -> None:
+    """Compare every mean with the new scoring; intervals were compared with the samples already."""
+    content = check.entry.content
+    everything = {"figures": (content["figures"], scores.figures)}
+    for name, figures in scores.reference.items():
+        everything[f"reference.{name}"] = (content["reference"].get(name, {}), figures)
+    for where, (said, figures) in everything.items():
+        mine = {name: one.to_json() for name, one in figures.items()}
+        others = {name: figure for name, figure in said.items() if not name.startswith(CONTROLLED)}
+        for later in (False, True):
+            ours, theirs = (
+                {name: one for name, one in all_of.items() if name.startswith(LATER) == later}
+                for all_of in (mine, others)
+            )
+            if theirs or not later:  # entries from before there were such figures have none
+                absolute = SAMPLE_ROUNDING if later else 0.0  # scores of probes are near zero where they read nothing
+                check.expect_figures(
+                    f"{where}, scored anew", theirs, ours, ROUNDING, means_only=True, absolute=absolute
+                )
+    check.figures = len(scores.figures)
+
+
+def same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing: float) -> None:
+    """Compare the samples row by row; a given share may differ, because processors round differently."""
+    predictors = np.unique(np.concatenate([column(table, "predictor") for table in (stored, scored)]).astype(str))
+    wrong = list[str]()
+    for predictor in predictors.tolist():
+        for metric in ("prediction", "rollout", GAIN):
+            one, other = (_part(table, predictor, metric) for table in (stored, scored))
+            keys, others = (np.stack([column(table, name) for name in _KEY], axis=1) for table in (one, other))
+            if not np.array_equal(keys, others):
+                check.wrong.append(f"samples: the stored {metric} of {predictor} are of other frames")
+                continue
+            check.samples += len(one)
+            rows = keys[_apart(one, other)].tolist()
+            wrong += [f"{metric} of {predictor}, episode {episode}, step {step}" for episode, step, _ in rows]
+    if wrong:
+        told = f"{len(wrong)} of {check.samples} differ from the new scoring"
+        if len(wrong) > differing * check.samples:
+            check.wrong.append(f"samples: {told}: {'; '.join(wrong[:SHOWN])}")
+        else:
+            check.remarks.append(f"samples: {told}")
+
+
+def _part(table: pa.Table, predictor: str, metric: str) -> pa.Table:
+    rows = (column(table, "predictor") == predictor) & (column(table, "metric") == metric)
+    part = table.filter(pa.array(rows))
+    order = np.lexsort(tuple(column(part, name) for name in reversed(_KEY)))
+    return part.take(pa.array(order))
+
+
+def _apart(stored: pa.Table, scored: pa.Table) -> Bool[np.ndarray, " n"]:
+    """Which rows differ by more than rounding."""
+    wrong: Bool[np.ndarray, " n"] = np.zeros(len(stored), np.bool_)
+    for name in (*FIGURE_COLUMNS, *GAIN_COLUMNS, "action", "pushed"):
+        wrong |= _far(*(column(table, name).astype(np.float64) for table in (stored, scored)))
+    for name in ("distance", "found", "found_truth", "motion", "command"):
+        sizes, others = (
+            pc.fill_null(pc.list_value_length(table[name]), 0).to_numpy().astype(np.int64) for table in (stored, scored)
+        )
+        wrong |= sizes != others
+        if np.array_equal(sizes, others):
+            left, right = (_flat(table, name) for table in (stored, scored))
+            wrong[np.repeat(np.arange(len(sizes)), sizes)[_far(left, right)]] = True
+    return wrong
+
+
+def _flat(table: pa.Table, name: str) -> Any:
+    values = table[name].combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    return values.astype(np.float64)
+
+
+def _far(left: Any, right: Any) -> Bool[np.ndarray, " n"]:
+    far: Bool[np.ndarray, " n"] = ~np.isclose(left, right, rtol=SAMPLE_ROUNDING, atol=SAMPLE_ROUNDING, equal_nan=True)
+    return far
+
+
+def same_pictures(check: Findings, mine: list[dict[str, Any]]) -> None:
+    said = {identity(picture): picture for picture in check.entry.pictures}
+    if not said:
+        if mine:
+            check.remarks.append("the entry has no pictures")
+        return
+    if said.keys() != {identity(picture) for picture in mine}:
+        check.wrong.append("pictures: of other steps than the data set's")
+        return
+    for picture in mine:
+        one = said[identity(picture)]
+        where = f"pictures, episode {picture['episode']}, step {picture['step']}"
+        for name in ("action", "pushed"):
+            check.expect(f"{where}, {name}", one[name], picture[name])
+        for name, rounding in (("current", 0), ("truth", 0), ("predicted", PICTURE_ROUNDING)):
+            left, right = (from_png(taken[name]).astype(np.int16) for taken in (one, picture))
+            if left.shape != right.shape or np.abs(left - right).max() > rounding:
+                check.wrong.append(f"{where}: the frame {name!r} is another")

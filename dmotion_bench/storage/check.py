@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -93,6 +93,7 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
         damages += _remote_table_damages(remote)
     manifest = Manifest.read_complete(path)
     labels = labels_state(path, manifest, remote)
+    there = {} if remote is None else {kind: remote.sizes(kind) for kind in (VIDEO, LABELS)}
     damages += [] if damages else _table_damages(path, manifest)
     rows = _rows(path, manifest)
     for index, entry in enumerate(manifest.shards):
@@ -105,7 +106,7 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
             for one in (
                 _file_damage(path, kind, index, facts)
                 if remote is None
-                else _remote_damage(remote, kind, index, manifest)
+                else _remote_damage(remote, kind, index, manifest, there[kind])
             )
         ]
         found = found or list(_content_damages(path, manifest, rows, index, entry, labels))
@@ -146,13 +147,18 @@ def _file_damage(path: Path, kind: str, index: int, facts: FileFacts) -> Iterato
         yield Damage(file=name, shard=index, what="has other bytes than were recorded")
 
 
-def _remote_damage(remote: RemoteCopy, kind: str, index: int, manifest: Manifest) -> Iterator[Damage]:
-    """What is wrong with a file of the storage; a sound one is here afterwards."""
-    name = f"{kind}/{shard_path(remote.folder, kind, index).name}"
+def _remote_damage(
+    remote: RemoteCopy, kind: str, index: int, manifest: Manifest, there: Mapping[str, int]
+) -> Iterator[Damage]:
+    """What is wrong with a file of the storage, which lists these sizes; a sound one is here afterwards."""
+    file, entry = shard_path(remote.folder, kind, index), manifest.shards[index]
+    name, facts = f"{kind}/{file.name}", entry.video if kind == VIDEO else entry.labels
+    if facts is not None and there.get(file.name, facts.size) != facts.size:  # no more than its size is ever read
+        yield Damage(file=name, shard=index, what=f"has {there[file.name]} bytes instead of {facts.size}")
+        return
     try:
         file = remote.shard(kind, index, manifest)
-        entry = manifest.shards[index]
-        if file_facts(file) != (entry.video if kind == VIDEO else entry.labels):  # a copy that the disk has spoilt
+        if file_facts(file) != facts:  # a copy that the disk has spoilt
             file.unlink()
             remote.shard(kind, index, manifest)
     except FileNotFoundError:
@@ -162,10 +168,16 @@ def _remote_damage(remote: RemoteCopy, kind: str, index: int, manifest: Manifest
 
 
 def _remote_table_damages(remote: RemoteCopy) -> Iterator[Damage]:
+    manifest = Manifest.read_complete(remote.folder)
     try:
-        remote.fetch_tables(Manifest.read_complete(remote.folder))
+        remote.fetch_tables(manifest)
     except DatasetCorrupt as damage:
         yield Damage(file=EPISODES, shard=None, what=f"cannot be had: {damage}")
+        return
+    there = remote.sizes("")
+    for name, facts in manifest.tables.items():
+        if there.get(name, facts.size) != facts.size:
+            yield Damage(file=name, shard=None, what=f"has {there[name]} bytes instead of {facts.size}")
 
 
 def cache_damages(dataset: Dataset) -> Iterator[Damage]:

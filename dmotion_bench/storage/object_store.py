@@ -185,7 +185,7 @@ class ObjectStore:
         def listed() -> list[Mapping[str, Any]]:
             system = self._connected()
             system.invalidate_cache()
-            return list(system.ls(self._at(folder), detail=True))
+            return [_understood(one) for one in system.ls(self._at(folder), detail=True)]
 
         try:
             return self._tried(folder, listed)
@@ -247,6 +247,19 @@ class ObjectStore:
         if self._system is None:
             self._system = _file_system(self.address)
         return self._system
+
+
+def _understood(listed: Mapping[str, Any]) -> Mapping[str, Any]:
+    """An entry of a folder's list, which is as fsspec describes it.
+
+    Raises:
+        WrongBody: It is not.
+    """
+    name, kind, size = (listed.get(key) for key in ("name", "type", "size"))
+    whole = type(size) is int and 0 <= size < 2**63
+    if not isinstance(name, str) or not isinstance(kind, str) or (kind == "file" and not whole):
+        raise WrongBody("its list says no name, kind or size of a file")
+    return listed
 
 
 def _last(listed: Mapping[str, Any]) -> str:

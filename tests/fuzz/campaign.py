@@ -23,10 +23,18 @@ from tests.fuzz.targets import Target
 from tests.fuzz.targets.dataset import DatasetTarget
 from tests.fuzz.targets.entry import EntryTarget
 from tests.fuzz.targets.recording import RecordingTarget
+from tests.fuzz.targets.remote import RemoteTarget
 from tests.fuzz.targets.run import RunTarget
 from tests.fuzz.targets.share import ShareTarget
 
-TARGETS: tuple[type[Target], ...] = (DatasetTarget, RecordingTarget, RunTarget, EntryTarget, ShareTarget)
+TARGETS: tuple[type[Target], ...] = (
+    DatasetTarget,
+    RecordingTarget,
+    RunTarget,
+    EntryTarget,
+    ShareTarget,
+    RemoteTarget,
+)
 KEPT = 3
 """Inputs that are kept of each different fault."""
 

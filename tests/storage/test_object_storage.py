@@ -180,13 +180,33 @@ def test_a_file_that_is_there_in_part_or_not_at_all_is_damage(own, noise, storag
         own.labels(6)
     with pytest.raises(DatasetCorrupt, match=r"bytes of it come|does not hold the bytes"):
         own.video(0)
+    right, other = ((noise.path / "video" / f"shard-0000{number}.mcap").stat().st_size for number in (0, 1))
     report = check_dataset(Path(own.where))
     assert {(damage.file, damage.what) for damage in report.damages} == {
-        ("video/shard-00000.mcap", "has other bytes than were recorded"),
+        ("video/shard-00000.mcap", f"has {other} bytes instead of {right}"),
         ("labels/shard-00002.mcap", "is missing"),
     }
     with pytest.raises(UsageError, match="is on object storage, where nothing is mended"):
         repair_dataset(Path(own.where))
+
+
+def test_more_bytes_than_were_recorded_are_damage(own, noise, storage, tmp_path) -> None:
+    longer = {}
+    for name in ("labels/shard-00001.mcap", "episodes.parquet"):
+        (tmp_path / "longer").write_bytes((noise.path / name).read_bytes() + b"x")
+        own.remote.store.write(tmp_path / "longer", name)
+        size = (noise.path / name).stat().st_size
+        longer[name] = f"has {size + 1} bytes instead of {size}"
+    assert {damage.file: damage.what for damage in check_dataset(Path(own.where)).damages} == longer
+
+
+@pytest.mark.parametrize("wrong", [{"size": -1}, {"size": 2**63}, {"size": "12"}, {"name": None}, {"type": 7}])
+def test_a_list_that_cannot_be_is_asked_for_again_and_then_a_sentence(own, monkeypatch, wrong) -> None:
+    system = own.remote.store._connected()
+    right = system.ls
+    monkeypatch.setattr(system, "ls", lambda *given, **more: [one | wrong for one in right(*given, **more)])
+    with pytest.raises(PlaceUnreachable, match=r"failed 4 times: .*its list says no name, kind or size of a file"):
+        own.remote.sizes("video")
 
 
 def test_a_copy_that_the_disk_has_spoilt_is_noticed_and_the_check_mends_it(remote, noise) -> None:

@@ -79,14 +79,25 @@ class LocalExecutor:
 
 
 def _context(function: Callable[[Job], Result]) -> BaseContext:
-    """How processes begin: never as a fork of this one, whose threads may hold locks."""
+    """How processes begin: never as a fork of this one, whose threads may hold locks.
+
+    A process that begins while the command ends misses the semaphores that it was given, and says so at length. So the
+    server is asked for one without any first, and has loaded everything when the workers are asked for.
+    """
     if sys.platform != "linux":  # elsewhere there is no server, or it is less reliable
         return get_context("spawn")
     context = get_context("forkserver")
     module = getattr(_called(function), "__module__", None)
     shared = [name for name in (module, "torch") if name in sys.modules and name != "__main__"]
     context.set_forkserver_preload(shared)
+    first = context.Process(target=_nothing)
+    first.start()
+    first.join()
     return context
+
+
+def _nothing() -> None:
+    """What the first process does."""
 
 
 def _called(function: Callable[[Job], Result]) -> object:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import sys
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import get_context, parent_process
 from multiprocessing.context import BaseContext
 from pathlib import Path
 from threading import Thread
-from typing import Final, cast
+from typing import cast
 
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result
-
-_LOOK_AGAIN: Final = 0.5  # [s]
+from dmotion_bench.execution.processes import end_with
 
 
 class SerialExecutor:
@@ -79,30 +78,29 @@ class LocalExecutor:
 
 
 def _context(function: Callable[[Job], Result]) -> BaseContext:
-    """How processes begin: never as a fork of this one, whose threads may hold locks.
-
-    A process that begins while the command ends misses the semaphores that it was given, and says so at length. So the
-    server is asked for one without any first, and has loaded everything when the workers are asked for.
-    """
+    """How processes begin: never as a fork of this one, whose threads may hold locks."""
     if sys.platform != "linux":  # elsewhere there is no server, or it is less reliable
         return get_context("spawn")
     context = get_context("forkserver")
-    module = getattr(_called(function), "__module__", None)
-    shared = [name for name in (module, "torch") if name in sys.modules and name != "__main__"]
-    context.set_forkserver_preload(shared)
-    first = context.Process(target=_nothing)
+    context.set_forkserver_preload([name for name in (function.__module__, "torch") if name in sys.modules])
+    _start_server(os.getpid())
+    return context
+
+
+@functools.cache
+def _start_server(_process: int) -> None:
+    """Have the server of this process ready, once: its first process is asked for nothing.
+
+    A process that begins while the command ends misses the semaphores that it was given, and says so at length. This
+    one has none, and the server has loaded everything when the workers are asked for.
+    """
+    first = get_context("forkserver").Process(target=_nothing)
     first.start()
     first.join()
-    return context
 
 
 def _nothing() -> None:
     """What the first process does."""
-
-
-def _called(function: Callable[[Job], Result]) -> object:
-    """What a partial function calls."""
-    return _called(function.func) if isinstance(function, partial) else function
 
 
 def _process(context: BaseContext) -> ProcessPoolExecutor:
@@ -136,15 +134,9 @@ def _become_worker(environment: dict[str, str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.clear()
     os.environ.update(environment)
-    command, server = parent_process(), os.getppid()
+    command = parent_process()
     assert command is not None  # a worker is never the first process
-
-    def watch() -> None:
-        while not connection.wait([command.sentinel], timeout=_LOOK_AGAIN) and os.getppid() == server:
-            pass
-        os._exit(1)
-
-    Thread(target=watch, daemon=True).start()
+    end_with(os.getppid(), command.sentinel)
 
 
 def local_executor(workers: int) -> Executor:

@@ -12,9 +12,9 @@ import signal
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from multiprocessing import connection
 from typing import Any, Final, NoReturn
 
 from dmotion_bench.errors import RunError, UsageError
@@ -81,12 +81,18 @@ def is_led() -> bool:
     return os.environ.get(LED) not in (None, str(os.getpid()))
 
 
-def end_with(parent: int) -> None:
-    """End this process when its parent is gone: a killed parent cannot say so itself."""
+def end_with(parent: int, sentinel: int | None = None) -> None:
+    """End this process when its parent is gone: a killed parent cannot say so itself.
+
+    Args:
+        parent: The number of its process.
+        sentinel: Of another process that it is not to outlive either (``multiprocessing``'s ``Process.sentinel``).
+    """
+    watched = [] if sentinel is None else [sentinel]
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_LOOK_AGAIN)
+        while os.getppid() == parent and not connection.wait(watched, _LOOK_AGAIN):
+            pass
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

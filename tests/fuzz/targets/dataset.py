@@ -131,8 +131,7 @@ class DatasetTarget(Target):
 
         def open_it() -> Any:
             opened.append(Dataset.open(path))
-            dataset = opened[0]
-            return {"recipe": dataset.recipe, "spec": dataset.spec, "fingerprint": dataset.fingerprint}
+            return identity(opened[0])
 
         yield Probe("open", open_it)
         yield Probe("info", lambda: dmbench("data", "info", str(path), "--json").json() and None)
@@ -208,6 +207,11 @@ class DatasetTarget(Target):
         kept = answers.get("repaired")
         if kept is not None and case.checksums is Checksums.KEPT and kept.value == repr("others"):
             yield "wrong content", "a repaired data set holds frames that the original does not"
+
+
+def identity(dataset: Dataset) -> dict[str, Any]:
+    """What says which data set it is."""
+    return {"recipe": dataset.recipe, "spec": dataset.spec, "fingerprint": dataset.fingerprint}
 
 
 def _kinds(spoilt: SpoiltDataset) -> str:

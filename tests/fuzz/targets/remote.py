@@ -17,7 +17,7 @@ from tests.fuzz.case import Answers, Case, Fault, Probe
 from tests.fuzz.command import dmbench
 from tests.fuzz.mutations import pick
 from tests.fuzz.mutations.names import HOSTILE_NAMES
-from tests.fuzz.targets.dataset import DatasetTarget, SpoiltDataset
+from tests.fuzz.targets.dataset import DatasetTarget, SpoiltDataset, identity
 from tests.fuzz.targets.share import snapshot
 from tests.fuzz.worlds import MOVES, write_noise
 
@@ -110,7 +110,7 @@ class Storage:
 class SpoiltRemote(SpoiltDataset):
     """A spoilt data set in a bucket, and the storage that lies."""
 
-    storage: Storage | None = None
+    storage: Storage = field(kw_only=True)
 
 
 class RemoteTarget(DatasetTarget):
@@ -132,27 +132,25 @@ class RemoteTarget(DatasetTarget):
     def intact(self, case: Case, name: str) -> SpoiltRemote:
         spoilt = super().intact(case, name)
         storage = Storage(spoilt.path.parent, np.random.default_rng(0))
-        return SpoiltRemote(spoilt.path, name, spoilt.files, spoilt.unlabelled, storage)
+        return SpoiltRemote(spoilt.path, name, spoilt.files, storage=storage)
 
     def spoil(self, case: Case) -> SpoiltRemote:
-        lies = case.chance(0.5)
-        if lies:
-            spoilt = self.intact(case, pick(case.rng, self.names()))
+        if not case.chance(0.5):
+            damaged = super().spoil(case)
+            assert isinstance(damaged, SpoiltRemote)  # as ``intact`` makes it
+            if not any(one.is_file() for one in (damaged.path / "labels").glob("*")):  # no folders are in a bucket
+                damaged.unlabelled = True
+                damaged.files = [name for name in damaged.files if not name.startswith("labels")]
+            return damaged
+        spoilt = self.intact(case, pick(case.rng, self.names()))
+        spoilt.storage.rng = np.random.default_rng(int(case.rng.integers(2**32)))
+        if case.chance(0.7):
+            ending, lie = pick(case.rng, ("", ".json", ".parquet", ".mcap")), pick(case.rng, BODIES)
+            spoilt.storage.bodies[ending] = lie
+            case.tell(f"bodies of *{ending}", lie)
         else:
-            spoilt = super().spoil(case)  # type: ignore[assignment]  # it is made by ``intact``
-            if not any(one.is_file() for one in (spoilt.path / "labels").glob("*")):  # there are no folders in a bucket
-                spoilt.unlabelled = True
-                spoilt.files = [name for name in spoilt.files if not name.startswith("labels")]
-        assert spoilt.storage is not None
-        if lies:
-            spoilt.storage.rng = np.random.default_rng(int(case.rng.integers(2**32)))
-            if case.chance(0.7):
-                ending, lie = pick(case.rng, ("", ".json", ".parquet", ".mcap")), pick(case.rng, BODIES)
-                spoilt.storage.bodies[ending] = lie
-                case.tell(f"bodies of *{ending}", lie)
-            else:
-                spoilt.storage.lists = pick(case.rng, LISTS)
-                case.tell("lists", spoilt.storage.lists)
+            spoilt.storage.lists = pick(case.rng, LISTS)
+            case.tell("lists", spoilt.storage.lists)
         return spoilt
 
     def probes(self, case: Case, spoilt: SpoiltDataset) -> Iterator[Probe]:
@@ -166,11 +164,7 @@ class RemoteTarget(DatasetTarget):
 
         def open_it() -> Any:
             opened.append(Dataset.open(address))
-            return {
-                "recipe": opened[0].recipe,
-                "spec": opened[0].spec,
-                "fingerprint": opened[0].fingerprint,
-            }
+            return identity(opened[0])
 
         yield Probe("open", open_it)
         yield Probe("info", lambda: dmbench("data", "info", address, "--json").json() and None)
@@ -183,7 +177,6 @@ class RemoteTarget(DatasetTarget):
         self, case: Case, spoilt: SpoiltDataset, answers: Answers, reference: dict[str, Any]
     ) -> Iterator[tuple[str, str]]:
         assert isinstance(spoilt, SpoiltRemote)
-        assert spoilt.storage is not None
         lies = spoilt.storage.bodies or spoilt.storage.lists
         for kind, what in super().judge(case, spoilt, answers, reference):
             if not (lies and kind == "check contradicted"):  # a storage may answer now and not then

@@ -32,7 +32,6 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import not_allowed, using_threads
 from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.prediction import Execution, Progress, silent
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import SCORING_VERSION
 from dmotion_bench.scoring.samples import CONTROL, GAIN
@@ -41,6 +40,7 @@ from dmotion_bench.scoring.score import (
     ScoreSettings,
     score_model,
 )
+from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.transfer import report_folder, transfer_folders
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.split import SPLIT_NAMES
@@ -56,7 +56,7 @@ from leaderboard.sources import against_run, as_read, find_dataset, find_run
 from leaderboard.verdict import Findings, Verdict, short
 
 MOST_RESAMPLES: Final = 100_000
-_REFERENCES: Final = ReferenceScores(on_disk=False)  # what is checked is computed here
+_SHARED: Final = SharedSamples(on_disk=False)  # what is checked is computed here
 """Of the present process: it computes them once for all entries of a data set that it checks."""
 
 
@@ -79,7 +79,7 @@ def check_entry(
     settings: CheckSettings | None = None,
     *,
     how: Execution | None = None,
-    references: ReferenceScores | None = None,
+    shared: SharedSamples | None = None,
 ) -> Verdict:
     """Check an entry against the runs and data sets of a workspace.
 
@@ -88,7 +88,7 @@ def check_entry(
         workspace: Where its run and data set are looked for, by their hashes.
         settings: How strictly.
         how: Batch size, device and progress of the new scoring.
-        references: Keeps the references' samples for the next entry of this process.
+        shared: Keeps what other entries have in common with this one, for the next entry of this process.
     """
     check, settings = Findings(entry=entry), settings or CheckSettings()
     if not entry.is_measured:
@@ -123,7 +123,7 @@ def check_entry(
     try:
         with using_threads(threads):
             if settings.score:
-                _score_anew(check, run, read, samples, asked, settings, how, references)
+                _score_anew(check, run, read, samples, asked, settings, how, shared)
             else:
                 check.remarks.append("not scored anew")
             check_control(check, run, read, samples, anew=settings.score, differing=settings.differing, how=how)
@@ -140,10 +140,10 @@ def _score_anew(
     asked: ScoreSettings,
     settings: CheckSettings,
     how: Execution,
-    references: ReferenceScores | None,
+    shared: SharedSamples | None,
 ) -> None:
     metrics = tuple(name for name in METRICS if name in check.entry.content["settings"]["metrics"] and name != CONTROL)
-    scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, references=references)
+    scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, shared=shared)
     same_scores(check, scores)
     if samples is not None:
         same_samples(check, samples, scores.samples, settings.differing)
@@ -182,7 +182,7 @@ def check_job(job: CheckJob, on_progress: Progress = silent) -> tuple[int, Verdi
     try:
         entry = read_entry(job.path) if job.path.is_file() else entry_of_run(job.path, job.report)
         how, workspace = Execution(progress=show), Workspace(job.workspace)
-        verdict = check_entry(entry, workspace, job.settings, how=how, references=_REFERENCES)
+        verdict = check_entry(entry, workspace, job.settings, how=how, shared=_SHARED)
     except DmbenchError as error:
         verdict = Verdict(entry=job.path.name, findings=(str(error),))
     finally:

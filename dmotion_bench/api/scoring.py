@@ -21,9 +21,9 @@ from dmotion_bench.scoring.control import ControlScoring, control_samples
 from dmotion_bench.scoring.control import score_reference as control_of_reference
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import Execution, Precision
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.report import Report, read_report_samples
 from dmotion_bench.scoring.score import METRICS, Metric, ScoreSettings, score_run
+from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import AnyPath, Workspace
@@ -151,7 +151,7 @@ def score_runs(
     Returns:
         The report of each run, and by its name what went wrong with each that has none.
     """
-    where, references = compute_device(device), ReferenceScores()
+    where, shared = compute_device(device), SharedSamples()
     reports: dict[Path, Report] = {}
     failures: dict[str, str] = {}
     warned: set[str] = set()
@@ -171,7 +171,7 @@ def score_runs(
                     metrics=metrics,
                     settings=settings,
                     how=Execution(batch_size=batch_size, device=where, progress=show),
-                    references=references,
+                    shared=shared,
                     renew=not keep,
                     data=data,
                 )

@@ -9,6 +9,7 @@ on from where it ended.
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,18 @@ from dmotion_bench.storage.atomic import write_atomically
 
 AFTERWARDS: Final = ("adaptation", "adaptation_steps", "adaptation_rate")
 """Of the training's settings those that concern only what comes after the part without labels."""
+
+
+def training_of(run: Run) -> str | None:
+    """The same text for all runs that can share a training; None where there is nothing to share.
+
+    Raises:
+        RunError, UnknownName: The run's model is not here.
+    """
+    if model_class(run.spec.model).supervision is not Supervision.NONE:
+        return None
+    shared = {name: value for name, value in dataclasses.asdict(run.spec).items() if name != "labels"}
+    return json.dumps(shared | {"threads": run.threads}, sort_keys=True)
 
 
 def take_over(run: Run) -> Run | None:

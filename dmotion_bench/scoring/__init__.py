@@ -6,8 +6,9 @@
     side_by_side.py      many runs at once, and their control in groups of tasks
     transitions.py       held-out triplets and rollouts, in batches
     prediction.py        predictions of models and references, measured frame by frame
+    latent_samples.py    what a model predicts by its own latent actions, whatever its labels
     references.py        the references: predictors without learning, and published results
-    reference_samples.py  their samples, kept in the data set's cache for all of its runs
+    shared_samples.py    what several runs have in common: the references', and those of latent actions
     frame_measures.py    everything that is measured on a predicted frame
     pixels.py            MSE, PSNR and SSIM of two pictures
     position_errors.py   distances between predicted and true objects

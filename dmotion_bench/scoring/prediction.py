@@ -6,14 +6,14 @@ A rollout begins with the true frames (x_{t-1}, x_t), follows the recorded actio
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 import torch
-from jaxtyping import Float, Int, Shaped, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
 from dmotion_bench.errors import ModelContractBroken
@@ -21,28 +21,13 @@ from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.frame_measures import FrameMeasures
-from dmotion_bench.scoring.identification import Identification, LatentActionModel, identify
 from dmotion_bench.scoring.inverse import InverseModel, inverse_figures
 from dmotion_bench.scoring.latent_ranking import Ranks, rank_rollouts
-from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.references import REFERENCES
-from dmotion_bench.scoring.samples import EACH, PROBE, SampleRows, action_column
+from dmotion_bench.scoring.samples import SampleRows, action_column
 from dmotion_bench.scoring.transitions import HeldOut, RolloutBatch, TransitionBatch
 
 MODEL = "model"
-
-
-@runtime_checkable
-class LatentBranchingModel(Protocol):
-    """A model that computes only once what several latent actions at one state have in common."""
-
-    def begin(self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]) -> Any:
-        """See ``ForwardModel``; so is ``frame``."""
-
-    def branch_with_latent(self, state: Any, parent: Int[Tensor, " n"], latent: Float[Tensor, "n d"]) -> Any:
-        """The states after latent actions, row i at the state of row ``parent[i]``."""
-
-    def frame(self, state: Any) -> Float[Tensor, "n c h w"]: ...
 
 
 Precision = Literal["float32", "bf16"]
@@ -84,10 +69,8 @@ def predicting(device: torch.device, precision: Precision = "float32") -> Iterat
 
 
 def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> pa.Table:
-    """Score the predicted next frame of every held-out triplet, and the identification of latent-action models."""
+    """Score the predicted next frame of every held-out triplet; for latent actions see ``latent_samples.py``."""
     measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("prediction", MODEL), 0
-    latent = model if isinstance(model, LatentActionModel) else None
-    found = identify(latent, held_out, batch_size=how.batch_size, device=how.device) if latent else None
     for batch in held_out.batches(how.batch_size):
         stored = torch.from_numpy(batch.frames).to(how.device)
         previous, current = to_model(stored[:, 0]), to_model(stored[:, 1])
@@ -95,9 +78,6 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
         predicted = _pixels(model, model.predict(previous, current, action), current.shape)
         truth = stored[:, 2]
         columns = measures.compare(predicted, truth, measures.positions(truth))
-        if latent is not None and found is not None:
-            here = slice(done, done + len(batch))
-            columns |= _by_latent(latent, found, here, previous, current, truth)
         if isinstance(model, InverseModel):
             named = model.infer_action(previous, current, to_model(truth))
             columns |= inverse_figures(named, action, held_out.dataset.spec.actions)
@@ -184,51 +164,6 @@ def _rolled_out(
 
 def _rollouts_at_once(how: Execution, horizon: int) -> int:
     return max(1, how.batch_size // horizon)
-
-
-def _by_latent(
-    model: LatentActionModel,
-    found: Identification,
-    here: slice,
-    previous: Float[Tensor, "b c h w"],
-    current: Float[Tensor, "b c h w"],
-    truth: UInt8[Tensor, "b h w 3"],
-) -> dict[str, Tensor]:
-    """What the model predicts when it is given a latent action instead of a named one."""
-    partner = found.partner[here]
-    latents = (torch.from_numpy(found.motion[rows]).to(current.device) for rows in (here, partner))
-    own, other = _with_latents(model, previous, current, list(latents))
-    change = mean_squared_error(own, other).cpu()
-    each = {} if found.each is None else vars(found.each)
-    codes = {} if found.codes is None else {"codes": torch.from_numpy(found.codes[here])}
-    if codes:
-        codes["codebook_sizes"] = torch.tensor(found.codebook_sizes).expand(len(partner), -1)
-    return {
-        **codes,
-        **{PROBE + name: torch.from_numpy(columns[here]) for name, columns in found.probes.items()},
-        **{EACH + name: torch.from_numpy(values[here]).flatten(1) for name, values in each.items()},
-        "agent_iou": torch.from_numpy(found.agent_iou[here]),
-        "motion_shift_error": torch.from_numpy(found.motion_shift_error[here]),
-        "motion_probe_accuracy": torch.from_numpy(found.motion_probe_accuracy[here]),
-        "motion_probe_error": torch.from_numpy(found.motion_probe_error[here]),
-        "motion": torch.from_numpy(found.motion[here]),
-        "mse_true_motion": mean_squared_error(own, truth).cpu(),
-        "motion_swap_change": change.where(torch.from_numpy(partner >= 0), torch.nan),
-    }
-
-
-def _with_latents(
-    model: LatentActionModel,
-    previous: Float[Tensor, "b c h w"],
-    current: Float[Tensor, "b c h w"],
-    latents: Sequence[Float[Tensor, "b d"]],
-) -> list[UInt8[Tensor, "b h w 3"]]:
-    """What a model predicts under some latent actions; what they have in common is computed once, if it can do so."""
-    if not isinstance(model, LatentBranchingModel):
-        return [to_pixels(model.predict_with_latent(previous, current, latent)) for latent in latents]
-    parent = torch.arange(len(current), device=current.device).repeat(len(latents))
-    after = model.branch_with_latent(model.begin(previous, current), parent, torch.cat(list(latents)))
-    return list(to_pixels(model.frame(after)).chunk(len(latents)))
 
 
 def _pixels(

@@ -116,6 +116,17 @@ SCHEMA = pa.schema(
     ]
 )
 
+LATENT_COLUMNS: Final = frozenset(
+    (
+        *(name for name in IDENTIFICATION_COLUMNS if not name.startswith("inverse")),
+        "motion",
+        *(name for name in SCHEMA.names if name.startswith((EACH, PROBE))),
+        "codes",
+        "codebook_sizes",
+    )
+)
+"""Of single steps: those that a model's latent actions decide, whatever labels it was given."""
+
 MOST_SAMPLES: Final = 1_000_000
 """Rows of a table that is read; to compare two such tables takes some 650 bytes of memory a row."""
 _MOST_LISTED: Final = 2**25  # values in a column of lists

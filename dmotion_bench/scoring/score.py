@@ -25,6 +25,8 @@ from dmotion_bench.scoring.earlier_planning import present_planning, present_set
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.gain import GainScoring, gain_tables, reason_against, require_gain
+from dmotion_bench.scoring.identification import LatentActionModel
+from dmotion_bench.scoring.latent_samples import learned_from_video, score_latent_actions, with_latent_actions
 from dmotion_bench.scoring.prediction import (
     MODEL,
     Execution,
@@ -35,7 +37,6 @@ from dmotion_bench.scoring.prediction import (
     score_rollouts,
     score_steps,
 )
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
     SCORING_VERSION,
@@ -46,6 +47,7 @@ from dmotion_bench.scoring.report import (
 )
 from dmotion_bench.scoring.run_report import compose_report
 from dmotion_bench.scoring.samples import PICTURE_CONTROL, SCHEMA
+from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.statistics import RESAMPLES
 from dmotion_bench.scoring.transfer import report_folder, transferable
 from dmotion_bench.scoring.transitions import HeldOut
@@ -125,7 +127,7 @@ def score_model(
     metrics: tuple[Metric, ...] = DEFAULT_METRICS,
     settings: ScoreSettings | None = None,
     how: Execution | None = None,
-    references: ReferenceScores | None = None,
+    shared: SharedSamples | None = None,
     earlier: pa.Table | None = None,
     journal: Path | None = None,
 ) -> Scores:
@@ -137,12 +139,12 @@ def score_model(
         metrics: Which groups of figures.
         settings: What decides the figures.
         how: Batch size, device, progress; the frames of one batch are in memory, and one episode's labels.
-        references: Keeps the references' samples for the next model of this process.
+        shared: Keeps what other runs have in common with this one, for the next model of this process.
         earlier: Samples of groups that are not asked for now; kept.
         journal: A file in which control keeps how far it is, to go on from there after an interruption.
     """
     settings, how = settings or ScoreSettings(), how or Execution()
-    references = references or ReferenceScores()
+    shared = shared or SharedSamples()
     model = model.to(how.device).laid_out().eval()
     keep_freed_memory()
     if dataset.spec.actions is None:
@@ -163,13 +165,18 @@ def score_model(
     tables, cache = [] if earlier is None else [earlier], cache_folder(dataset.path)
     with predicting(how.device):
         if "prediction" in metrics:
-            tables.append(references.get(identity, lambda: score_reference_steps(held_out, how), cache))
+            tables.append(shared.get(identity, lambda: score_reference_steps(held_out, how), cache))
         if "rollout" in metrics:
             key, horizon = identity | {"horizon": settings.horizon}, settings.horizon
-            tables.append(references.get(key, lambda: score_reference_rollouts(held_out, how, horizon=horizon), cache))
+            tables.append(shared.get(key, lambda: score_reference_rollouts(held_out, how, horizon=horizon), cache))
     with predicting(how.device, settings.precision):
         if "prediction" in metrics:
-            tables.append(score_steps(model, held_out, how))
+            steps = score_steps(model, held_out, how)
+            if isinstance(model, LatentActionModel):
+                mine = identity | learned_from_video(model) | {"precision": settings.precision}
+                latent = shared.latest(mine, lambda: score_latent_actions(model, held_out, how))
+                steps = with_latent_actions(steps, latent)
+            tables.append(steps)
         if "rollout" in metrics:
             tables.append(score_rollouts(model, held_out, how, horizon=settings.horizon))
     if "gain" in metrics:
@@ -195,7 +202,7 @@ def score_run(
     metrics: tuple[Metric, ...] | None = DEFAULT_METRICS,
     settings: ScoreSettings | None = None,
     how: Execution | None = None,
-    references: ReferenceScores | None = None,
+    shared: SharedSamples | None = None,
     renew: bool = True,
     data: AnyPath | None = None,
 ) -> Report:
@@ -259,7 +266,7 @@ def score_run(
                 metrics=metrics,
                 settings=settings,
                 how=how,
-                references=references,
+                shared=shared,
                 earlier=_of_groups(samples, set(true) - set(metrics)),
                 journal=(journal := folder / CONTROL_JOURNAL),
             )

@@ -3,6 +3,9 @@
 Jobs are plain values. A group's job keeps what it did in a journal of its own beside the run's report
 (``planning/journal.py``); the run's job takes these over and has nothing left to plan. So the figures are those of
 runs that are scored in turn, and a job that was killed goes on where it stopped.
+
+Runs that share a training are one job, which scores one after the other: what their models predict by latent actions
+is the same, and is computed once.
 """
 
 from __future__ import annotations
@@ -20,10 +23,10 @@ from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.learning.twins import training_of
 from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.scoring.control import score_control, share_of
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.score import (
     CONTROL_JOURNAL,
     Metric,
@@ -32,9 +35,10 @@ from dmotion_bench.scoring.score import (
     score_run,
     scored_data,
 )
+from dmotion_bench.scoring.shared_samples import SharedSamples
 
-_REFERENCES: Final = ReferenceScores()
-"""Of the present process: a worker computes them once for all runs of a data set that it scores."""
+_SHARED: Final = SharedSamples()
+"""Of the present process: a worker computes once what the runs that it scores have in common."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +96,7 @@ def score_job(job: ScoreJob) -> ScoreOutcome:
                 metrics=job.metrics,
                 settings=job.settings,
                 how=how,
-                references=_REFERENCES,
+                shared=_SHARED,
                 renew=job.renew,
                 data=job.data,
             )
@@ -103,6 +107,23 @@ def score_job(job: ScoreJob) -> ScoreOutcome:
     finally:
         told.end()
     return ScoreOutcome(run=job.run)
+
+
+def score_in_turn(jobs: Sequence[ScoreJob]) -> list[ScoreOutcome]:
+    """Do some jobs in the present process, one after the other."""
+    return [score_job(job) for job in jobs]
+
+
+def _by_training(jobs: Sequence[ScoreJob]) -> list[tuple[ScoreJob, ...]]:
+    """The jobs of runs that share a training, together; each other job alone."""
+    groups: dict[str, list[ScoreJob]] = {}
+    for number, job in enumerate(jobs):
+        shared = None
+        if job.metrics is None or "prediction" in job.metrics:
+            with contextlib.suppress(DmbenchError):  # said when the run is scored
+                shared = training_of(Run.open(job.run))
+        groups.setdefault(shared or f"alone {number}", []).append(job)
+    return [tuple(group) for group in groups.values()]
 
 
 def _control_share(job: ScoreJob, how: Execution) -> None:
@@ -161,6 +182,7 @@ def score_side_by_side(
     with contextlib.closing(planned):
         for _ in planned:  # what failed fails again, and is said, when the run is scored
             pass
-    scored = executor.map_unordered(score_job, told(jobs, "run"))
+    scored = executor.map_unordered(score_in_turn, _by_training(told(jobs, "run")))
     with contextlib.closing(scored):
-        yield from scored
+        for outcomes in scored:
+            yield from outcomes

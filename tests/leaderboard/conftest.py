@@ -14,8 +14,8 @@ from known_model import Known, write_run
 
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
@@ -45,14 +45,14 @@ def scored_workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Works
     dataset = Dataset.open(workspace.data / "grid_world-tiny")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
-        references = ReferenceScores()
+        shared = SharedSamples()
         for name, offset, changes in (
             ("dmotion-grid_world-tiny-s0", 0.0, {}),
             ("dmotion-grid_world-tiny-s1", 0.02, {"seed": 1}),
             ("cswm-grid_world-tiny-10pct-s0", 0.5, {"model": "cswm", "labels": "10%"}),
         ):
             run = write_run(workspace.runs / name, dataset, offset=offset, **changes)
-            score_run(run.path, settings=SETTINGS, how=Execution(), references=references)
+            score_run(run.path, settings=SETTINGS, how=Execution(), shared=shared)
     return workspace
 
 

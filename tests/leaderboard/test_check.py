@@ -15,10 +15,10 @@ from known_model import Known
 
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.run import Conditions, Run
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import write_report
 from dmotion_bench.scoring.score import Scores, score_run
+from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
@@ -40,13 +40,13 @@ RUN = "dmotion-grid_world-tiny-s0"
 
 
 @pytest.fixture(scope="module")
-def references() -> ReferenceScores:
+def shared() -> SharedSamples:
     """Scored once for all tests."""
-    return ReferenceScores()
+    return SharedSamples()
 
 
-def test_a_sound_entry_holds(workspace: Workspace, sound: Entry, references: ReferenceScores) -> None:
-    verdict = check_entry(sound, workspace, references=references)
+def test_a_sound_entry_holds(workspace: Workspace, sound: Entry, shared: SharedSamples) -> None:
+    verdict = check_entry(sound, workspace, shared=shared)
 
     assert verdict.findings == ()
     assert verdict.holds
@@ -186,7 +186,7 @@ def _first(rows: list[dict[str, Any]], metric: str, predictor: str) -> dict[str,
 
 @pytest.mark.parametrize("metric", ["prediction", "rollout"])
 def test_a_single_forged_sample_is_found_by_scoring_anew(
-    workspace: Workspace, references: ReferenceScores, metric: str
+    workspace: Workspace, shared: SharedSamples, metric: str
 ) -> None:
     def better(rows: list[dict[str, Any]]) -> None:
         _first(rows, metric, "model")["mse"] *= 0.5
@@ -194,28 +194,28 @@ def test_a_single_forged_sample_is_found_by_scoring_anew(
     forged = _rewritten(workspace.runs / RUN, better)
 
     assert check_entry(forged, workspace, QUICK).holds  # all agrees: hash, figures, sums
-    findings = check_entry(forged, workspace, references=references).findings
+    findings = check_entry(forged, workspace, shared=shared).findings
     assert any("1 of" in finding and f"{metric} of model" in finding for finding in findings), findings
 
 
-def test_samples_that_were_dropped_are_found(workspace: Workspace, references: ReferenceScores) -> None:
+def test_samples_that_were_dropped_are_found(workspace: Workspace, shared: SharedSamples) -> None:
     def drop_the_worst(rows: list[dict[str, Any]]) -> None:
         mine = [row for row in rows if row["predictor"] == "model" and row["metric"] == "prediction"]
         rows.remove(max(mine, key=lambda row: row["mse"]))
 
-    findings = check_entry(_rewritten(workspace.runs / RUN, drop_the_worst), workspace, references=references).findings
+    findings = check_entry(_rewritten(workspace.runs / RUN, drop_the_worst), workspace, shared=shared).findings
 
     assert any("of other frames" in finding for finding in findings)
 
 
-def test_a_share_of_differing_samples_can_be_allowed(workspace: Workspace, references: ReferenceScores) -> None:
+def test_a_share_of_differing_samples_can_be_allowed(workspace: Workspace, shared: SharedSamples) -> None:
     def round_otherwise(rows: list[dict[str, Any]]) -> None:
         _first(rows, "prediction", "model")["found"][0] ^= True
 
     forged = _rewritten(workspace.runs / RUN, round_otherwise)
 
     strict, lenient = (
-        check_entry(forged, workspace, CheckSettings(differing=share), references=references) for share in (0, 0.01)
+        check_entry(forged, workspace, CheckSettings(differing=share), shared=shared) for share in (0, 0.01)
     )
     assert not strict.holds
     assert lenient.holds
@@ -277,22 +277,22 @@ def test_a_changed_frame_cache_is_found(workspace: Workspace, sound: Entry) -> N
 
 @pytest.mark.parametrize("which", ["current", "truth", "predicted"])
 def test_a_retouched_picture_is_found(
-    workspace: Workspace, sound: Entry, changed: Changed, references: ReferenceScores, which: str
+    workspace: Workspace, sound: Entry, changed: Changed, shared: SharedSamples, which: str
 ) -> None:
     pictures = copy.deepcopy(list(sound.pictures))
     frame = from_png(pictures[0][which]).copy()
     frame[40:44, 40:44] ^= 128
     pictures[0] = dict(pictures[0]) | {which: to_png(frame)}
 
-    findings = check_entry(changed(pictures=pictures), workspace, references=references).findings
+    findings = check_entry(changed(pictures=pictures), workspace, shared=shared).findings
 
     assert any(repr(which) in finding for finding in findings)
 
 
 def test_pictures_of_chosen_steps_are_found(
-    workspace: Workspace, sound: Entry, changed: Changed, references: ReferenceScores
+    workspace: Workspace, sound: Entry, changed: Changed, shared: SharedSamples
 ) -> None:
-    verdict = check_entry(changed(pictures=list(sound.pictures)[1:]), workspace, references=references)
+    verdict = check_entry(changed(pictures=list(sound.pictures)[1:]), workspace, shared=shared)
 
     assert any(finding.startswith("pictures: of other steps") for finding in verdict.findings)
 

@@ -17,9 +17,9 @@ from torch import Tensor
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DatasetMissing, LabelsNotAvailable, RunMismatch, UsageError
 from dmotion_bench.learning.run import Run
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.report import Report, read_report_samples
 from dmotion_bench.scoring.score import ScoreSettings, score_model, score_run
+from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.transfer import transferable
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import export_lerobot
@@ -68,9 +68,9 @@ def _score(run: Run, dataset: Dataset, **options: Any) -> Report:
 def test_another_order_of_the_actions_changes_no_figure(run: Run, other: Dataset, tmp_path: Path) -> None:
     """One process scores both, as ``score --all`` does: what it keeps of the references must not mix the orders."""
     expected = score_model(run.model, other, settings=QUICK)
-    references = ReferenceScores()
+    shared = SharedSamples()
     reports = {
-        name: _score(run, write_import(tmp_path / name, other, actions=actions), references=references)
+        name: _score(run, write_import(tmp_path / name, other, actions=actions), shared=shared)
         for name, actions in (("kept", None), ("sorted", ALPHABETICAL))
     }
     assert FACTS.actions != Discrete(ALPHABETICAL)

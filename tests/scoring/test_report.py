@@ -19,11 +19,11 @@ from dmotion_bench.errors import LabelsNotAvailable, RunCorrupt, RunMismatch, Ru
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import compare_runs
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.references import PublishedFigure, PublishedResult, published_for
 from dmotion_bench.scoring.report import SCORING_VERSION, read_report
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS
 from dmotion_bench.scoring.score import ScoreSettings, score_model, score_run
+from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.storage.dataset import Dataset
 
 from .conftest import Oracle, write_dataset
@@ -185,10 +185,10 @@ def test_new_weights_make_a_report_stale(make_run: MakeRun, tmp_path: Path) -> N
 
 
 def test_references_are_scored_once_for_many_runs(make_run: MakeRun, tmp_path: Path) -> None:
-    references, work = ReferenceScores(on_disk=False), Work()
+    shared, work = SharedSamples(on_disk=False), Work()
     how = Execution(progress=work)
     reports = [
-        score_run(make_run(tmp_path / str(seed), seed=seed).path, settings=QUICK, how=how, references=references)
+        score_run(make_run(tmp_path / str(seed), seed=seed).path, settings=QUICK, how=how, shared=shared)
         for seed in range(2)
     ]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -126,3 +127,28 @@ def test_jobs_say_how_far_they_are(job: MakeJob, tmp_path: Path, monkeypatch: py
     assert any(one.startswith("control-0: a control, tasks 0 to 1") for one in seen), seen
     assert not list(folder.iterdir())
     assert Run.open(job("a").run).result is not None
+
+
+@dataclass(frozen=True)
+class Noting:
+    """An executor that keeps what it is given."""
+
+    given: list[Any]
+
+    def map_unordered(self, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
+        for job in jobs:
+            self.given.append(job)
+            yield function(job)
+
+
+def test_runs_of_one_training_are_one_job(tasks: Dataset, job: MakeJob, tmp_path: Path) -> None:
+    made = {"few": "one-shot", "many": "64", "others": "one-shot"}
+    for name, labels in made.items():
+        write_run(tmp_path / name, tasks, labels=labels, seed=int(name == "others"))
+    jobs = [job(name, metrics=("prediction",)) for name in ("few", "others", "many")]
+    jobs.append(ScoreJob(**{**vars(jobs[0]), "run": tmp_path / "nothing"}))
+
+    outcomes = list(score_side_by_side(jobs, executor := Noting([])))
+
+    assert [[one.run.name for one in chain] for chain in executor.given] == [["few", "many"], ["others"], ["nothing"]]
+    assert [outcome.error is None for outcome in outcomes] == [True, True, True, False]

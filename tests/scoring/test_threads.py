@@ -15,8 +15,8 @@ from torch import Tensor
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.run import Conditions, Run
 from dmotion_bench.learning.threads import scoring_shortage
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.shared_samples import SharedSamples
 
 MakeRun = Callable[..., Run]
 QUICK = ScoreSettings(horizon=3, resamples=100)
@@ -59,16 +59,16 @@ def test_scoring_takes_the_number_of_the_training(trained: Callable[[int], Run],
 def test_the_references_of_another_number_are_scored_again(
     trained: Callable[[int], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    references, asked = ReferenceScores(), []
-    get = references.get
+    shared, asked = SharedSamples(), []
+    get = shared.get
 
     def noted(key: Mapping[str, object], *rest: Any) -> object:
         asked.append(json.dumps(key, sort_keys=True))
         return get(key, *rest)
 
-    monkeypatch.setattr(references, "get", noted)
+    monkeypatch.setattr(shared, "get", noted)
     for threads in (2, 3, 2):
-        score_run(trained(threads).path, settings=QUICK, references=references)
+        score_run(trained(threads).path, settings=QUICK, shared=shared)
     assert len(asked) == 6
     assert len(set(asked)) == 4
 

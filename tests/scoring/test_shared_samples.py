@@ -9,8 +9,8 @@ import pytest
 
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.reference_samples import ReferenceScores
 from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.workspace import CACHE_VARIABLE
 
 QUICK = ScoreSettings(horizon=3, resamples=100)
@@ -28,7 +28,7 @@ def scored(path: Path, *, on_disk: bool = True) -> tuple[bytes, set[str]]:
     """The samples of a run scored by a process that remembers nothing, and what was computed for them."""
     done = set[str]()
     how = Execution(progress=lambda what, *_: done.add(what))
-    score_run(path, settings=QUICK, how=how, references=ReferenceScores(on_disk=on_disk))
+    score_run(path, settings=QUICK, how=how, shared=SharedSamples(on_disk=on_disk))
     return (path / "report/samples.parquet").read_bytes(), done & REFERENCES
 
 

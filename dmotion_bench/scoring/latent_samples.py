@@ -75,10 +75,9 @@ def learned_from_video(model: ForwardModel[Any]) -> dict[str, str]:
     Labels teach which latent action an action is (``ActionToLatent``), unless the model is fine-tuned by them: then its
     weights are others.
     """
-    taught = [
-        f"{name}." for name, part in model.named_modules() if isinstance(part, ActionToLatent | JointActionToLatent)
-    ]
-    weights = {name: one for name, one in model.state_dict().items() if not name.startswith(tuple(taught))}
+    tables = (part for part in model.modules() if isinstance(part, ActionToLatent | JointActionToLatent))
+    taught = {one.data_ptr() for part in tables for one in part.buffers()}  # a model may store them by other names
+    weights = {name: one for name, one in model.state_dict().items() if one.data_ptr() not in taught}
     kind = type(model)
     return {
         "model": f"{kind.__module__}.{kind.__qualname__}",

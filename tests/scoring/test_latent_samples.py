@@ -10,6 +10,8 @@ from torch import Tensor
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.registry import model_class
+from dmotion_bench.scoring.latent_samples import learned_from_video
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.score import ScoreSettings, score_model
 from dmotion_bench.scoring.shared_samples import SharedSamples
@@ -87,3 +89,17 @@ def test_those_of_four_trainings_are_remembered(grid: Dataset, others: int, *, a
 def test_models_without_latent_actions_are_not_asked(grid: Dataset, copy_last: Known) -> None:
     _, done = scored(copy_last, grid, SharedSamples())
     assert "latent actions" not in done
+
+
+@pytest.mark.parametrize("name", ["dmotion", "lapo", "clasp"])
+def test_what_labels_teach_a_model_is_left_out(name: str) -> None:
+    kind = model_class(name)
+    inputs = ModelInputs(height=128, width=128, actions=Discrete.numbered(4))
+    model = kind(kind.configure(kind.architectures[0]), inputs)
+    before = learned_from_video(model)
+    for part in model.modules():
+        if isinstance(part, ActionToLatent):
+            part.rows.fill_(0.5)
+    assert learned_from_video(model) == before
+    next(model.parameters()).data.add_(1)
+    assert learned_from_video(model) != before

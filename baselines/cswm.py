@@ -58,6 +58,7 @@ class ContrastiveConfig:
     Attributes:
         slots: K, at least as many as there are objects.
         features: Length of a slot's state.
+        frames: That a state is made of: 2, the last two, or 1, the present one.
         hidden: Width of the MLPs and of the graph network.
         sigma: Width of the energy.
         hinge: gamma, how far states are pushed apart.
@@ -66,6 +67,7 @@ class ContrastiveConfig:
 
     slots: int = 6
     features: int = 4
+    frames: int = 2
     hidden: int = 512
     sigma: float = 0.5
     hinge: float = 1.0
@@ -74,12 +76,14 @@ class ContrastiveConfig:
     def __post_init__(self) -> None:
         if min(self.slots, self.features, self.hidden) < 1 or self.sigma <= 0 or self.hinge <= 0:
             raise InvalidSetting("slots, features and hidden must be 1 or more, sigma and hinge above 0.")
+        if self.frames not in (1, 2):
+            raise InvalidSetting(f"frames is {self.frames}; a state is made of 1 or 2.")
         if not 0 <= self.near <= 1:
             raise InvalidSetting(f"near is {self.near}; it is a share from 0 to 1.")
 
 
 class SlotEncoder(nn.Module):
-    """Encodes two packed frames into the states of K slots.
+    """Encodes packed frames, one or two, into the states of K slots.
 
     As the authors' for larger pictures: one convolution with a wide stride to small maps (10 x 10 there, 8 x 8 here),
     their values between 0 and 1. The MLP's initial weights keep the scale, so that different frames get different
@@ -91,7 +95,7 @@ class SlotEncoder(nn.Module):
         c, w, _ = WIDTHS
         place = (inputs.height // 16) * (inputs.width // 16)
         self.extractor = nn.Sequential(
-            block(2 * CHANNELS, c, 1),
+            block(config.frames * CHANNELS, c, 1),
             nn.Conv2d(c, w, 4, 4),
             nn.LeakyReLU(SLOPE),
             conv(w, config.slots, 1),
@@ -206,7 +210,8 @@ class ContrastiveWorldModel(ForwardModel[ContrastiveConfig]):
 
     def states(self, previous: Float[Tensor, "b c h w"], current: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k d"]:
         """z_t."""
-        state: Tensor = self.encoder(torch.cat([pack(previous), pack(current)], dim=1))
+        seen = (previous, current)[-self.config.frames :]
+        state: Tensor = self.encoder(torch.cat([pack(one) for one in seen], dim=1))
         return state
 
     def begin(

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 import torch
 
-from baselines.cswm import CONTRAST, DECODER, ContrastiveWorldModel
+from baselines.cswm import CONTRAST, DECODER, ContrastiveConfig, ContrastiveWorldModel
+from dmotion_bench.errors import InvalidSetting
 
 
 def test_the_energy_by_hand(build) -> None:
@@ -84,3 +86,17 @@ def test_the_decoder_learns_apart(build, step, batch, video) -> None:
         name.split(".")[0] for name, tensor in model.state_dict().items() if not torch.equal(tensor, before[name])
     }
     assert changed == {"decoder"}
+
+
+def test_a_state_of_one_frame_knows_no_other(build, batch) -> None:
+    others = torch.rand(batch.previous.shape, generator=torch.Generator().manual_seed(1))
+    for frames, alike in ((1, True), (2, False)):
+        model = build(ContrastiveWorldModel, frames=frames)
+        with torch.no_grad():
+            state, other = (model.states(previous, batch.current) for previous in (batch.previous, others))
+        assert torch.equal(state, other) is alike
+
+
+def test_a_state_is_made_of_one_or_two_frames() -> None:
+    with pytest.raises(InvalidSetting, match="frames is 3; a state is made of 1 or 2"):
+        ContrastiveConfig(frames=3)

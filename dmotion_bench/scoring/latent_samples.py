@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
-from dmotion_bench.learning.action_to_latent import ActionToLatent, JointActionToLatent
+from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.checkpoint import weights_hash
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
@@ -72,10 +72,10 @@ def with_latent_actions(steps: pa.Table, latent: pa.Table) -> pa.Table:
 def learned_from_video(model: ForwardModel[Any]) -> dict[str, str]:
     """What decides a model's latent actions: its class, its configuration, and its weights without what labels taught.
 
-    Labels teach which latent action an action is (``ActionToLatent``), unless the model is fine-tuned by them: then its
-    weights are others.
+    Labels teach which latent action an action is (``ActionToLatent``). Where they teach more, such as which of several
+    agents is whose or, in fine-tuning, everything, what they taught is among the weights here.
     """
-    tables = (part for part in model.modules() if isinstance(part, ActionToLatent | JointActionToLatent))
+    tables = (part for part in model.modules() if isinstance(part, ActionToLatent))
     taught = {one.data_ptr() for part in tables for one in part.buffers()}  # a model may store them by other names
     weights = {name: one for name, one in model.state_dict().items() if one.data_ptr() not in taught}
     kind = type(model)

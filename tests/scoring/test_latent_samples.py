@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 import torch
 from known_model import Known, NoConfig
 from torch import Tensor
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.action_to_latent import ActionToLatent, JointActionToLatent
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.latent_samples import learned_from_video
@@ -102,4 +104,18 @@ def test_what_labels_teach_a_model_is_left_out(name: str) -> None:
             part.rows.fill_(0.5)
     assert learned_from_video(model) == before
     next(model.parameters()).data.add_(1)
+    assert learned_from_video(model) != before
+
+
+def test_which_agent_is_whose_is_not_left_out() -> None:
+    kind = model_class("dmotion")
+    config = dataclasses.replace(kind.configure("compact"), agents=2)
+    actions = Discrete.joint(("up", "down"), ("left", "right"))
+    model = kind(config, ModelInputs(height=128, width=128, actions=actions))
+    before = learned_from_video(model)
+    (joint,) = (part for part in model.modules() if isinstance(part, JointActionToLatent))
+    for table in joint.tables:
+        table.rows.fill_(0.5)
+    assert learned_from_video(model) == before
+    joint.order.copy_(joint.order.flip(0))
     assert learned_from_video(model) != before

@@ -26,6 +26,8 @@ VALUES = HERE / "rliable_values.json"
 WORLDS = {"grid_world": "6421b3f4", "planar_push": "a0147257", "robot_push": "0753d884"}
 """The data sets of the summary, by the beginnings of their fingerprints."""
 NAMES = ("ed-cnn", "dmotion", "lam-vae", "lapo", "dmotion-no-stn", "clasp", "wm-ae", "wm-vae", "jepa", "cswm")
+SUPERVISED = ("ed-cnn", "wm-ae", "wm-vae", "jepa", "cswm")
+"""Of these, models whose usual budget is all labels; the others' is one demonstration of each action."""
 SHAPES = ((1, 2), (2, 2), (3, 2), (5, 4), (10, 7))
 """Trainings and worlds of the random scores."""
 
@@ -45,11 +47,11 @@ def published_scores() -> dict[str, np.ndarray[Any, Any]]:
     found: dict[str, list[list[float]]] = {name: [[] for _ in WORLDS] for name in NAMES}
     for path in sorted(ENTRIES.glob("*.json")):
         entry = json.loads(path.read_text())
-        if entry["kind"] != "measured":
+        if entry["kind"] != "measured" or entry["model"] not in NAMES:
             continue
         world = entry["dataset"]["environment"]
         unusual = any(word in entry["run"] for word in ("true", "guide_0"))
-        plain = not unusual and entry["labels"]["asked"] in ("one-shot", "100%")
+        plain = not unusual and entry["labels"]["asked"] == ("100%" if entry["model"] in SUPERVISED else "one-shot")
         if plain and entry["dataset"]["fingerprint"].startswith(WORLDS.get(world, "-")):
             copy_last = entry["reference"]["copy_last"]
             if isinstance(copy_last, str):

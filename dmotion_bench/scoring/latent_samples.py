@@ -72,8 +72,8 @@ def with_latent_actions(steps: pa.Table, latent: pa.Table) -> pa.Table:
 def learned_from_video(model: ForwardModel[Any]) -> dict[str, str]:
     """What decides a model's latent actions: its class, its configuration, and its weights without what labels taught.
 
-    Labels teach which latent action an action is (``ActionToLatent``). Where they teach more, such as which of several
-    agents is whose or, in fine-tuning, everything, what they taught is among the weights here.
+    Labels teach which latent action an action is (``ActionToLatent``). Whatever else they teach counts among the
+    weights: which motion is whose among several agents, and everything in fine-tuning.
     """
     tables = (part for part in model.modules() if isinstance(part, ActionToLatent))
     taught = {one.data_ptr() for part in tables for one in part.buffers()}  # a model may store them by other names

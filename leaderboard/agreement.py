@@ -1,7 +1,8 @@
 """How well the gain captured agrees with other figures, over the rows of a board.
 
 If it tells what predictions are worth for planning, rows with a higher gain leave less of the distance. Spearman's rank
-correlation says how far that is so; its interval is a bootstrap over the rows.
+correlation says how far that is so; its interval is a bootstrap over the rows. Each model and variant is one row, that
+of its usual label budget: a model of video has one training under many budgets.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from dmotion_bench.scoring.statistics import Estimate, rank_correlation
 from leaderboard.column_table import ColumnTable, RowKey
+from leaderboard.row import USUAL_BUDGETS
 from leaderboard.value import Value
 
 GAIN: Final = "planning_gain"
@@ -44,10 +46,10 @@ def agreements(rows: Mapping[RowKey, Mapping[str, Value]], control: ColumnTable 
     """The correlations that the rows of a board allow: with errors of prediction, and with control.
 
     Args:
-        rows: The figures of the board's measured rows.
+        rows: The figures of the board's measured rows; of each model and variant one counts.
         control: The board's table of control by columns.
     """
-    means = {key: {name: one.mean for name, one in figures.items()} for key, figures in rows.items()}
+    means = {key: {name: one.mean for name, one in rows[key].items()} for key in _one_of_each(rows)}
     steps = [int(seen[1]) for own in means.values() for name in own if (seen := _DISTANCE.fullmatch(name))]
     last = max(steps, default=0)
     others = dict(OTHERS) | ({f"control_distance[{last}]": f"distance left after {last} steps"} if last else {})
@@ -64,3 +66,18 @@ def agreements(rows: Mapping[RowKey, Mapping[str, Value]], control: ColumnTable 
         if estimate is not None:
             found.append(Agreement(figure=words, correlation=estimate))
     return tuple(found)
+
+
+def _one_of_each(rows: Mapping[RowKey, Mapping[str, Value]]) -> list[RowKey]:
+    """Of each model and variant the row of its usual budget, or else its first one, among those with a gain."""
+    chosen: dict[tuple[str, str], RowKey] = {}
+    for key, figures in rows.items():
+        model, variant, _ = key
+        if GAIN in figures:
+            chosen[model, variant] = min(chosen.get((model, variant), key), key, key=lambda one: _place(one[2]))
+    return list(chosen.values())
+
+
+def _place(labels: str) -> int:
+    """Of a label budget among the usual ones; behind them if it is none of these."""
+    return USUAL_BUDGETS.index(labels) if labels in USUAL_BUDGETS else len(USUAL_BUDGETS)

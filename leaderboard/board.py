@@ -142,7 +142,6 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         groups[*key, str(twins[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
         twins[one] += 1
     measured = _told_apart([_measured_row(own, planner) for own in groups.values()])
-    beside = beside_curves(measured, RANKED_BY)  # most points of a curve are of one training, seen many times
     comparable = published if entries and entries[0].actions == "discrete" else ()
     rows = [*_ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, planner)]
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
@@ -156,7 +155,7 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         triplets=int(max(counts)) if counts else None,
         rows=_sorted(rows),
         control=control,
-        agreement=agreements({(row.model, _plain_variant(row), row.labels): row.figures for row in beside}, control),
+        agreement=agreements({(row.model, _plain_variant(row), row.labels): row.figures for row in measured}, control),
     )
 
 

@@ -48,7 +48,7 @@ def column_lines(control: ColumnTable) -> list[str]:
     columns: dict[str, Callable[[ColumnRow], str]] = {
         "Model": lambda row: plain(row.title),
         "Labels": lambda row: "" if not row.entries else "?" if row.label_count is None else f"{row.label_count:,}",
-        "Trainings": lambda row: str(max((cell.trainings for cell in row.cells.values()), default=0) or ""),
+        "Trainings": lambda row: each_trainings(row, control.columns),
         "Tasks": lambda row: " / ".join(sorted({str(cell.tasks) for cell in row.cells.values()}, key=int)),
     }
     for name in control.columns:
@@ -66,6 +66,12 @@ def column_lines(control: ColumnTable) -> list[str]:
 
 def _of_column(name: str, words: Callable[[Outcome | None], str], row: ColumnRow) -> str:
     return words(row.cells.get(name))
+
+
+def each_trainings(row: ColumnRow, columns: Sequence[str]) -> str:
+    """How many trainings a row is of: once if it is the same in all columns, else of each column that it has."""
+    counts = [str(cell.trainings or "") for name in columns if (cell := row.cells.get(name)) is not None]
+    return " / ".join(counts if len(set(counts)) > 1 else counts[:1])
 
 
 def left(cell: Outcome | None) -> str:

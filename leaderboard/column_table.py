@@ -95,7 +95,8 @@ class ColumnTable:
         columns: Names of those that there are figures of, in their order.
         rows: The best of the first column first, references last.
         steps: Of a task.
-        detectable: By column, the smallest difference between two models that the table can show, as a distance.
+        detectable: By column, the smallest difference between two models that the table can show, as a distance; of
+            models with several trainings.
     """
 
     columns: tuple[str, ...]
@@ -220,6 +221,7 @@ def _detectable(rows: Sequence[ColumnRow], column: str) -> float | None:
         (cell.sums, cell.counts)
         for row in rows
         if (cell := row.cells.get(column)) is not None and cell.sums is not None and cell.counts is not None
+        and len(cell.sums) > 1  # one training says nothing of what differs between trainings
     ]
     errors = [
         standard_error(one, other, counts)

@@ -10,7 +10,7 @@ from typing import Final
 from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board
 from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
 from leaderboard.columns import UNWANTED, count, number
-from leaderboard.efficiency import WITHIN, LabelsNeeded, lines_of, needed_of_rows
+from leaderboard.efficiency import WITHIN, LabelsNeeded, common_budgets, lines_of, needed_of_rows
 from leaderboard.markup import Markup, element, joined
 from leaderboard.row import Row
 
@@ -128,11 +128,12 @@ def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup |
         return None
     title = f"Worth of labels: {where}"
     series = [_divided(rows, figure, styles[name], rows[-1].figures[figure].mean) for name, rows in curves.items()]
+    budgets = common_budgets(curves.values())
     guides = [Guide("with all labels", 1.0), Guide(f"{WITHIN:.0%} above", 1 + WITHIN)]
     chart = line_chart(title, _label_axis(series), Axis(label="MSE / own with all labels", log=True), series, guides)
     numbers = _numbers(
         ("model", f"labels to within {WITHIN:.0%} of its own with all", "95% interval"),
-        [(rows[-1].title, *_needed(needed_of_rows(rows, figure))) for rows in curves.values()],
+        [(rows[-1].title, *_needed(needed_of_rows(rows, figure, budgets))) for rows in curves.values()],
     )
     return _figure(chart, title, numbers)
 

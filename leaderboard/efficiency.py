@@ -2,8 +2,9 @@
 
 A label curve is a model's error under each of its label budgets, on the same frames. Its figure is *the labels needed*:
 the fewest labels from which on the error stays within 10% of the model's own error with all labels. Between two
-measured budgets the curve is a straight line over the logarithm of the number of labels. Where even the smallest
-measured budget is close enough, the figure is that budget, and says *at most*.
+measured budgets the curve is a straight line over the logarithm of the number of labels, so the figure depends on which
+budgets were measured: of a board it counts those that most of its models have. Where even the smallest of them is close
+enough, the figure is that budget, and says *at most*.
 
 The interval is from a bootstrap: in each draw episodes are drawn anew, the same ones for all budgets, and so are
 trainings where there are several; the figure is found anew on each drawn curve.
@@ -12,8 +13,8 @@ trainings where there are several; the figure is found anew on each drawn curve.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -159,8 +160,23 @@ def lines_of(rows: Sequence[Row]) -> list[list[Row]]:
     return [numbered, shots] if shots and len(numbered) >= FEWEST_BUDGETS else [rows]
 
 
-def needed_of_rows(rows: Sequence[Row], figure: str) -> LabelsNeeded | None:
-    """The labels needed by the model of some rows, one for each of its budgets."""
+def common_budgets(curves: Collection[Sequence[Row]]) -> list[int]:
+    """The numbers of labels, besides all of them, that more than half of some label curves have."""
+    having = Counter(count for rows in curves for count in {row.label_count or 0 for row in rows[:-1]})
+    return sorted(count for count, models in having.items() if 2 * models > len(curves))
+
+
+def needed_of_rows(rows: Sequence[Row], figure: str, budgets: Collection[int]) -> LabelsNeeded | None:
+    """The labels needed by the model of some rows; None where too few of the budgets were measured.
+
+    Args:
+        rows: One for each of its budgets, the last of them all labels.
+        figure: By which it is judged.
+        budgets: Numbers of labels that count, besides all.
+    """
+    rows = [row for row in rows[:-1] if row.label_count in budgets] + [*rows[-1:]]
+    if len(rows) < FEWEST_BUDGETS:
+        return None
     points = [
         CurvePoint(
             labels=row.label_count or 0,

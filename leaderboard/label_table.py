@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from leaderboard.board import RANKED_BY, Board
-from leaderboard.efficiency import WITHIN, LabelsNeeded, needed_of_rows
+from leaderboard.efficiency import WITHIN, LabelsNeeded, common_budgets, needed_of_rows
 from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import between, mean, written
 from leaderboard.row import Row
@@ -19,22 +18,27 @@ MOST_BUDGETS: Final = 8
 
 SAID: Final = (
     f"Labels needed: the fewest from which on the MSE stays within {WITHIN:.0%} of the model's own with all labels, "
-    "with the 95% interval over episodes and trainings. Then the MSE by the number of labels."
+    "judged by the budgets of this table (not comparable with fewer than three of them), with the 95% interval over "
+    "episodes and, where a budget has several, trainings. Then the MSE by the number of labels."
 )
 
 
 def label_lines(board: Board) -> list[str]:
-    """The table of a board's label curves under the budgets that most of its models have; nothing without curves."""
+    """The table of a board's label curves under the budgets that most of its models have; nothing without curves.
+
+    Of many budgets every second, third ... is shown, down from the largest.
+    """
     curves = board.label_curves
     if not curves:
         return []
+    budgets = common_budgets(curves.values())
+    shown = budgets[:: -math.ceil(len(budgets) / MOST_BUDGETS)][::-1] if budgets else []
     by_count = [{row.label_count or 0: row for row in rows[:-1]} for rows in curves.values()]
-    shown = _shown(by_count)
     head = ["Model", "Labels needed", "Trainings", *(f"{count:,}" for count in shown), "all"]
     lines = [
         [
             plain(rows[-1].title),
-            _needed(needed_of_rows(rows, RANKED_BY)),
+            _needed(needed_of_rows(rows, RANKED_BY, budgets)),
             _trainings(rows),
             *(mean(points[count].figures[RANKED_BY]) if count in points else "" for count in shown),
             mean(rows[-1].figures[RANKED_BY]),
@@ -42,13 +46,6 @@ def label_lines(board: Board) -> list[str]:
         for rows, points in zip(curves.values(), by_count, strict=True)
     ]
     return [*textwrap.wrap(SAID, WIDTH), "", *table(head, lines)]
-
-
-def _shown(by_count: Sequence[Collection[int]]) -> list[int]:
-    """The budgets that more than half of the models have; of many every second, third ... down from the largest."""
-    having = Counter(count for counts in by_count for count in counts)
-    common = sorted(count for count, models in having.items() if 2 * models > len(by_count))
-    return common[:: -math.ceil(len(common) / MOST_BUDGETS)][::-1] if common else []
 
 
 def _needed(found: LabelsNeeded | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from dmotion_bench.scoring.report import Version
 from dmotion_bench.scoring.statistics import Estimate
@@ -12,6 +12,9 @@ from leaderboard.entry import Entry
 from leaderboard.value import Value
 
 RowKind = Literal["measured", "published", "reference"]
+
+USUAL_BUDGETS: Final = ("one-shot", "100%", "all")
+"""The usual label budgets, the first that a model has: that of the paper's method, else all labels."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,10 @@ def _after_budget(entry: Entry) -> list[str] | None:
     """The preset, empty where the data set's name says it, and each setting; None for a name of another form."""
     name, content = without_seed(entry), entry.content
     dataset = entry.trained_on or str(content["dataset"]["name"])
-    prefixes = (f"{entry.model}-{dataset}", f"{entry.model}-{content['arch']}-{dataset}")
+    usual = f"{entry.environment}-{content['preset']}"  # of a data set that was given another name since
+    prefixes = [
+        f"{entry.model}-{between}{data}" for data in (dataset, usual) for between in ("", f"{content['arch']}-")
+    ]
     known = next((one for one in prefixes if f"{name}-".startswith(f"{one}-")), None)
     if known is None:
         return None

@@ -102,12 +102,11 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
 
 
 def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
-    trainings = max((cell.trainings for cell in row.cells.values()), default=0)
-    small = ", ".join(part for part in (row.variant, f"{trainings} trainings" if trainings > 1 else "") if part)
+    small = row.variant
     name = element("a", row.name, href=f"#{row.entries[0].slug}") if row.entries else element("span", row.name)
     cells = [
         element(
-            "th", name, element("small", small or ("reference" if not row.entries else "one training")), scope="row"
+            "th", name, element("small", small or ("" if row.entries else "reference")), scope="row"
         ),
         element("td", "" if row.label_count is None else count(row.label_count), element("small", row.labels)),
     ]
@@ -117,7 +116,8 @@ def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
             cells += [element("td", "")] * 3
             continue
         share, low, high = cell.solved
-        said = f"{interval(cell.left.low, cell.left.high)}, {cell.tasks} tasks"
+        trained = {0: "", 1: ", one training"}.get(cell.trainings, f", {cell.trainings} trainings")
+        said = f"{interval(cell.left.low, cell.left.high)}, {cell.tasks} tasks{trained}"
         cells += [
             element("td", number(cell.left.mean), element("small", said), data_value=repr(cell.left.mean)),
             element("td", f"{share:.0%}", element("small", f"{low:.0%} \u2013 {high:.0%}"), data_value=repr(share)),

@@ -22,10 +22,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
-from leaderboard.row import Row
-
-BUDGETS: Final = ("one-shot", "100%", "all")
-"""The usual label budgets, the first that a model has: that of the paper's method, else all labels."""
+from leaderboard.row import USUAL_BUDGETS, Row
 
 LEAST_MODELS: Final = 2
 RESAMPLES: Final = 2_000
@@ -118,7 +115,7 @@ def _usual_rows(board: Board) -> dict[str, dict[str, Row]]:
     for row in _comparable_rows(board):
         if not row.variant:
             found.setdefault(row.model, {})[row.labels] = row
-    return {model: rows for model, rows in found.items() if any(budget in rows for budget in BUDGETS)}
+    return {model: rows for model, rows in found.items() if any(budget in rows for budget in USUAL_BUDGETS)}
 
 
 def _comparable_rows(board: Board) -> list[Row]:
@@ -144,7 +141,7 @@ def normalised(board: Board, row: Row) -> list[float]:
 
 def _standing(model: str, worlds: Sequence[_World]) -> Standing | None:
     """A model with its usual budget; None where no budget has results in every world."""
-    budget = next((one for one in BUDGETS if all(one in found[model] for _, found in worlds)), None)
+    budget = next((one for one in USUAL_BUDGETS if all(one in found[model] for _, found in worlds)), None)
     if budget is None:
         return None
     rows = tuple(found[model][budget] for _, found in worlds)

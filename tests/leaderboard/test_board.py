@@ -260,13 +260,16 @@ def test_what_a_run_s_name_says_beyond_model_data_and_budget(
         ("a-DATASET-s0", ""),
         ("a-DATASET-threads_1-s0", ""),
         ("a-DATASET-epochs_3-threads_1-s0", "epochs 3"),
+        ("a-ENVIRONMENT-PRESET-epochs_3-s0", "epochs 3"),  # of a data set that was given another name since
         ("my-own-s0", ""),
     ],
 )
 def test_unusual_settings_stand_on_the_only_row_of_a_model(
     result: Callable[..., Entry], run: str, variant: str
 ) -> None:
-    name = run.replace("DATASET", str(result("a", np.ones(40)).content["dataset"]["name"]))
+    sample = result("a", np.ones(40))
+    name = run.replace("DATASET", str(sample.content["dataset"]["name"]))
+    name = name.replace("ENVIRONMENT", sample.environment).replace("PRESET", str(sample.content["preset"]))
 
     (board,) = make_boards([result("a", np.ones(40), run=name)])
 

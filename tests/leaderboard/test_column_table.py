@@ -231,6 +231,20 @@ def test_the_page_and_the_tables_show_it(board: Board) -> None:
     assert f"Generic: differences below {written(board.control.detectable['generic'])} between" in lines
     assert "are too small for this table" in page
     assert page.count("true simulator as the model") == 1
+    (row,) = (line for line in lines.splitlines() if line.startswith("| dmotion |"))
+    assert row.startswith("| dmotion | 4 | 3 / 1 | 25 |")
+    assert "tasks, 3 trainings" in page
+    assert "tasks, one training" in page
+
+
+def test_of_single_trainings_the_table_does_not_say_which_difference_it_can_show(
+    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    (board,) = make_boards([controlled(model, left[model, 0]) for model in ("dmotion", "ed-cnn")])
+
+    assert board.control is not None
+    assert [row.cells["generic"].trainings for row in board.control.rows[:2]] == [1, 1]
+    assert not board.control.detectable
 
 
 def test_the_gain_agrees_with_control_as_the_ranks_do(
@@ -244,9 +258,10 @@ def test_the_gain_agrees_with_control_as_the_ranks_do(
         figures = {"planning_gain": _figure(0.9 - 0.1 * place, 9), "mse": _figure(10.0 - place, 9)}
         made = dict(predicted.content) | {"figures": figures, "by_episode": {}}
         entries.append(Entry(made | whole))
-        for labels in (8, 16):  # the points of a label curve are no further rows
-            budget = {"labels": {"asked": str(labels), "given": {}, "total": labels}, "run": f"{name}-{labels}-s0"}
-            entries.append(Entry(made | budget))
+        for labels in ("8", "16", "5-shot"):  # a model's other budgets are no further rows
+            budget = {"labels": {"asked": labels, "given": {}, "total": 20}, "run": f"{name}-{labels}-s0"}
+            worse = {"figures": {"planning_gain": _figure(0.9, 9), "mse": _figure(90.0, 9)}}
+            entries.append(Entry(made | budget | worse))
     (board,) = make_boards(entries)
     found = {one.figure: one.correlation for one in board.agreement}
 

@@ -46,6 +46,7 @@ HIGHER_IS_BETTER: Final = frozenset(
         "ssim",
         "agent_iou",
         "motion_probe_accuracy",
+        "inverse_accuracy",
         "hit_at_1",
         "reciprocal_rank",
         "control_success",

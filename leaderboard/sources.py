@@ -117,7 +117,7 @@ def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:
     if dataset.fingerprint == run.spec.fingerprint or split not in SPLIT_NAMES:
         return dataset
     try:
-        return transferable(run, dataset, split)
+        return transferable(run, dataset, split, check.entry.column)
     except RunMismatch as error:
         check.wrong.append(f"data set: {error}")
     return None

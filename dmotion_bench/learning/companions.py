@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -49,7 +49,7 @@ class Companions:
             return [mine]
         answers: list[Answer | None] = [None] * self.world
         torch.distributed.all_gather_object(answers, mine)
-        return [answer for answer in answers if answer is not None]
+        return cast("list[Answer]", answers)  # None may be an answer, too
 
     def summed(self, mine: Mapping[str, float]) -> dict[str, float]:
         """The sums of everybody's figures by name, added in the order of their numbers."""

@@ -21,7 +21,9 @@ from typing import Any, Final
 
 from dmotion_bench.errors import RunMissing
 from dmotion_bench.learning.run import Run
+from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, SAMPLES_FILE, TRANSFERS
+from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.sharing.place import HASH, plain_name
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import LARGEST, parse_json
@@ -44,7 +46,10 @@ _LARGEST: Final[Mapping[str, int]] = {
     SAMPLES_FILE: 16 * _GIB,
 }
 """Bytes that a file of this name can have."""
-_REPORT: Final = re.compile(rf"{REPORT_FOLDER}/(?:{TRANSFERS}/([^/]+)/)?(?:{REPORT_FILE}|{SAMPLES_FILE})")
+_COLUMNS: Final = "|".join(map(re.escape, COLUMNS))
+_REPORT: Final = re.compile(
+    rf"{REPORT_FOLDER}/(?:{TRANSFERS}/([^/]+)/(?:(?:{_COLUMNS})/)?)?(?:{REPORT_FILE}|{SAMPLES_FILE})"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,11 +175,9 @@ def _files(run: Run) -> Iterator[Path]:
     yield run.best
     if run.metrics.is_file():
         yield run.metrics
-    report = run.path / REPORT_FOLDER
-    others = sorted(one for one in (report / TRANSFERS).glob("*") if one.is_dir())
-    for folder in (report, *others):
+    for folder in (run.path / REPORT_FOLDER, *transfer_folders(run.path)):
         files = [folder / REPORT_FILE, folder / SAMPLES_FILE]
-        if all(one.is_file() for one in files):
+        if all(one.is_file() and _REPORT.fullmatch(one.relative_to(run.path).as_posix()) for one in files):
             yield from files
 
 

@@ -13,13 +13,17 @@ import numpy as np
 import pytest
 
 from dmotion_bench.errors import UsageError
+from dmotion_bench.learning.run import Run
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.score import ScoreSettings, score_run
 from dmotion_bench.scoring.statistics import detectable_difference, over_trainings, standard_error, wilson
 from dmotion_bench.scoring.transfer import transfer_folders
-from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.sharing.run_share import share_of
+from dmotion_bench.specs import DatasetRecipe, SplitName
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
+from leaderboard import sources
 from leaderboard.board import Board, make_boards
 from leaderboard.board_tables import board_section
 from leaderboard.build import entry_of_run
@@ -291,8 +295,20 @@ def test_a_columns_report_is_an_entry_that_can_be_checked(
 
     (folder,) = transfer_folders(path)
     entry = entry_of_run(path, folder)
+    asked: list[str | None] = []
+    as_it_is = sources.transferable
+
+    def watched(run: Run, dataset: Dataset, split: SplitName, column: str | None = None) -> Dataset:
+        asked.append(column)
+        return as_it_is(run, dataset, split, column)
+
+    monkeypatch.setattr(sources, "transferable", watched)
     verdict = check_entry(entry, copied)
     (board,) = make_boards([entry])
+    published = set(share_of(Run.open(path)).files)
+
+    assert asked == ["paper"]  # the episodes of the tasks must be new to the run, not those of the test split
+    assert {f"report/on/grid-test/paper/{name}" for name in ("report.json", "samples.parquet")} <= published
 
     assert (entry.column, entry.content["protocol"]) == ("paper", "dmbench-2")
     assert verdict.findings == ()

@@ -17,6 +17,7 @@ from dmotion_bench.cli.report_table import show_overview
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.pairing import _differences, behind, better, compare_runs, scored, standing
 from dmotion_bench.scoring.report import Report, read_report, read_report_samples
+from dmotion_bench.scoring.samples import FIGURE_COLUMNS, OBJECT_COLUMNS, POSITION_COLUMNS, RANK_COLUMNS
 from dmotion_bench.scoring.statistics import paired_difference
 from dmotion_bench.workspace import Workspace
 from leaderboard.comparison import difference_by_episode, sums_by_episode
@@ -61,6 +62,18 @@ def test_the_other_way_round_it_is_the_other_sign(scored_workspace: Workspace) -
     assert one["mse"].better == "first"
     assert other["mse"].better == "second"
     assert one["psnr"].better == "first"
+
+
+HIGHER = {"psnr", "ssim", "agent_iou", "motion_probe_accuracy", "inverse_accuracy", "hit_at_1", "reciprocal_rank"}
+LOWER = {"mse", *POSITION_COLUMNS, *OBJECT_COLUMNS, "motion_shift_error", "motion_probe_error", "mse_true_motion"}
+
+
+def test_of_each_figure_it_is_known_whether_higher_or_lower_is_better() -> None:
+    found = {name: better(name, 0.1, 0.2) for name in FIGURE_COLUMNS + RANK_COLUMNS}
+
+    assert {name for name, which in found.items() if which == "first"} == HIGHER
+    assert {name for name, which in found.items() if which == "second"} == LOWER | {"inverse_error"}
+    assert {name for name, which in found.items() if which is None} == {"motion_swap_change"}
 
 
 @pytest.mark.parametrize(

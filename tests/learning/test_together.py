@@ -83,9 +83,10 @@ def test_processes_understand_each_other(tmp_path) -> None:
     first, second = ((tmp_path / f"{rank}.txt").read_text().splitlines() for rank in (0, 1))
     assert first[:6] == second[:6] == ["[{'rank': 0}, {'rank': 1}]", "True", "False", "by 0", "[0.0, 0.0]", "None"]
     assert first[6] == second[6]
+    assert first[6] == first[7] == second[7]
     assert "do not see the same answer; the run's folder must be one that all machines share" in first[6]
-    assert first[7].startswith("ValueError: invalid literal")
-    assert second[7].startswith("ProcessLost: process 0 of this training ends because another one has ended.")
+    assert first[8].startswith("ValueError: invalid literal")
+    assert second[8].startswith("ProcessLost: process 0 of this training ends because another one has ended.")
 
 
 @pytest.mark.slow

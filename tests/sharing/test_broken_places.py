@@ -145,6 +145,8 @@ FACTS = {"size": 3, "sha256": hashlib.sha256(b"bad").hexdigest()}
         (hostile({}, **{"/etc/passwd": FACTS}), "'/etc/passwd', which no run has"),
         (hostile({}, **{"report/on/../report.json": FACTS}), "which no run has"),
         (hostile({}, **{"report/on/a/b/report.json": FACTS}), "which no run has"),
+        (hostile({}, **{"report/on/a/generic/generic/report.json": FACTS}), "which no run has"),
+        (hostile({}, **{"report/on/../generic/report.json": FACTS}), "which no run has"),
         (hostile({}, **{"report\\..\\x": FACTS}), "which no run has"),
         (hostile({}, **{"model.pt": FACTS}), "'model.pt', which no run has"),
         (hostile({}, **{"metrics.jsonl": FACTS | {"size": 2**40}}), "at most 1,073,741,824 can be"),

@@ -222,6 +222,19 @@ def test_many_files_are_one_data_set(tmp_path: Path) -> None:
     ]
 
 
+def test_a_folder_of_folders_holds_the_recordings_of_each(tmp_path: Path) -> None:
+    frames = video(12)
+    for number, name in enumerate(("day_2", "day_10", "day_1")):
+        folder = tmp_path / "recordings" / name
+        folder.mkdir(parents=True)
+        foxglove_file(folder / "run.mcap", frames[4 * number : 4 * number + 4], steady(4))
+    dataset = imported(tmp_path / "recordings", tmp_path)
+
+    assert len(dataset) == 3
+    for episode, first in enumerate([8, 0, 4]):  # day_1, day_2, day_10
+        np.testing.assert_array_equal(dataset.video(episode), frames[first : first + 4])
+
+
 def test_the_same_files_make_the_same_bytes(tmp_path: Path) -> None:
     file = foxglove_file(tmp_path / "a.mcap", video(9), steady(9))
     fingerprints = []

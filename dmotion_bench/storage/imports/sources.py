@@ -203,7 +203,7 @@ def _in_folder(folder: Path, camera: str | None) -> list[Source]:
         (one for one in folder.iterdir() if not one.name.startswith(".")), key=lambda one: natural(one.name)
     )
     found = [Source(path=one, kind=kind) for one in entries if one.is_file() and (kind := _suffix_kind(one))]
-    for inner in (one for one in entries if not found and one.is_dir()):
+    for inner in [] if found else [one for one in entries if one.is_dir()]:
         if (inner / INFO).is_file():
             found.append(Source(path=inner, kind=Kind.LEROBOT))
         else:

@@ -27,6 +27,8 @@ from leaderboard.row import Row
 WITHIN: Final = 0.1
 ALL: Final = "100%"
 FEWEST_BUDGETS: Final = 3
+SHOT: Final = "-shot"
+"""In the name of a budget that counts demonstrations of each action."""
 RESAMPLES: Final = 2000
 
 
@@ -155,8 +157,8 @@ def lines_of(rows: Sequence[Row]) -> list[list[Row]]:
     numbers alone make a curve, demonstrations are the second line.
     """
     rows = sorted(rows, key=lambda row: row.label_count or 0)
-    numbered = [row for row in rows if not row.labels.endswith("-shot")]
-    shots = [row for row in rows if row.labels.endswith("-shot")]
+    shots = [row for row in rows if SHOT in row.labels]
+    numbered = [row for row in rows if SHOT not in row.labels]
     return [numbered, shots] if shots and len(numbered) >= FEWEST_BUDGETS else [rows]
 
 

@@ -203,6 +203,8 @@ class _Trainer:
                     continue
                 self.model.enter(part.phase)
                 self.state.enter(part)
+                sums.clear()  # where a phase ended early; no row is of two phases
+                counted = 0
                 for step in range(self.state.step, part.stop):
                     terms, weight = self._train(part, step)
                     self.state.step = step + 1
@@ -218,7 +220,7 @@ class _Trainer:
                             triplets_per_s=self.state.triplets_per_s,
                         )
                     )
-                    if self.state.step % log_every == 0 or self.state.step == self.steps:
+                    if self.state.step % log_every == 0 or self.state.step == part.stop:
                         everybodys = self.companions.summed(sums)
                         counted *= self.companions.world
                         self._write(log, {name: total / counted for name, total in everybodys.items()})

@@ -58,6 +58,9 @@ class Agent(ABC):
     ) -> None:
         """What was really done, by whomever, and what is seen after it."""
 
+    def close(self) -> None:  # noqa: B027 -- likewise
+        """All tasks are done: whatever the agent holds open is closed."""
+
     @abstractmethod
     def act(self, context: PlanContext) -> Decision:
         """The next actions."""
@@ -226,6 +229,12 @@ class OracleAgent(PlanningAgent, SimulatorAgent):
         super().__init__(spec, solver, objective or TrueCost())
         self._make_env, self._by_images = make_env, not isinstance(self._objective, TrueCost)
         self._simulations: dict[int, Simulation] = {}
+
+    def close(self) -> None:
+        """Close the simulators; the next task makes new ones."""
+        for simulation in self._simulations.values():
+            simulation.env.close()
+        self._simulations.clear()
 
     def act_in(self, context: PlanContext, worlds: Sequence[World]) -> Decision:
         """The first action of the best plan."""

@@ -166,6 +166,7 @@ def control(
         for group in groups:
             _solve(loop, group)
     finally:
+        agent.close()
         for env in envs:
             env.close()
     records = [loop.records[problem.number] for problem in problems]

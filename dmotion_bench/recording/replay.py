@@ -55,12 +55,10 @@ def replay_episode(job: ReplayJob) -> tuple[int, str]:
     (again,) = record_episodes(environment_class(recipe.environment), recipe, [row.episode])
     together = min(len(frames), len(again.frames))
     same_frames = (frames[:together] == again.frames[:together]).reshape(together, -1).all(axis=1)
-    same_actions = actions[: together - 1] == again.labels.actions[: together - 1]
-    same_actions = same_actions.reshape(together - 1, -1).all(axis=1)
     for step in range(together):
         if not same_frames[step]:
             return row.episode, f"frame {step} of episode {row.episode}"
-        if step < together - 1 and not same_actions[step]:
+        if step < together - 1 and not np.array_equal(actions[step], again.labels.actions[step]):
             return row.episode, f"action {step} of episode {row.episode}, which the policy chose,"
     longer = len(frames) != len(again.frames)
     return row.episode, f"the length of episode {row.episode}" if longer else ""

@@ -38,6 +38,7 @@ from dmotion_bench.planning.choices import (
     present_name,
 )
 from dmotion_bench.planning.columns import Column, column_named
+from dmotion_bench.planning.dynamics.model import arithmetic_on
 from dmotion_bench.planning.journal import Journal
 from dmotion_bench.planning.mpc import (
     CONTROL_VERSION,
@@ -344,7 +345,8 @@ def _key(
 ) -> dict[str, Any]:
     """Everything that decides the result of a task."""
     needs_pixels = None if isinstance(model, str) else model.needs_pixels
-    return {
+    arithmetic = {} if isinstance(model, str) else {"arithmetic": arithmetic_on(device or torch.device("cpu"))}
+    return arithmetic | {
         "version": CONTROL_VERSION,
         "planning": scoring.planning(dataset, needs_pixels=needs_pixels),
         "dataset": dataset.fingerprint,
@@ -372,9 +374,14 @@ def _earlier_keys(key: Mapping[str, Any], scoring: ControlScoring) -> list[dict[
     """The keys by which earlier releases kept the same results.
 
     At first the version was a hash of the code; then a report said ``planner`` and ``cost`` (``earlier_planning``).
+    The arithmetic in which a model imagines was not named.
     """
+    found = []
+    if "arithmetic" in key:
+        key = {name: value for name, value in key.items() if name != "arithmetic"}
+        found.append(key)
     plain, named = without_later(key["planning"]), str(key["planning"]["solver"]["name"])
-    found = [] if plain is None else [dict(key) | {"planning": plain}]
+    found += [] if plain is None else [dict(key) | {"planning": plain}]
     planning = None if plain is None and named in LATER else earlier_planning(key["planning"])
     if planning is None:
         return found

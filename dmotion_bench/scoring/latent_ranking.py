@@ -12,7 +12,7 @@ pictures are bad can be seen to know what comes, and the other way round.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -23,6 +23,9 @@ from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.transitions import HeldOut
+
+ROWS_AT_ONCE: Final = 1024
+_EXACT: Final = "donot_use_mm_for_euclid_dist"
 
 
 @runtime_checkable
@@ -69,6 +72,12 @@ def rank_rollouts(
 
 
 def ranks(predicted: Float[Tensor, "n d"], true: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-    """The place of each own true state among all, by the distance from the prediction: 1 is the nearest."""
-    distance = torch.cdist(predicted, true, compute_mode="donot_use_mm_for_euclid_dist")
-    return 1 + (distance < distance.diagonal()[:, None]).sum(1).double()
+    """The place of each own true state among all, by the distance from the prediction: 1 is the nearest.
+
+    Some rows at a time: the distances of all rollouts from each other may not fit into memory.
+    """
+    found = []
+    for first in range(0, len(predicted), ROWS_AT_ONCE):
+        distance = torch.cdist(predicted[first : first + ROWS_AT_ONCE], true, compute_mode=_EXACT)
+        found.append(1 + (distance < distance.diagonal(first)[:, None]).sum(1).double())
+    return torch.cat(found) if found else predicted.new_zeros(0, dtype=torch.float64)

@@ -50,7 +50,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Float, Int, Shaped
 
-from dmotion_bench.errors import RunCorrupt
+from dmotion_bench.errors import InvalidSetting, RunCorrupt
 from dmotion_bench.scoring.frame_measures import OBJECTS_ONLY
 from dmotion_bench.scoring.true_factors import FACTORS
 from dmotion_bench.storage.atomic import atomic_file
@@ -129,7 +129,7 @@ LATENT_COLUMNS: Final = frozenset(
 
 MOST_SAMPLES: Final = 1_000_000
 """Rows of a table that is read; to compare two such tables takes some 650 bytes of memory a row."""
-_MOST_LISTED: Final = 2**25  # values in a column of lists
+_MOST_LISTED: Final = 2**26  # values in a column of lists
 _EACH_COLUMNS: Final = tuple(name for name in SCHEMA.names if name.startswith(EACH))
 _INVERSE_COLUMNS: Final = ("inverse_accuracy", "inverse_error")
 _PROBE_COLUMNS: Final = (*(PROBE + name for name in FACTORS), "codes", "codebook_sizes")
@@ -195,6 +195,19 @@ def vectors(samples: pa.Table, name: str) -> Shaped[np.ndarray, "n d"] | None:
     flat = samples[name].combine_chunks().flatten().to_numpy(zero_copy_only=False)
     matrix: Shaped[np.ndarray, "n d"] = flat.reshape(len(samples), -1)
     return matrix
+
+
+def require_readable(rows: int) -> None:
+    """Check that so many samples can be read again.
+
+    Raises:
+        InvalidSetting: They are too many.
+    """
+    if rows > MOST_SAMPLES:
+        raise InvalidSetting(
+            f"the test episodes would make {rows:,} samples, and a report can have {MOST_SAMPLES:,}; score the run on a "
+            "data set with fewer episodes ('--data')."
+        )
 
 
 def write_samples(path: Path, samples: pa.Table) -> None:

@@ -11,15 +11,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 
-from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing
+from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing, UnknownName
 from dmotion_bench.learning.memory import keep_freed_memory
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import TEST, require_fitting_tasks
+from dmotion_bench.planning.dynamics.model import arithmetic_on
 from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks, shares_of
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
 from dmotion_bench.scoring.explanation import explain_steps
@@ -46,7 +46,7 @@ from dmotion_bench.scoring.report import (
     write_report,
 )
 from dmotion_bench.scoring.run_report import compose_report
-from dmotion_bench.scoring.samples import PICTURE_CONTROL, SCHEMA
+from dmotion_bench.scoring.samples import PICTURE_CONTROL, SCHEMA, require_readable
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.statistics import RESAMPLES
 from dmotion_bench.scoring.transfer import report_folder, transferable
@@ -153,6 +153,9 @@ def score_model(
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
         metrics = tuple(metric for metric in metrics if metric in OWN_SETTINGS)
+    triplets = len(held_out) if "prediction" in metrics else 0
+    rollouts = held_out.count_rollouts(settings.horizon) if "rollout" in metrics else 0
+    require_readable((1 + len(REFERENCES)) * triplets + 2 * settings.horizon * rollouts)
     identity = {
         "dataset": dataset.fingerprint,
         "actions": str(dataset.spec.actions),
@@ -255,7 +258,7 @@ def score_run(
         true: tuple[str, ...] = ()
         if report is not None:
             settings = _with_stored(settings, report, metrics)
-            true = _true_groups(run, dataset, report, settings)
+            true = _true_groups(run, dataset, report, settings, metrics)
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
@@ -275,8 +278,8 @@ def score_run(
         if lacking is not None:
             scored = replace(scored, remarks={**scored.remarks, "gain": f"not measured: {lacking}"})
         if "control" in metrics:
-            arithmetic = "bfloat16" if has_bf16((how or Execution()).device) else "float32"
-            scored = replace(scored, planning=_planning(run, dataset, settings) | {"arithmetic": arithmetic})
+            arithmetic = {"arithmetic": arithmetic_on((how or Execution()).device)}
+            scored = replace(scored, planning=_planning(run, dataset, settings) | arithmetic)
         elif "control" in true and report is not None:
             scored = replace(scored, planning=present_planning(report.planning) or _planning(run, dataset, settings))
         written = write_report(folder, scored, scores.samples)
@@ -350,10 +353,21 @@ def _planning(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, 
     return settings.control.planning(dataset, needs_pixels=run.model.needs_pixels)
 
 
-def _true_groups(run: Run, dataset: Dataset, report: Report, settings: ScoreSettings) -> tuple[str, ...]:
-    """The groups of a report's figures that scoring now would give again."""
-    planned = "control" in report.settings["metrics"]
-    planning = _planning(run, dataset, settings) if planned else {}  # asks the environment, which may be absent
+def _true_groups(
+    run: Run, dataset: Dataset, report: Report, settings: ScoreSettings, asked: Collection[str]
+) -> tuple[str, ...]:
+    """The groups of a report's figures that scoring now would give again.
+
+    Control is taken for one of them where its environment, which has a say in it, is not installed and it is not asked
+    for.
+    """
+    planning: dict[str, Any] = {}
+    if "control" in report.settings["metrics"]:
+        try:
+            planning = _planning(run, dataset, settings)
+        except UnknownName:
+            if "control" in asked:
+                raise
     return tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
 
 
@@ -379,7 +393,7 @@ def is_scored(path: AnyPath, metric: Metric, settings: ScoreSettings, data: AnyP
     run = Run.open(path)
     dataset, folder = scored_data(run, settings.split, data, settings.control.column)
     report, _ = _stored(folder, run, dataset)
-    return report is not None and metric in _true_groups(run, dataset, report, settings)
+    return report is not None and metric in _true_groups(run, dataset, report, settings, (metric,))
 
 
 def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Mapping[str, Any]) -> bool:

@@ -2,7 +2,8 @@
 
 The figures are those of the other data set's held-out episodes, the same that runs trained on it are scored on, so
 they stand on one board and can be paired. Such a report lies beside the run's own, in ``report/on/NAME/``, and says
-what the run was trained on. A report of validation episodes lies below that of the test, in ``validation/``.
+what the run was trained on; of two data sets of one name the second has the beginning of its fingerprint in that name.
+A report of validation episodes lies below that of the test, in ``validation/``.
 
 It must be the same environment: the same actions and pictures of the same size. And the episodes must be new to the
 run: two recordings with the same seed begin their episodes alike, and where nothing that can be seen varies, one may
@@ -27,7 +28,7 @@ from dmotion_bench.errors import DatasetError, DatasetMissing, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.run_manifest import stored_actions
 from dmotion_bench.scoring.overlap import copied_episodes
-from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS, report_place
+from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS, read_report, report_place
 from dmotion_bench.specs import IMPORTED, SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.readable import ReadableDataset
@@ -48,9 +49,17 @@ def report_folder(
         dataset: What it is scored on.
         split: Whose episodes are scored.
         column: Of the table of control; each has a report of its own.
+
+    Raises:
+        RunCorrupt: A report of a data set of the same name is there and cannot be read.
     """
-    elsewhere = None if dataset.fingerprint == trained_on else dataset.name
-    return run / report_place(elsewhere, split, column)
+    if dataset.fingerprint == trained_on:
+        return run / report_place(None, split, column)
+    plain = run / report_place(dataset.name, split, column)
+    marked = run / report_place(f"{dataset.name}-{dataset.fingerprint[:8]}", split, column)
+    standing = None if marked.is_dir() else read_report(plain)
+    is_anothers = standing is not None and standing.dataset["fingerprint"] != dataset.fingerprint
+    return marked if marked.is_dir() or is_anothers else plain
 
 
 def transfer_folders(run: Path) -> list[Path]:

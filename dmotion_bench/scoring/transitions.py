@@ -107,7 +107,7 @@ class HeldOut:
     def batches(self, size: int) -> Iterator[TransitionBatch]:
         """All triplets in the order of their episodes and steps, ``size`` at a time, the last batch the rest."""
         waiting: list[TransitionBatch] = []
-        for part in self._by_episode():
+        for part in self._by_episode(size):
             waiting.append(part)
             if sum(map(len, waiting)) >= size:
                 merged = _joined(waiting)
@@ -157,21 +157,24 @@ class HeldOut:
             pushed=np.stack(pushed),
         )
 
-    def _by_episode(self) -> Iterator[TransitionBatch]:
+    def _by_episode(self, most: int) -> Iterator[TransitionBatch]:
+        """The triplets of one episode after the other, those of a long one in parts."""
         episodes, first, count = np.unique(self._triplets.episode, return_index=True, return_counts=True)
         for episode, start, rows in zip(episodes.tolist(), first.tolist(), count.tolist(), strict=True):
-            part = self._triplets.subset(np.arange(start, start + rows))
-            labels, step = self.dataset.labels(episode), part.step
+            labels = self.dataset.labels(episode)
             agents, place = agents_in(labels.masks, self.dataset.spec), labels.agent.pixel
-            yield TransitionBatch(
-                episode=part.episode,
-                step=step,
-                frames=part.gather(np.arange(rows)),
-                action=labels.actions[step],
-                pushed=labels.pushed[step],
-                agents=np.stack([agents[step], agents[step + 1]], axis=1),
-                shifts=(place[step + 1] - place[step]).astype(np.float64),
-            )
+            for begin in range(start, start + rows, most):
+                part = self._triplets.subset(np.arange(begin, min(begin + most, start + rows)))
+                step = part.step
+                yield TransitionBatch(
+                    episode=part.episode,
+                    step=step,
+                    frames=part.gather(np.arange(len(part))),
+                    action=labels.actions[step],
+                    pushed=labels.pushed[step],
+                    agents=np.stack([agents[step], agents[step + 1]], axis=1),
+                    shifts=(place[step + 1] - place[step]).astype(np.float64),
+                )
 
 
 def agents_in(masks: UInt8[np.ndarray, "*t h w"], spec: EnvSpec) -> UInt8[np.ndarray, "*t h w"]:

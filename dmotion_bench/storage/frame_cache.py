@@ -205,6 +205,13 @@ class FrameCache:
             _log.warning("the cache %s is damaged, or of an earlier version; it is made anew.", shown(str(file.path)))
         self._mapped = mapped or self._made()
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_mapped": None}  # another process maps the file itself
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._mapped = self._file.map() or self._made()
+
     @property
     def nbytes(self) -> int:
         """Size of all frames."""

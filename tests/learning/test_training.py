@@ -176,6 +176,22 @@ def test_patience_begins_anew_with_each_phase_and_a_kill_changes_nothing(recorde
         assert again.result[name] == whole.result[name]
 
 
+def test_no_row_of_the_log_is_of_two_phases(recorded, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("dmotion_bench.learning.training.LOG_ROWS", 3)
+    run = open_run(
+        TrainingRequest(model="wm-ae", labels="100%", settings=("batch_size=16", "epochs=3", "validations=1")),
+        Dataset.open(recorded),
+        tmp_path / "run",
+        Workspace(tmp_path),
+    )
+    _train(run, recorded)
+
+    rows = [json.loads(line) for line in run.metrics.read_text().splitlines()]
+    terms = {row["step"]: set(row) & {"reconstruction", "transition"} for row in rows if "loss" in row}
+    early, late = {"reconstruction"}, {"transition"}
+    assert terms == {5: early, 8: early, 10: late, 15: late, 16: late}
+
+
 def test_a_checkpoint_that_says_where_no_phase_can_have_ended_is_refused(recorded, tmp_path) -> None:
     losses = dict.fromkeys(range(17), 4.0) | {2: 3.0, 10: 3.0}
     words = ("wm-ae", recorded, tmp_path / "run", losses, "epochs=3", "patience=1")

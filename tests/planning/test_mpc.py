@@ -369,8 +369,15 @@ def test_a_simulator_that_does_not_repeat_the_recording_is_noticed(problems: lis
 def test_the_oracle_tries_things_out_in_a_simulator_of_its_own(problems: list[Problem]) -> None:
     made: list[Environment] = []
 
+    closed: list[Environment] = []
+
+    class Closing(GridWorld):
+        def close(self) -> None:
+            closed.append(self)
+            super().close()
+
     def make() -> Environment:
-        made.append(GridWorld())
+        made.append(Closing())
         return made[-1]
 
     agent = OracleAgent(FACTS, Exhaustive(horizon=2), make)
@@ -383,6 +390,7 @@ def test_the_oracle_tries_things_out_in_a_simulator_of_its_own(problems: list[Pr
         watch=lambda scene: scenes.append(scene.worlds[0].frame.tobytes()),
     )
     assert len(made) == 2
+    assert sorted(map(id, closed)) == sorted(map(id, made))
     replayed = [problems[0].start_frame.tobytes()]
     assert scenes[0] == replayed[0]
     assert torch.get_num_threads() >= 1

@@ -126,6 +126,30 @@ def test_a_killed_scoring_goes_on_to_the_same_report(
     assert (again.figures, again.samples) == (whole.figures, whole.samples)
 
 
+def test_what_was_planned_in_another_arithmetic_is_not_taken_over(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
+    journal, planned = run.path / "report/control.json", []
+
+    def note(what: str, done: int, total: int) -> None:
+        if what.startswith("control by the model"):
+            planned.append(done)
+            if len(planned) == 5:
+                raise Killed
+
+    with pytest.raises(Killed):
+        score(run, how=Execution(progress=note))
+    content = in_the_earlier_format(journal)
+    mine = content["key"].pop("arithmetic")
+    for key, steps in (({"arithmetic": "of another machine"}, 6), ({"arithmetic": mine}, 2), ({}, 2)):
+        journal.write_text(json.dumps(content | {"key": content["key"] | key}))
+        planned.clear()
+        planned.extend([-1] * 5)  # nothing kills it now
+        score(run, how=Execution(progress=note))
+        assert len(planned) - 5 == steps
+
+
 def test_control_is_kept_while_it_is_true(run: Run) -> None:
     asked: list[str] = []
     how = Execution(progress=lambda what, done, total: asked.append(what.partition(",")[0]))

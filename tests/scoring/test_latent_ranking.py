@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +14,7 @@ from torch import Tensor
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.scoring import latent_ranking
 from dmotion_bench.scoring.latent_ranking import rank_rollouts, ranks
 from dmotion_bench.scoring.samples import column
 from dmotion_bench.scoring.score import ScoreSettings, score_model
@@ -46,7 +49,9 @@ def test_ranks_are_those_of_brute_force(seed: int, count: int) -> None:
     for row in range(count):
         distances = [((predicted[row] - true[other]) ** 2).sum() for other in range(count)]
         expected.append(1 + sum(distance < distances[row] for distance in distances))
-    np.testing.assert_array_equal(ranks(torch.from_numpy(predicted), torch.from_numpy(true)), expected)
+    for at_once in (1, 5, 1024):  # the blocks of rows do not matter
+        with patch.object(latent_ranking, "ROWS_AT_ONCE", at_once):
+            np.testing.assert_array_equal(ranks(torch.from_numpy(predicted), torch.from_numpy(true)), expected)
 
 
 def test_who_knows_what_comes_ranks_first_and_who_does_not_does_not(grid: Dataset) -> None:

@@ -72,6 +72,20 @@ def test_it_is_marked_and_stands_beside_the_run_s_own(
     assert transfer_folders(run.path) == [run.path / "report/on/other"] == [run.path / report.place]
 
 
+def test_of_two_data_sets_of_one_name_each_keeps_its_report(make_run: MakeRun, other: Dataset, tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    first = _score(run, other)
+    namesake = write_dataset(tmp_path / "elsewhere/other", seed=5)
+    second = _score(run, namesake)
+
+    places = [run.path / "report/on/other", run.path / f"report/on/other-{namesake.fingerprint[:8]}"]
+    assert [read_report(place) for place in places] == [first, second]
+    assert transfer_folders(run.path) == places
+    assert first.figures != second.figures
+    assert _score(run, namesake, renew=False) == second
+    assert _score(run, other, renew=False) == first
+
+
 def test_validation_episodes_have_a_report_of_their_own_that_no_leaderboard_reads(
     make_run: MakeRun, other: Dataset, tmp_path: Path
 ) -> None:

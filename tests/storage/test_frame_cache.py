@@ -205,6 +205,14 @@ def test_making_the_cache_holds_one_episode_in_memory(tmp_path: Path) -> None:
     np.testing.assert_array_equal(cache.episode(63), frames)
 
 
+def test_another_process_maps_the_file_and_is_given_no_frames(tmp_path: Path) -> None:
+    cache = write_noise(tmp_path / "d").cache()
+    told = pickle.dumps(cache)
+
+    assert cache.frames.tobytes() not in told
+    np.testing.assert_array_equal(pickle.loads(told).frames, cache.frames)
+
+
 def test_a_folder_that_cannot_be_written_names_the_way_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = write_noise(tmp_path / "d")
     with monkeypatch.context() as patch:  # root may write anywhere, so the system is made to refuse

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +20,18 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.recording import Clock
 
 OPTIONS = ImportOptions(size=32, actions="/action")
 
 
-def bag(folder: Path, kind: str, values: list[Any], delay_ns: int = 5_000_000) -> Path:
+def bag(folder: Path, kind: str, values: list[Any], delay_ns: int = 5_000_000, late_ns: int = 0) -> Path:
+    """``delay_ns``: from a picture to its action; ``late_ns``: from a picture's own time stamp to its recording."""
     frames, times = video(len(values) + 1), steady(len(values) + 1)
     messages = []
     for number, (t_ns, frame) in enumerate(zip(times, frames, strict=True)):
         messages.append(
-            ("/camera", "sensor_msgs/msg/Image", t_ns, ros_image(t_ns, 32, 32, "rgb8", 96, frame.tobytes()))
+            ("/camera", "sensor_msgs/msg/Image", t_ns + late_ns, ros_image(t_ns, 32, 32, "rgb8", 96, frame.tobytes()))
         )
         if number < len(values):
             messages.append(("/action", kind, t_ns + delay_ns, values[number]))
@@ -56,6 +60,22 @@ def test_ros_actions(tmp_path: Path, kind: str, values: list[Any], names: tuple[
     spoken = [str(value).lower() if isinstance(value, bool) else str(value) for value in values]
     assert [names[action] for action in dataset.labels(0).actions] == spoken
     assert not dataset.labels(0).masks.any()
+
+
+def test_with_the_camera_s_clock_an_action_belongs_to_the_picture_that_was_taken_then(tmp_path: Path) -> None:
+    values = ["up", "up", "down", "left"]
+    file = bag(tmp_path / "bag", "std_msgs/msg/String", [{"data": value} for value in values], late_ns=150_000_000)
+    by_camera = imported(file, tmp_path / "camera", replace(OPTIONS, clock=Clock.HEADER))
+    assert [("down", "left", "up")[action] for action in by_camera.labels(0).actions] == values
+
+
+@pytest.mark.parametrize("late_ns", [1_100_000_000, -1_100_000_000])
+def test_a_camera_with_another_clock_than_the_actions_is_refused(tmp_path: Path, late_ns: int) -> None:
+    file = bag(tmp_path / "bag", "std_msgs/msg/String", [{"data": "up"}, {"data": "down"}] * 8, late_ns=late_ns)
+    said = f"are {late_ns / 1e9:.3g} s before the times of recording, so they are of another clock than the actions"
+    with pytest.raises(RecordingImportError, match=re.escape(said)):
+        imported(file, tmp_path / "camera", replace(OPTIONS, clock=Clock.HEADER))
+    assert len(imported(file, tmp_path / "log")) == 1
 
 
 def test_json_actions_hold_until_the_next(tmp_path: Path) -> None:

@@ -21,6 +21,11 @@ FRAMES_AT_ONCE = {"cpu": 32, "cuda": 1024}
 """How many frames are predicted in one batch; on a CPU more do not stay in the cache [measured]."""
 
 
+def arithmetic_on(device: torch.device) -> str:
+    """In which arithmetic models imagine on a device, by its name in a report."""
+    return "bfloat16" if has_bf16(device) else "float32"
+
+
 @runtime_checkable
 class FeatureModel(Protocol):
     """A model that describes its states by feature vectors."""

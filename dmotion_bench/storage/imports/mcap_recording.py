@@ -23,6 +23,7 @@ from dmotion_bench.storage.imports.recording import Clock, Segment, Survey
 from dmotion_bench.storage.imports.timeline import irregularity
 
 UNEVEN = 0.5  # of intervals: jitter is less, pauses and bursts are more
+MOST_APART = 1.0  # [s] between a picture and its recording: a camera and a network take less, other clocks differ more
 Decoded = TypeVar("Decoded")
 Size = tuple[int, int]
 
@@ -114,6 +115,7 @@ class McapRecording:
         given = None if commands is None else commands.collected()
         if given is not None:
             self._check_order(given.times_ns, np.arange(len(given.times_ns)), self._actions or "")
+            self._check_clocks(taken, logged)
         return Survey(
             camera=self._camera,
             height=size[0],
@@ -218,6 +220,15 @@ class McapRecording:
                 f"{(times_ns[later - 1] - times_ns[later]) / 1e9:.3f} s at message {numbers[later]}; try the other "
                 "clock ('--clock log' or '--clock header'), or put the messages in order with "
                 "'mcap sort FILE -o SORTED'."
+            )
+
+    def _check_clocks(self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"]) -> None:
+        """Actions have the time at which they were recorded: the camera's clock has to agree with it."""
+        apart = float(np.median(others_ns - times_ns)) / 1e9
+        if self._clock is Clock.HEADER and abs(apart) > MOST_APART:
+            raise RecordingImportError(
+                f"{str(self.path)!r}: the time stamps of {self._camera!r} are {apart:.3g} s before the times of "
+                "recording, so they are of another clock than the actions; use '--clock log'."
             )
 
     def _clock_hints(self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"]) -> list[str]:

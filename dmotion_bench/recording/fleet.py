@@ -11,6 +11,7 @@ when pictures are unpacked; then all recordings with such damage are left out to
 from __future__ import annotations
 
 import contextlib
+import itertools
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -54,6 +55,8 @@ class ShardsJob:
         dataset: The folder.
         recipe, spec: Of the data set.
         shards: Numbers of shards that follow each other.
+        made: Those of them that are there already; they are only unpacked, since a damaged picture of the next one is
+            the picture before it.
         episodes: Those of the shards, in their order.
         sources: The recordings that they are of, by their numbers.
         options: Of the import.
@@ -65,6 +68,7 @@ class ShardsJob:
     recipe: DatasetRecipe
     spec: EnvSpec
     shards: tuple[int, ...]
+    made: frozenset[int] = frozenset()
     episodes: tuple[PlannedEpisode, ...]
     sources: dict[int, Source]
     options: ImportOptions
@@ -79,10 +83,12 @@ class ShardsMade:
     Attributes:
         receipts: Of those that are made.
         faults: Why a recording cannot be unpacked, by its number.
+        unreadable: Damaged pictures by the number of their recording, in whose place the ones before them were taken.
     """
 
     receipts: tuple[ShardReceipt, ...]
     faults: dict[int, RecordingImportError]
+    unreadable: dict[int, int]
 
 
 def shards_job(job: ShardsJob) -> ShardsMade:
@@ -96,14 +102,15 @@ def shards_job(job: ShardsJob) -> ShardsMade:
                 told.tell(JobProgress(what=f"importing shard {shard}", done=done, total=len(job.shards)))
                 planned = [next(waiting) for _ in shard_range(job.recipe, shard)]
                 unpacking.begin()
-                if unpacking.faults.keys().isdisjoint(one.recording for one in planned):
+                is_sound = unpacking.faults.keys().isdisjoint(one.recording for one in planned)
+                if is_sound and shard not in job.made:
                     with contextlib.suppress(RecordingImportError):
                         episodes = unpacking.episodes(planned)
                         receipts.append(write_shard(job.dataset, job.recipe, job.spec, shard, episodes))
                 unpacking.look_through(planned)
     finally:
         told.end()
-    return ShardsMade(receipts=tuple(receipts), faults=unpacking.faults)
+    return ShardsMade(receipts=tuple(receipts), faults=unpacking.faults, unreadable=unpacking.unreadable)
 
 
 class _Unpacking:
@@ -116,8 +123,14 @@ class _Unpacking:
     def __init__(self, job: ShardsJob, confinement: Confinement) -> None:
         self._job, self._confinement = job, confinement
         self._opened: dict[int, Recording] = {}
+        self._running: dict[int, Iterator[Footage]] = {}
         self._through: set[int] = set()
         self.faults: dict[int, RecordingImportError] = {}
+
+    @property
+    def unreadable(self) -> dict[int, int]:
+        """Damaged pictures, by the number of their recording."""
+        return {number: recording.unreadable for number, recording in self._opened.items()}
 
     def begin(self) -> None:
         """Another shard begins."""
@@ -129,12 +142,9 @@ class _Unpacking:
         Raises:
             RecordingImportError: One cannot be unpacked; it is noted, too.
         """
-        for number in dict.fromkeys(one.recording for one in planned):
-            own = [one for one in planned if one.recording == number]
+        for number, count in Counter(one.recording for one in planned).items():
             try:
-                yield from footage(
-                    {number: self._recording(number)}, own, self._job.options, keep_times=self._job.keep_times
-                )
+                yield from itertools.islice(self._footage(number), count)
             except RecordingImportError as error:
                 self.faults[number] = error
                 raise
@@ -146,6 +156,14 @@ class _Unpacking:
             with contextlib.suppress(RecordingImportError):
                 for _ in self.episodes([one for one in planned if one.recording == number]):
                     pass
+
+    def _footage(self, number: int) -> Iterator[Footage]:
+        """What is left of a recording's episodes; one pass through it serves all shards of the job."""
+        if number not in self._running:
+            own = [one for one in self._job.episodes if one.recording == number]
+            opened = {number: self._recording(number)}
+            self._running[number] = footage(opened, own, self._job.options, keep_times=self._job.keep_times)
+        return self._running[number]
 
     def _recording(self, number: int) -> Recording:
         if number not in self._opened:
@@ -181,6 +199,7 @@ def import_fleet(
         UsageError: The folder holds something else.
     """
     standing, executor = standing_in(out), executor or SerialExecutor()
+    unreadable: dict[int, int] = {}
     skipped: dict[Path, RecordingImportError] = {}
     found = looked_through(_found(paths, options, skip_damaged, skipped), options, executor, progress, jobs)
     while True:
@@ -189,7 +208,7 @@ def import_fleet(
         if standing is not None:
             require_same(standing, plan, out)
             break
-        faults = _written(out, plan, sound, options, executor, progress, jobs)
+        faults, unreadable = _written(out, plan, sound, options, executor, progress, jobs)
         if not faults:
             break
         if not skip_damaged:
@@ -198,7 +217,7 @@ def import_fleet(
         skipped |= {sound[number].path: error for number, error in faults.items()}
         found = [one for number, one in enumerate(sound) if number not in faults]
     told = tuple((str(path), str(error)) for path, error in sorted(skipped.items()))
-    return plan.report(out, unreadable=sum(one.unreadable for one in sound), skipped=told)
+    return plan.report(out, unreadable=sum(unreadable.values()), skipped=told)
 
 
 def _found(
@@ -249,9 +268,14 @@ def _written(
     executor: Executor,
     progress: Progress,
     jobs: Path | None,
-) -> dict[int, RecordingImportError]:
-    """Write what is missing beside ``out`` and move it there; else why recordings cannot be unpacked."""
+) -> tuple[dict[int, RecordingImportError], dict[int, int]]:
+    """Write what is missing beside ``out`` and move it there; else why recordings cannot be unpacked.
+
+    Returns:
+        That, and the damaged pictures of each recording.
+    """
     faults: dict[int, RecordingImportError] = {}
+    unreadable = {number: one.unreadable for number, one in enumerate(sound)}
     with (
         contextlib.suppress(_Faulty),
         staged(out, UNFINISHED, keep=True) as folder,
@@ -267,11 +291,13 @@ def _written(
                     writer.add(receipt)
                     done += len(receipt.rows)
                 faults |= made.faults
+                for number, count in made.unreadable.items():
+                    unreadable[number] = max(unreadable[number], count)
                 progress("importing", done, total)
         if faults:
             raise _Faulty
         writer.finish()
-    return faults
+    return faults, unreadable
 
 
 class _Faulty(Exception):
@@ -296,9 +322,11 @@ def _parts(
     missing: Sequence[int],
     jobs: Path | None,
 ) -> list[ShardsJob]:
-    """The missing shards in parts; one with ``salvage``, where a damaged picture is the one before it."""
-    size = len(missing) if options.salvage else -(-len(missing) // MOST_PARTS)
+    """The missing shards in parts; with ``salvage`` all shards in one, where a damaged picture is the one before it."""
+    size = -(-len(missing) // MOST_PARTS)
     parts = [tuple(missing[first : first + size]) for first in range(0, len(missing), size or 1)]
+    if options.salvage and missing:
+        parts = [tuple(range(max(missing) + 1))]
     made = []
     for number, shards in enumerate(parts):
         episodes = tuple(plan.episodes[one] for shard in shards for one in shard_range(plan.recipe, shard))
@@ -308,6 +336,7 @@ def _parts(
                 recipe=plan.recipe,
                 spec=plan.spec,
                 shards=shards,
+                made=frozenset(shards) - frozenset(missing),
                 episodes=episodes,
                 sources={one.recording: sound[one.recording].source for one in episodes},
                 options=options,

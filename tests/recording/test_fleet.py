@@ -6,7 +6,10 @@ import json
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import psutil
@@ -15,7 +18,7 @@ from dmbench_command import finish, start_dmbench
 from mortal_workers import Deadly
 from noise_world import files_of
 from pretend_slurm import install_slurm
-from storage.foreign import foxglove_file, steady, video
+from storage.foreign import compressed, foxglove_compressed_file, foxglove_file, steady, video
 from storage.foreign_video import video_file
 
 from dmotion_bench.errors import DatasetCorrupt, RecordingImportError
@@ -29,7 +32,7 @@ from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Recording
 from dmotion_bench.storage.imports.sources import Kind, Source, sources_in
-from dmotion_bench.storage.shard import shard_range
+from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
 
 OPTIONS = ImportOptions(size=16, frames_per_episode=5)
 COUNT = 30
@@ -190,6 +193,34 @@ def test_damage_that_shows_when_pictures_are_unpacked_costs_one_more_pass(
     assert len(passes) == 2
     import_recordings(_sound(recordings), tmp_path / "sound", OPTIONS)
     assert files_of(tmp_path / "d") == files_of(tmp_path / "sound")
+
+
+def test_a_damaged_picture_at_the_start_of_a_shard_is_the_one_before_it(tmp_path: Path) -> None:
+    options = replace(OPTIONS, frames_per_episode=3, salvage=True)
+    count = 3 * 102  # 102 episodes, 50 in a shard
+    pictures = [compressed(frame, "jpeg") for frame in video(count)]
+    for broken in (3 * 50, 3 * 100 + 1):
+        pictures[broken] = pictures[broken][:-200]
+    file = foxglove_compressed_file(tmp_path / "a.mcap", pictures, steady(count), "jpeg")
+    whole = import_recordings([file], tmp_path / "in_turn", options)
+
+    first = import_fleet([file], tmp_path / "fleet", options)
+    assert (first.unreadable, whole.unreadable) == (2, 2)
+    assert files_of(tmp_path / "fleet") == files_of(tmp_path / "in_turn")
+
+    written: list[int] = []
+
+    def interrupted(*given: Any) -> ShardReceipt:
+        if len(written) == 1:
+            raise KeyboardInterrupt
+        written.append(given[3])
+        return write_shard(*given)
+
+    with patch.object(fleet, "write_shard", interrupted), pytest.raises(KeyboardInterrupt):
+        import_fleet([file], tmp_path / "again", options)
+    import_fleet([file], tmp_path / "again", options)
+    assert written == [0]  # the first shard stood, and the picture before the second one was unpacked all the same
+    assert files_of(tmp_path / "again") == files_of(tmp_path / "in_turn")
 
 
 def test_without_the_option_the_first_damaged_one_is_said(spoilt: Path, tmp_path: Path) -> None:

@@ -220,7 +220,9 @@ def _detectable(rows: Sequence[ColumnRow], column: str) -> float | None:
     measured = [
         (cell.sums, cell.counts)
         for row in rows
-        if (cell := row.cells.get(column)) is not None and cell.sums is not None and cell.counts is not None
+        if (cell := row.cells.get(column)) is not None
+        and cell.sums is not None
+        and cell.counts is not None
         and len(cell.sums) > 1  # one training says nothing of what differs between trainings
     ]
     errors = [

@@ -205,8 +205,8 @@ def require_readable(rows: int) -> None:
     """
     if rows > MOST_SAMPLES:
         raise InvalidSetting(
-            f"the test episodes would make {rows:,} samples, and a report can have {MOST_SAMPLES:,}; score the run on a "
-            "data set with fewer episodes ('--data')."
+            f"the test episodes would make {rows:,} samples, and a report can have {MOST_SAMPLES:,}; score the run on "
+            "a data set with fewer episodes ('--data')."
         )
 
 

@@ -17,7 +17,7 @@ import pytest
 from known_model import Known
 from torch import Tensor
 
-from dmotion_bench.errors import DatasetError, FolderInUse
+from dmotion_bench.errors import DatasetError, FolderInUse, UnknownName
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress
 from dmotion_bench.planning.objectives.tracked import Tracked
@@ -126,9 +126,7 @@ def test_a_killed_scoring_goes_on_to_the_same_report(
     assert (again.figures, again.samples) == (whole.figures, whole.samples)
 
 
-def test_what_was_planned_in_another_arithmetic_is_not_taken_over(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_planned_in_another_arithmetic_is_not_taken_over(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
     journal, planned = run.path / "report/control.json", []
 
@@ -239,6 +237,20 @@ def test_a_report_names_the_solver_and_the_objective_in_full(run: Run) -> None:
     assert (objective["name"], objective["fully_seen"], objective["positions.BITS"]) == ("tracked", 0.85, 5)
     assert report.planning["arithmetic"] in ("float32", "bfloat16")
     assert score(run, "prediction").planning == report.planning
+
+
+def test_control_stays_where_its_environment_is_not_installed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = score(run)
+
+    def absent(*_: object, **__: object) -> None:
+        raise UnknownName("environment", "of another package", [])
+
+    monkeypatch.setattr("dmotion_bench.planning.choices.environment_class", absent)
+    kept = score(run, "prediction")
+    assert before.figures.items() <= kept.figures.items()
+    assert kept.planning == before.planning
+    with pytest.raises(UnknownName):
+        score(run, "control")
 
 
 def test_figures_of_other_settings_are_not_kept(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

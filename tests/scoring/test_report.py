@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from dmotion_bench.actions import Continuous
-from dmotion_bench.errors import LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import compare_runs
 from dmotion_bench.scoring.prediction import Execution
@@ -277,6 +277,28 @@ def test_without_labels_nothing_can_be_scored(oracle: Oracle, tmp_path: Path) ->
 
     with pytest.raises(LabelsNotAvailable):
         score_model(oracle, dataset, settings=QUICK)
+
+
+def test_what_could_not_be_read_again_is_not_scored(
+    make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = make_run(tmp_path / "run")
+    rows = len(pq.read_table(_scored(run.path)))
+    monkeypatch.setattr("dmotion_bench.scoring.samples.MOST_SAMPLES", rows)
+    _scored(run.path)
+    monkeypatch.setattr("dmotion_bench.scoring.samples.MOST_SAMPLES", rows - 1)
+    shutil.rmtree(run.path / "report")
+    asked: list[str] = []
+    how = Execution(progress=lambda what, done, total: asked.append(what))
+    with pytest.raises(InvalidSetting, match=f"would make {rows:,} samples, and a report can have {rows - 1:,}"):
+        score_run(run.path, settings=QUICK, how=how)
+    assert not asked
+
+
+def _scored(run: Path) -> Path:
+    shutil.rmtree(run / "report", ignore_errors=True)
+    score_run(run, settings=QUICK)
+    return run / "report/samples.parquet"
 
 
 def test_episodes_that_are_too_short_have_no_rollouts(make_run: MakeRun, tmp_path: Path) -> None:

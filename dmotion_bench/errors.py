@@ -180,6 +180,10 @@ class ModelContractBroken(DmbenchError):
     """A model does not do what ``learning/model.py`` asks of it."""
 
 
+class PlannerContractBroken(DmbenchError):
+    """A solver or an objective does not do what its contract asks."""
+
+
 class ShareMissing(DmbenchError):
     """Nothing is published in that place under that fingerprint."""
 

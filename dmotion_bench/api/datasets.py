@@ -33,7 +33,7 @@ class Dataset(stored.Dataset):
         self,
         split: SplitName = "train",
         *,
-        labels: str | None = None,
+        labels: str | int | None = None,
         seed: int = 0,
         protocol: SplitProtocol = "episode",
     ) -> TripletDataset:
@@ -41,7 +41,7 @@ class Dataset(stored.Dataset):
 
         Args:
             split: ``"train"``, ``"validation"`` or ``"test"``.
-            labels: A label budget, such as ``"10%"``, ``"all"`` or ``"64"``: only the triplets whose actions it pays
+            labels: A label budget, such as ``"10%"``, ``"all"`` or ``64``: only the triplets whose actions it pays
                 for, and those actions. None: all triplets, without actions; ``labels/`` is not opened.
             seed: Of the budget.
             protocol: ``"episode"`` keeps whole episodes apart; ``"paper"`` shuffles triplets as the paper does.
@@ -72,7 +72,7 @@ class Dataset(stored.Dataset):
                 f"labels={labels!r} was asked for the test split, whose labels no model may learn from; "
                 "leave out labels, or take the split 'train' or 'validation'. dm.score reads them to judge a model."
             )
-        budget = LabelBudget(self, LabelRequest.parse(labels), seed)
+        budget = LabelBudget(self, LabelRequest.parse(str(labels)), seed)
         labelled = budget.actions(chosen, purpose)
         return TripletDataset(labelled.triplets, labelled.actions)
 

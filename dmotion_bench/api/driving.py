@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 import torch
 
 from dmotion_bench.actions import ActionSpec, ActionTaken
-from dmotion_bench.errors import DmbenchError, LabelsNotAvailable
+from dmotion_bench.errors import DmbenchError, LabelsNotAvailable, UsageError
 from dmotion_bench.learning.driving import Drive
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.tasks import take, task_environment
@@ -105,6 +105,7 @@ def open_driven(run: AnyPath | None, episode: int | None, workspace: Workspace) 
 
     Raises:
         RunMissing, UnknownName: There is none.
+        UsageError: There is no such episode.
         LabelsNotAvailable: Nothing says which action is which in the model, or actions are not known at all.
     """
     opened = Run.open(workspace.run(run))
@@ -114,4 +115,6 @@ def open_driven(run: AnyPath | None, episode: int | None, workspace: Workspace) 
         raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
     test = dataset.split("test")
     chosen = int(test[0]) if episode is None and len(test) else episode or 0
+    if chosen >= len(dataset):
+        raise UsageError(f"{dataset.name!r} has no episode {chosen}; it has 0 to {len(dataset) - 1}.")
     return Driven(run=opened, dataset=dataset, actions=dataset.spec.actions, episode=chosen)

@@ -57,7 +57,7 @@ def train(
     model: str,
     data: AnyPath | None = None,
     *,
-    labels: str | None = None,
+    labels: str | int | None = None,
     preset: Preset | str | None = None,
     arch: str | None = None,
     seed: int = 0,
@@ -80,7 +80,7 @@ def train(
     Args:
         model: Its registered name.
         data: The data set, by folder, name or as ``record`` returned it. Default: the workspace's only one.
-        labels: The label budget: ``"none"``, ``"one-shot"``, ``"5-shot"``, ``"64"``, ``"10%"``, ``"all"``. Default:
+        labels: The label budget: ``"none"``, ``"one-shot"``, ``"5-shot"``, ``64``, ``"10%"``, ``"all"``. Default:
             one-shot, or 64 for continuous actions, for models of video alone; others need one.
         preset: Length of the training. Default: the data set's.
         arch: The architecture. Default: the model's first.
@@ -117,7 +117,7 @@ def train(
     trackers = known_trackers([log] if isinstance(log, str) else log)
     request = TrainingRequest(
         model=model,
-        labels=labels,
+        labels=None if labels is None else str(labels),
         preset=None if preset is None else as_preset(preset),
         arch=arch,
         seed=seed,

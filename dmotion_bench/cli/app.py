@@ -11,6 +11,7 @@ import errno
 import importlib
 import logging
 import os
+import re
 import sys
 from collections.abc import Iterator
 from typing import NoReturn
@@ -97,6 +98,10 @@ def main() -> None:
         _fail(str(error), exit_code())
     except DmbenchError as error:
         _fail(str(error), 1)
+    except (MemoryError, RuntimeError) as error:
+        if (told := _out_of_memory(error)) is None:
+            raise
+        _fail(told, 1)
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(1) from None
@@ -110,6 +115,16 @@ def main() -> None:
         if not leaving.code and received():  # a server or a viewer, which ends when it is told to
             _fail("ended.", exit_code())
         raise
+
+
+def _out_of_memory(error: MemoryError | RuntimeError) -> str | None:
+    """A sentence for an error that says that memory did not suffice, as torch says it in a RuntimeError; else None."""
+    said = str(error)
+    if not isinstance(error, MemoryError) and "can't allocate memory" not in said and "out of memory" not in said:
+        return None
+    asked = re.search(r"tried to allocate (\d+) bytes", said)
+    size = f": {int(asked[1]) / 2**30:,.1f} GiB were asked for at once" if asked else ""
+    return f"the memory does not suffice for this{size}; take a smaller model, batch or data set."
 
 
 def _fail(said: str, code: int, *, at_once: bool = False) -> NoReturn:

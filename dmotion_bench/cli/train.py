@@ -64,7 +64,7 @@ def train(
         typer.Option(
             parser=as_preset,
             metavar="[tiny|small|paper]",
-            help="Length of the training. Default: the data set's preset.",
+            help="Length of the training. Default: what the data set's name ends with, else small.",
         ),
     ] = None,
     arch: Annotated[

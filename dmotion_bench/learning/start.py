@@ -40,7 +40,7 @@ class TrainingRequest:
         model: Registry name.
         labels: Label budget; one-shot for models that see video only, 64 transitions if the actions are continuous; no
             default for supervised ones.
-        preset: The data set's own where its name ends with one, else small.
+        preset: What the name of a recorded data set ends with, else small.
         arch: The model's first architecture.
         settings: ``KEY=VALUE`` of the model's or the training's config.
         threads: That each process computes with.
@@ -77,7 +77,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
             raise UsageError(f"{dataset.name!r} has no action labels; train a model that needs none, such as dmotion.")
         if request.labels is None:
             labels = LabelRequest("none")
-    preset = request.preset or _preset_of(dataset.name)
+    preset = request.preset or _preset_of(dataset)
     if given := next((setting for setting in request.settings if setting.startswith("arch=")), None):
         raise UsageError(
             f"'--set {given}': an architecture has defaults of its own; give '--{given.replace('=', ' ')}'."
@@ -237,8 +237,9 @@ def prepare_frames(run: Run, dataset: Dataset) -> None:
         dataset.cache()
 
 
-def _preset_of(dataset: str) -> Preset:
+def _preset_of(dataset: Dataset) -> Preset:
+    """What the name of a recorded data set ends with; the name of an import says nothing of its size."""
     for preset in Preset:
-        if dataset.endswith(f"-{preset.value}"):
+        if dataset.recipe.environment != IMPORTED and dataset.name.endswith(f"-{preset.value}"):
             return preset
     return Preset.SMALL

@@ -18,7 +18,7 @@ from jaxtyping import Bool, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import Environment, HasScript, Script
-from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken, PlannerContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.dynamics.model import ModelDynamics
@@ -28,6 +28,7 @@ from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
 from dmotion_bench.planning.tasks import World
 from dmotion_bench.specs import EnvSpec
+from dmotion_bench.wording import shown
 
 NO_ACTION = -1
 REFERENCES = ("idle", "random", "oracle", "scripted")
@@ -104,11 +105,35 @@ class PlanningAgent(Agent):
         self._evaluator.observe(actions, frames)
 
     def plan(self, dynamics: Dynamics, context: PlanContext) -> Decision:
-        """The first action of the best plan, in the units of the environment."""
+        """The first action of the best plan, in the units of the environment.
+
+        Raises:
+            PlannerContractBroken: The solver returns no plan, or no action for each task.
+        """
         assert self._evaluator is not None, "reset comes first"
-        plan = self._solver.plan(dynamics, self._evaluator, context)
-        spec, action = dynamics.actions, plan.action
+        plan, spec = self._solver.plan(dynamics, self._evaluator, context), dynamics.actions
+        if not isinstance(plan, Plan):
+            raise PlannerContractBroken(f"the solver returns {shown(type(plan).__name__)}; it must return a Plan.")
+        action = _checked_action(plan.action, spec, len(context.generators))
         return Decision(action=spec.denormalise(action) if isinstance(spec, Continuous) else action, plan=plan)
+
+
+def _checked_action(action: Any, spec: ActionSpec, tasks: int) -> Any:
+    """The actions of a plan, one for each task: a number of a discrete one, or normalised numbers."""
+    found = np.asarray(action)
+    if isinstance(spec, Discrete):
+        fits = found.shape == (tasks,) and np.issubdtype(found.dtype, np.integer)
+        fits = fits and bool(((found >= 0) & (found < len(spec))).all())
+        wanted = f"{tasks} whole numbers from 0 to {len(spec) - 1}"
+    else:
+        fits = found.shape == (tasks, spec.width) and np.issubdtype(found.dtype, np.floating)
+        fits = fits and bool(np.isfinite(found).all())
+        wanted = f"{tasks} times {spec.width} finite numbers"
+    if not fits:
+        raise PlannerContractBroken(
+            f"the solver chooses the actions {shown(str(found.tolist()))}; it must be {wanted}."
+        )
+    return action
 
 
 class ModelAgent(PlanningAgent):

@@ -10,8 +10,10 @@ run: two recordings with the same seed begin their episodes alike, and where not
 hold as a test what the other holds as training.
 
 An import names no environment, so any import of frames of the same size fits whose actions have the same names. It may
-list them in another order: scoring numbers them as the training did. An import has no seeds either; whether its
-episodes are new is told by their pictures (``overlap.py``). Both take the data set that the run was trained on.
+list them in another order: scoring numbers them as the training did. The bounds of continuous actions are the smallest
+and largest that were recorded, so they differ; scoring takes those of the training. An import has no seeds either;
+whether its episodes are new is told by their pictures (``overlap.py``). Both take the data set that the run was trained
+on.
 """
 
 from __future__ import annotations
@@ -108,7 +110,7 @@ def transferable(run: Run, dataset: Dataset, split: SplitName, column: str | Non
 
 
 def fitting(run: Run, dataset: Dataset) -> Dataset:
-    """A data set as a run's model reads it: the actions of an import are numbered as in the training.
+    """A data set as a run's model reads it: an import with the numbers, or the bounds, of the training's actions.
 
     Raises:
         RunMismatch: It has other pictures or actions than the run's model, or is of another environment.
@@ -155,11 +157,18 @@ def _numbered(run: Run, own: Dataset, dataset: Dataset) -> Dataset:
     match mine, theirs:
         case Discrete(), Discrete() if _is_import(dataset) and set(mine.names) == set(theirs.names):
             return dataset.numbered(mine.names)
+        case Continuous(), Continuous() if _is_import(dataset) and _same_numbers(mine, theirs):
+            return dataset.bounded(mine)
     again = "import it again without '--actions'" if mine is None else "take data of the same actions"
     raise RunMismatch(
         f"the actions of {dataset.name!r} are {_listed(theirs)}, and those of {own.name!r}, which {run.name!r} was "
         f"trained on, {_listed(mine)}; {again}."
     )
+
+
+def _same_numbers(mine: Continuous, theirs: Continuous) -> bool:
+    """Whether actions differ in their bounds alone, which an import takes from what was recorded."""
+    return (mine.names, mine.units) == (theirs.names, theirs.units)
 
 
 def training_of(run: Run, dataset: Dataset) -> dict[str, Any] | None:

@@ -17,7 +17,7 @@ from typing import Any, Final, Self, TypeVar
 import numpy as np
 from jaxtyping import Int, UInt8
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.addresses import last_name, remote_address
 from dmotion_bench.errors import DatasetCorrupt, DatasetIncomplete, LabelsNotAvailable, UnknownName, UsageError
 from dmotion_bench.specs import Episode, EpisodeLabels, SplitName
@@ -45,7 +45,7 @@ class Dataset:
         remote: The storage that it is on; None for a folder.
         name: The folder's name, or the last part of the address.
         manifest: The content of ``dataset.json``.
-        recipe, spec: How it was made, and what is true of every episode; see also ``numbered``.
+        recipe, spec: How it was made, and what is true of every episode; see also ``numbered`` and ``bounded``.
         fingerprint: SHA-256 over format, recipe and the hashes of all shards.
         rows: Where each episode is and how it came about.
         lengths: Frames of each episode.
@@ -137,6 +137,27 @@ class Dataset:
         view._numbers = np.array([tuple(names).index(name) for name in stored.names], np.int64)
         return view
 
+    def bounded(self, actions: Continuous) -> Dataset:
+        """The same data set with other bounds of its continuous actions; ``manifest`` keeps the stored ones.
+
+        Models normalise actions by these bounds. The actions themselves stay, so some may lie beyond.
+
+        Args:
+            actions: With the same names and units.
+
+        Raises:
+            UsageError: They have others, or the stored actions are not continuous.
+        """
+        stored = self.manifest.spec.actions
+        if not isinstance(stored, Continuous) or (stored.names, stored.units) != (actions.names, actions.units):
+            raise UsageError(
+                f"the actions of {shown(self.name)} are {shown(str(stored))}, and {shown(str(actions))} were named; "
+                "name the same ones with other bounds."
+            )
+        view = copy.copy(self)
+        view.spec = replace(self.spec, actions=actions)
+        return view
+
     def _row(self, episode: int) -> EpisodeRow:
         if not 0 <= episode < len(self.rows):
             raise UsageError(f"{shown(self.name)} has no episode {shown(episode)}; it has 0 to {len(self) - 1}.")
@@ -160,7 +181,8 @@ class Dataset:
         """
         row = self._row(episode)
         self._require_labels(row)
-        states = self._read(LABELS, row, lambda file: read_states(file, row.states, self.spec, row.frames))
+        stored = self.manifest.spec  # its actions are those in the file
+        states = self._read(LABELS, row, lambda file: read_states(file, row.states, stored, row.frames))
         return states if self._numbers is None else replace(states, actions=self._numbers[states.actions])
 
     def labels(self, episode: int) -> EpisodeLabels:

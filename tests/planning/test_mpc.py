@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -16,7 +16,13 @@ from planning.worlds import PerfectGridModel
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Environment
-from dmotion_bench.errors import DatasetError, InvalidSetting, ModelContractBroken, UnknownName
+from dmotion_bench.errors import (
+    DatasetError,
+    InvalidSetting,
+    ModelContractBroken,
+    PlannerContractBroken,
+    UnknownName,
+)
 from dmotion_bench.planning.agents import (
     NO_ACTION,
     Decision,
@@ -26,6 +32,7 @@ from dmotion_bench.planning.agents import (
     RandomAgent,
     make_reference,
 )
+from dmotion_bench.planning.dynamics.simulator import SimulatorDynamics
 from dmotion_bench.planning.journal import Journal, TaskRecord
 from dmotion_bench.planning.mpc import ControlProgress, ControlResult, ControlSettings, Scene, control
 from dmotion_bench.planning.objectives.tracked import Tracked
@@ -228,6 +235,42 @@ def test_a_model_agent_uses_images_only(problems: list[Problem]) -> None:
     )
     np.testing.assert_array_equal(honest.actions, masked.actions)
     assert (honest.distance[:, 1:] != masked.distance[:, 1:]).any()  # the simulator's state was another
+
+
+class Choosing(CrossEntropy):
+    """Plans as always, and then chooses something else."""
+
+    chosen: ClassVar[Any] = None
+
+    def plan(self, *given: Any) -> Any:
+        plan = super().plan(*given)
+        object.__setattr__(plan, "action", np.array(self.chosen))  # past the check of shapes that tests have
+        return None if self.chosen is None else plan
+
+
+@pytest.mark.parametrize(
+    ("chosen", "said"),
+    [
+        (None, "the solver returns 'NoneType'; it must return a Plan"),
+        ([-1], r"chooses the actions '\[-1\]'; it must be 1 whole numbers from 0 to 3"),
+        ([4], "chooses the actions"),
+        ([0, 1], "chooses the actions"),
+        ([0.5], "chooses the actions"),
+    ],
+)
+def test_what_a_solver_chooses_is_checked(
+    problems: list[Problem], chosen: Any, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Choosing, "chosen", chosen)
+    with pytest.raises(PlannerContractBroken, match=said):
+        solve(OracleAgent(FACTS, Choosing(samples=3, horizon=2, elites=2), GridWorld), problems[:1], steps=1)
+
+
+def test_costs_that_are_no_numbers_are_refused(problems: list[Problem], monkeypatch: pytest.MonkeyPatch) -> None:
+    as_it_is = SimulatorDynamics.true_costs
+    monkeypatch.setattr(SimulatorDynamics, "true_costs", lambda *given: as_it_is(*given) * float("nan"))
+    with pytest.raises(PlannerContractBroken, match=r"costs that are not numbers \(NaN\)"):
+        solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=1)
 
 
 def test_the_first_image_is_given_twice_and_only_changes_count(problems: list[Problem]) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from planning.worlds import PerfectGridModel, Walks, observed, unseen
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import PlannerContractBroken
 from dmotion_bench.learning.model import ForwardModel, ModelInputs
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.objectives.pixel import PixelEvaluator
@@ -44,6 +45,12 @@ def test_the_costs_are_those_of_naive_evaluation(data: st.DataObject) -> None:
     for _ in range(3):  # later rounds find some of their prefixes in the tree
         sequences = generator.integers(0, 4, (tasks, count, steps))
         np.testing.assert_array_equal(tree.costs(sequences), one_by_one(Walks(tuple(range(tasks))), sequences))
+
+
+@pytest.mark.parametrize("action", [-1, 4])
+def test_an_action_that_there_is_not_is_refused(action: int) -> None:
+    with pytest.raises(PlannerContractBroken, match=f"tries the actions .*{action}.*; there are 0 to 3"):
+        tree_of(Walks((0,)), 2).costs(np.array([[[0, action]]]))
 
 
 def test_every_prefix_is_predicted_once() -> None:

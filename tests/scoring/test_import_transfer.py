@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ import numpy as np
 import pytest
 from known_model import Known
 from made_up_import import write_import
+from noise_world import MOVES, noise_spec, write_noise
 from PIL import Image
 from torch import Tensor
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DatasetMissing, LabelsNotAvailable, RunMismatch, UsageError
 from dmotion_bench.learning.run import Run
+from dmotion_bench.scoring import transfer
 from dmotion_bench.scoring.report import Report, read_report_samples
 from dmotion_bench.scoring.score import ScoreSettings, score_model, score_run
 from dmotion_bench.scoring.shared_samples import SharedSamples
@@ -104,6 +107,23 @@ def test_an_import_numbered_otherwise_is_the_same_data_set(other: Dataset, tmp_p
         np.testing.assert_array_equal(read.video(episode), other.video(episode))
     with pytest.raises(UsageError, match="name the same ones in another order"):
         ordered.numbered(("up", "down"))
+
+
+def test_an_import_of_other_bounds_is_read_with_those_of_the_training(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Monday's and Tuesday's drives differ in their largest numbers."""
+    monday, tuesday = (
+        write_noise(tmp_path / name, spec=noise_spec(actions=replace(MOVES, low=low, high=high)))
+        for name, low, high in (("monday", (-1.0, -2.0), (1.0, 2.0)), ("tuesday", (-1.5, -1.75), (1.5, 1.75)))
+    )
+    monkeypatch.setattr(transfer, "_is_import", lambda dataset: True)
+    read = transfer._numbered(run, monday, tuesday)
+    assert (read.spec.actions, read.fingerprint) == (monday.spec.actions, tuesday.fingerprint)
+    np.testing.assert_array_equal(read.states(0).actions, tuesday.states(0).actions)
+    other = write_noise(tmp_path / "other", spec=noise_spec(actions=replace(MOVES, units=("mm", "mm"))))
+    with pytest.raises(RunMismatch, match="take data of the same actions"):
+        transfer._numbered(run, monday, other)
 
 
 def test_it_is_a_transfer_and_says_from_what(run: Run, grid: Dataset, other: Dataset, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from noise_world import (
 )
 
 from dmotion_bench.actions import actions_to_json
-from dmotion_bench.errors import DatasetCorrupt, InvalidSetting
+from dmotion_bench.errors import DatasetCorrupt, InvalidSetting, UsageError
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
@@ -47,6 +47,21 @@ def test_episodes_come_back_as_they_were_written(written: Dataset) -> None:
 
 def test_the_same_recipe_makes_the_same_bytes(written: Dataset, tmp_path: Path) -> None:
     assert files_of(written.path) == files_of(write_noise(tmp_path / "again", spec=SPEC).path)
+
+
+def test_with_other_bounds_it_is_the_same_data_set(written: Dataset) -> None:
+    narrower = dataclasses.replace(
+        MOVES, low=tuple(one / 4 for one in MOVES.low), high=tuple(h / 4 for h in MOVES.high)
+    )
+    read = written.bounded(narrower)
+    assert (read.spec.actions, read.manifest.spec.actions) == (narrower, MOVES)
+    assert read.fingerprint == written.fingerprint
+    for number in range(len(written)):
+        np.testing.assert_array_equal(read.states(number).actions, written.states(number).actions)
+        np.testing.assert_array_equal(read.labels(number).actions, written.labels(number).actions)
+    for others in ({"names": ("x", "y")}, {"units": ("mm", "mm")}):
+        with pytest.raises(UsageError, match="name the same ones with other bounds"):
+            written.bounded(dataclasses.replace(MOVES, **others))
 
 
 def test_every_mcap_library_reads_them(written: Dataset) -> None:

@@ -23,7 +23,7 @@ from storage.foreign import (
     video,
 )
 
-from dmotion_bench.errors import LabelsNotAvailable
+from dmotion_bench.errors import LabelsNotAvailable, RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
@@ -220,6 +220,15 @@ def test_many_files_are_one_data_set(tmp_path: Path) -> None:
         "run_2.mcap",
         "run_10.mcap",
     ]
+
+
+def test_a_copy_of_a_recording_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for number in range(3):
+        foxglove_file(folder / f"{number}.mcap", video(4, seed=number % 2), steady(4))
+    with pytest.raises(RecordingImportError, match=r"0\.mcap' and '.*2\.mcap' are the same recording; leave one out"):
+        imported(folder, tmp_path)
 
 
 def test_a_folder_of_folders_holds_the_recordings_of_each(tmp_path: Path) -> None:

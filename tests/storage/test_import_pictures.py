@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,3 +144,8 @@ def test_the_same_pictures_make_the_same_data_set_and_others_do_not(tmp_path: Pa
     (folder / "img9.png").write_bytes((folder / "img0.png").read_bytes())
     with pytest.raises(Exception, match="holds a data set of other recordings"):
         imported(folder)
+
+
+def test_pictures_hold_no_actions(tmp_path: Path) -> None:
+    folder = fill(tmp_path / "run", video(4))
+    refused(folder, "holds pictures alone, no actions; leave out '--actions'", replace(OPTIONS, actions="/action"))

@@ -180,3 +180,32 @@ def test_a_damaged_list_of_episodes(tmp_path: Path, line: str) -> None:
     folder = v21(tmp_path / "set", moving(15, 32, 32), "video")
     (folder / "meta/episodes.jsonl").write_text(line + "\n")
     refused(folder, r"has a damaged 'episodes.jsonl'|an episode without a place")
+
+
+def with_times(folder: Path, interval: float) -> None:
+    """Give the table of ``v3`` time stamps."""
+    path = folder / "data/chunk-000/file-000.parquet"
+    table = parquet.read_table(path)
+    stamps = [interval * frame for frame in table["frame_index"].to_pylist()]
+    parquet.write_table(table.append_column("timestamp", pa.array(stamps, pa.float32())), path)
+
+
+def test_time_stamps_agree_with_the_frames_a_second(tmp_path: Path) -> None:
+    folder = v3(tmp_path / "set", video(sum(LENGTHS)))
+    with_times(folder, 0.1)
+    same(folder, video(sum(LENGTHS)))
+
+
+@pytest.mark.parametrize("interval", [0.2, 0.0, float("nan")])
+def test_time_stamps_of_another_rate_are_refused(tmp_path: Path, interval: float) -> None:
+    folder = v3(tmp_path / "set", video(sum(LENGTHS)))
+    with_times(folder, interval)
+    refused(folder, rf"says that it has 10 frames a second, but .* of episode 0 are {interval:.3g} s apart")
+
+
+def test_two_actions_of_one_name_are_refused(tmp_path: Path) -> None:
+    folder = v3(tmp_path / "set", video(sum(LENGTHS)))
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"]["action"]["dmbench_actions"] = ["up", "up"]
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    refused(folder, "names two actions 'up'", ImportOptions(size=32, camera="top", actions="action"))

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from dmotion_bench.actions import require_discrete
+from dmotion_bench.errors import PlannerContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State, branched
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
 from dmotion_bench.planning.solvers.search import Search
@@ -93,6 +94,9 @@ class PrefixTree(Search):
         """See ``Search``."""
         if sequences.shape[2] > self.horizon:
             raise ValueError(f"sequences of {sequences.shape[2]} actions in a tree made for {self.horizon}")
+        if sequences.size and not 0 <= sequences.min() <= sequences.max() < self.actions:
+            tried, known = f"{sequences.min()} to {sequences.max()}", f"0 to {self.actions - 1}"
+            raise PlannerContractBroken(f"the solver tries the actions {tried}; there are {known}.")
         node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])
         costs = np.empty((*sequences.shape, 1 + len(PARTS)))
         with self.dynamics.computing():  # once for all, so that autocast keeps the weights that it has rounded

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from dmotion_bench.errors import PlannerContractBroken
 from dmotion_bench.planning.objectives.base import PARTS
 from dmotion_bench.planning.solvers.base import Plan, Sequences
 
@@ -27,8 +28,17 @@ class Search(ABC):
         """The cost of each sequence of each task after each of its steps, and the parts of the cost."""
 
     def costs(self, sequences: Sequences) -> Float[np.ndarray, "b s t"]:
-        """The cost of each sequence of each task after each of its steps."""
-        return self.stacked_costs(sequences)[..., 0]
+        """The cost of each sequence of each task after each of its steps.
+
+        Raises:
+            PlannerContractBroken: The objective gives costs that are not numbers.
+        """
+        costs = self.stacked_costs(sequences)[..., 0]
+        if np.isnan(costs).any():
+            raise PlannerContractBroken(
+                "the objective gives costs that are not numbers (NaN), so nothing can be planned."
+            )
+        return costs
 
     def parts(self, sequences: Sequences, step: Int[np.ndarray, "b s"]) -> Mapping[str, Float[np.ndarray, "b s"]]:
         """The parts of the cost of each sequence at one of its steps."""

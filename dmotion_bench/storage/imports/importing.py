@@ -142,6 +142,7 @@ def plan_import(recordings: Sequence[Named], surveys: Sequence[Survey], options:
     if not planned:
         raise no_episode(surveys, options)
     recipe = _recipe(recordings, surveys, planned, options)
+    _require_different(recordings, recipe)
     spec = EnvSpec(
         id=IMPORTED,
         actions=action_spec(surveys, [plan.actions for plan in planned], names, options),
@@ -193,6 +194,17 @@ def _check_sizes(recordings: Sequence[Named], surveys: Sequence[Survey]) -> None
                 f"the recordings mix picture sizes: {first.width}x{first.height} pixels in "
                 f"{str(recordings[0].path)!r}, {survey.width}x{survey.height} in {str(recording.path)!r}; "
                 "import them into data sets of their own."
+            )
+
+
+def _require_different(recordings: Sequence[Named], recipe: DatasetRecipe) -> None:
+    """Check that no recording is there twice: one copy could be trained on, and the other be a test."""
+    first: dict[Scalar, int] = {}
+    for number, recording in enumerate(recordings):
+        same = first.setdefault(recipe.parameters[f"sha256_{number}"], number)
+        if same != number:
+            raise RecordingImportError(
+                f"{str(recordings[same].path)!r} and {str(recording.path)!r} are the same recording; leave one out."
             )
 
 

@@ -173,8 +173,13 @@ class LeRobotLayout:
             names[0]
         )
 
-    def table(self, file: Path, columns: Sequence[str]) -> Any:
+    def table(self, file: Path, columns: Sequence[str], also: Sequence[str] = ()) -> Any:
         """Some columns of a table, without what LeRobot keeps beside them (statistics of every feature).
+
+        Args:
+            file: The table.
+            columns: That must be there.
+            also: That are read if they are there.
 
         Raises:
             RecordingImportError: It is damaged or lacks them.
@@ -189,7 +194,7 @@ class LeRobotLayout:
                     raise self.bad(f"lacks the columns {', '.join(missing)} in {file.name!r}")
                 if table.metadata.num_rows > self._limits.frames:
                     raise self.bad(f"has {table.metadata.num_rows} rows in {file.name!r}, more than can be imported")
-                return table.read(columns=list(columns))
+                return table.read(columns=[*columns, *(name for name in also if name in table.schema_arrow.names)])
         except (ArrowException, OSError) as error:
             raise self.bad(f"has a damaged table {file.name!r}: {str(error)[:120]}") from error
 

@@ -22,6 +22,8 @@ from dmotion_bench.storage.video.file import VideoFile
 
 FLOATS: Final = ("float16", "float32", "float64")
 ROWS: Final = 16  # of a table with pictures that are held at a time
+TIMES: Final = "timestamp"
+MOST_OFF: Final = 0.05  # share by which the interval of time stamps may differ from that of the frames a second
 
 
 class LeRobotRecording:
@@ -86,6 +88,8 @@ class LeRobotRecording:
             elif placed.video not in sizes:
                 with VideoFile(placed.video, pixels=self._limits.pixels) as video:
                     sizes[placed.video] = (video.height, video.width)
+            if number == 0 or self._actions is not None:
+                self._check_pace(placed)
             times = steady_times(placed.frames, self._layout.fps, self.path)
             segments.append(Segment(times_ns=times, commands=self._commands(placed, times)))
             count += placed.frames
@@ -179,11 +183,24 @@ class LeRobotRecording:
         rows: list[int] = inside.tolist()
         return rows
 
+    def _check_pace(self, placed: Placed) -> None:
+        """Compare the time stamps of an episode's frames, where there are any, with the frames a second."""
+        table = self._table(placed)
+        if TIMES not in table.column_names or placed.frames < 2:
+            return
+        stamps = table.column(TIMES).take(self._rows(placed)).to_numpy(zero_copy_only=False).astype(np.float64)
+        interval = float(np.median(np.diff(stamps)))
+        if not abs(interval * self._layout.fps - 1) <= MOST_OFF:
+            raise self._layout.bad(
+                f"says that it has {self._layout.fps:g} frames a second, but the time stamps of episode "
+                f"{placed.number} are {interval:.3g} s apart"
+            )
+
     def _table(self, placed: Placed) -> Any:
         """The numbers of an episode's frames; episodes stand side by side in few files."""
         if self._numbers is None or self._numbers[0] != placed.data:
             columns = ["episode_index", "frame_index", *([self._actions] if self._actions is not None else [])]
-            self._numbers = placed.data, self._layout.table(placed.data, columns)
+            self._numbers = placed.data, self._layout.table(placed.data, columns, also=(TIMES,))
         return self._numbers[1]
 
     def _commands(self, placed: Placed, times_ns: Int64[np.ndarray, " n"]) -> Commands | None:
@@ -223,9 +240,13 @@ class LeRobotRecording:
     def _known_actions(self) -> list[str]:
         """The names of the actions in the order of their numbers, where ``data export`` has left them."""
         try:
-            return [action_name(name) for name in self._layout.action_names(self._actions or "")]
+            names = [action_name(name) for name in self._layout.action_names(self._actions or "")]
         except BadPicture as error:
             raise self._layout.bad(f"{error} ({ACTION_NAMES} of the feature {self._actions!r})") from error
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise self._layout.bad(f"names two actions {twice!r} ({ACTION_NAMES} of the feature {self._actions!r})")
+        return names
 
 
 def _matrix(column: Any, rows: list[int], most: int) -> np.ndarray[Any, Any]:

@@ -136,6 +136,8 @@ def open_here(path: Path, kind: str, options: ImportOptions) -> Recording:
         RecordingImportError: It cannot be imported.
     """
     limits = options.limits
+    if options.actions is not None and kind in (Kind.PICTURES, Kind.VIDEO):
+        raise RecordingImportError(f"{str(path)!r} holds pictures alone, no actions; leave out '--actions'.")
     if kind == Kind.MCAP_VIDEO:
         from dmotion_bench.storage.imports.mcap_video import McapVideo
 

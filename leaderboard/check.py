@@ -25,7 +25,7 @@ from typing import Final
 
 import pyarrow as pa
 
-from dmotion_bench.errors import DatasetError, DmbenchError
+from dmotion_bench.errors import DatasetError, DmbenchError, PackageNotInstalled, UnknownName
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.run import Run
@@ -127,6 +127,8 @@ def check_entry(
             else:
                 check.remarks.append("not scored anew")
             check_control(check, run, read, samples, anew=settings.score, differing=settings.differing, how=how)
+    except (UnknownName, PackageNotInstalled) as error:
+        check.missing.append(f"code: {error}")
     except DmbenchError as error:
         check.wrong.append(f"scoring anew fails: {error}")
     return check.verdict()

@@ -343,9 +343,11 @@ class LabelBudget:
 
     def _require_enough(self, lacking: list[str], wanted: int) -> None:
         if lacking:
+            held, instead = "no demonstration", "ask for a number of labels ('--labels 64')"
+            if wanted > 1:
+                held, instead = f"fewer than {wanted} demonstrations", "ask for fewer ('--labels one-shot')"
             raise LabelsNotAvailable(
-                f"the training episodes hold fewer than {wanted} demonstrations of {', '.join(lacking)}; "
-                "ask for fewer (--labels one-shot) or record more episodes."
+                f"the training episodes hold {held} of {', '.join(lacking)}; {instead}, or record more episodes."
             )
 
     def _first_unpushed(

@@ -20,7 +20,7 @@ from dmotion_bench.environment import (
     ObjectEnvironment,
     Policy,
 )
-from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.errors import InvalidSetting, RecordingFailed
 from dmotion_bench.recording.policies import find_policy
 from dmotion_bench.specs import (
     DatasetRecipe,
@@ -75,6 +75,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     """One episode of at most so many frames, by stepping."""
     generator = policy_generator(seed)
     frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
+    _require_picture(env.facts, frame)
     factors = {name: _plain(value) for name, value in info.get("factors", {}).items()}
     images, witness = _Film(frame), _Witness(env)
     actions: list[Action] = []
@@ -82,6 +83,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     while len(actions) < frames - 1:
         action = policy(env, generator)
         frame, _, terminated, truncated, _ = env.step(action)
+        _require_picture(env.facts, frame)
         actions.append(action)
         images.append(frame)
         witness.look()
@@ -92,6 +94,21 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     film = images.developed()
     labels = witness.labels(_recorded(env.facts, actions), film.shape[:3], factors)
     return Episode(frames=film, labels=labels, seed=seed, ended=ended)
+
+
+def _require_picture(facts: EnvSpec, picture: object) -> None:
+    """Check that what an environment draws is what its facts say.
+
+    Raises:
+        RecordingFailed: It is something else.
+    """
+    wanted = (facts.height, facts.width, 3)
+    if isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and picture.shape == wanted:
+        return
+    drawn = f"{picture.dtype} of {picture.shape}" if isinstance(picture, np.ndarray) else type(picture).__name__
+    raise RecordingFailed(
+        f"the environment {facts.id!r} draws {drawn}; by its facts a picture is a uint8 array of {wanted}."
+    )
 
 
 class _Witness:
@@ -115,6 +132,12 @@ class _Witness:
         if self._located is not None:
             self._agents.append(self._located.agent())
             self._objects.append(self._located.objects())
+            told, known = len(self._objects[-1].position), len(self._located.facts.objects)
+            if told != known:
+                name = self._located.facts.id
+                raise RecordingFailed(
+                    f"the environment {name!r} tells where {told} objects are; its facts name {known}."
+                )
 
     def labels(
         self,

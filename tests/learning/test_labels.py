@@ -240,7 +240,7 @@ def test_each_agents_every_action_is_shown_and_no_transition_for_nothing(joint, 
 
 def test_what_an_agent_never_does_is_named(joint) -> None:
     joint.actions = [np.where(JOINT.divided(one)[:, 1] == 1, one - 1, one) for one in joint.actions]
-    with pytest.raises(LabelsNotAvailable, match="fewer than 1 demonstrations of right of agent 1"):
+    with pytest.raises(LabelsNotAvailable, match="no demonstration of right of agent 1; ask for a number of labels"):
         LabelBudget(joint, LabelRequest.parse("one-shot-per-agent"), seed=1).demonstrations(
             TripletSet.of_split(joint, "train")
         )

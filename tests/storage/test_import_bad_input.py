@@ -412,6 +412,18 @@ def test_a_damaged_picture_leaves_nothing_behind(tmp_path: Path) -> None:
     assert (frames[7] != frames[6]).any()
 
 
+@pytest.mark.parametrize("left", [0, 1, 60])
+def test_of_a_picture_of_which_hardly_anything_is_left_the_one_before_is_taken(tmp_path: Path, left: int) -> None:
+    pictures = [compressed(frame, "jpeg") for frame in video(8)]
+    pictures[6] = pictures[6][:left]
+    file = foxglove_compressed_file(tmp_path / "a.mcap", pictures, steady(8), "jpeg")
+    refused(file, tmp_path, "message 6 on '/camera'")
+    report = import_recordings([file], tmp_path / "salvaged", ImportOptions(size=32, salvage=True))
+    frames = Dataset.open(report.path).video(0)
+    assert (report.unreadable, len(frames)) == (1, 8)
+    np.testing.assert_array_equal(frames[6], frames[5])
+
+
 def test_where_the_first_picture_is_damaged_there_is_none_to_repeat(tmp_path: Path) -> None:
     pictures = [compressed(frame, "jpeg") for frame in video(8)]
     pictures[0] = pictures[0][: len(pictures[0]) // 2]

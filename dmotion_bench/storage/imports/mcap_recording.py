@@ -57,6 +57,7 @@ class McapRecording:
     ) -> None:
         self.path, self._clock, self._limits, self._salvage = path, clock, limits, salvage
         self.unreadable, self._fields = 0, tuple(action_fields)
+        self._size: Size | None = None  # of the last picture whose head could be read
         self._file = McapFile(path, limits=limits, salvage=salvage)
         topics = self._file.topics()
         self._camera = camera_topic(self._file, topics, camera)
@@ -153,9 +154,11 @@ class McapRecording:
     def _look(self, picture: Picture, number: int) -> Iterator[tuple[int, Size]]:
         """The numbers and sizes of the pictures that can be shown now that a message is there."""
         try:
-            yield number, size_of(picture, self._limits)
+            self._size = size_of(picture, self._limits)
         except BadPicture as error:
-            raise self._bad(number, self._camera, error) from error
+            if not self._salvage or self._size is None:
+                raise self._bad(number, self._camera, error) from error
+        yield number, self._size
 
     def _look_on(self) -> Iterator[tuple[int, Size]]:
         """The same of those that still wait at the end of the file."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Final
 
@@ -45,4 +46,14 @@ def _after_budget(entry: Entry) -> list[str] | None:
     beyond = beyond.removeprefix(preset).strip("-") if named else beyond
     beyond = beyond.removeprefix(entry.labels.replace("%", "pct")).strip("-")
     words = re.split(r"-(?=[a-z])", beyond.replace("_", " ")) if beyond else []
-    return [preset if named else "", *words]
+    return [preset if named else "", *sorted(map(_alike, words))]
+
+
+def _alike(setting: str) -> str:
+    """A setting such as ``learning rate 1e-3`` with its value as everybody else's: 0.001, true, 5."""
+    name, _, value = setting.rpartition(" ")
+    try:
+        number = float(value)
+    except ValueError:
+        return f"{name} {value.lower()}" if value.lower() in ("true", "false") else setting
+    return f"{name} {number:g}" if math.isfinite(number) and float(f"{number:g}") == number else setting

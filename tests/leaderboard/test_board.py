@@ -260,6 +260,8 @@ def test_what_a_run_s_name_says_beyond_model_data_and_budget(
         ("a-DATASET-s0", ""),
         ("a-DATASET-threads_1-s0", ""),
         ("a-DATASET-epochs_3-threads_1-s0", "epochs 3"),
+        ("a-DATASET-warp_True-learning_rate_1e-3-s0", "learning rate 0.001, warp true"),
+        ("a-DATASET-learning_rate_0.001-warp_true-s0", "learning rate 0.001, warp true"),
         ("a-ENVIRONMENT-PRESET-epochs_3-s0", "epochs 3"),  # of a data set that was given another name since
         ("my-own-s0", ""),
     ],

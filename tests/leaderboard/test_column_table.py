@@ -130,7 +130,7 @@ def test_each_model_is_a_row_and_each_column_a_cell(board: Board, left: dict[tup
         ("grid", "dmotion-grid-small-s0", ""),
         ("grid-small", "dmotion-grid-small-s0", ""),
         ("grid-small", "dmotion-grid-small-threads_1-s0", ""),
-        ("grid-small", "dmotion-grid-small-5-shot-warp_true-epochs_3-threads_2-s0", "warp true, epochs 3"),
+        ("grid-small", "dmotion-grid-small-5-shot-warp_True-epochs_3.0-threads_2-s0", "epochs 3, warp true"),
         ("grid", "dmotion-grid-small-5-shot-warp_true-s0", "warp true"),
         ("grid-small", "of-another-kind-s0", "of-another-kind"),
     ],

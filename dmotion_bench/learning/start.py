@@ -221,9 +221,15 @@ def training_data(run: Run, dataset: Dataset, loaders: int | None = None) -> Tra
         train = TripletSet.of_split(dataset, "train", protocol)
         validation = TripletSet.of_split(dataset, "validation", protocol)
     if not len(train) or not len(validation):
-        imported = dataset.recipe.environment == IMPORTED
+        imported, count = dataset.recipe.environment == IMPORTED, len(dataset)
+        if count >= FEWEST_EPISODES:
+            part = "validation" if len(train) else "training"
+            raise UsageError(
+                f"{dataset.name!r} has {count} episodes, and none of those for {part} has the three frames that a "
+                "model learns from; record longer ones."
+            )
         raise UsageError(
-            f"{dataset.name!r} has {len(dataset)} episodes, too few to train and validate; {_MORE_EPISODES[imported]}"
+            f"{dataset.name!r} has {count} episodes, too few to train and validate; {_MORE_EPISODES[imported]}"
         )
     budget = LabelBudget(dataset, LabelRequest.parse(run.spec.labels), run.spec.seed)
     return TrainingData(train=train, validation=validation, budget=budget)

@@ -78,6 +78,14 @@ def test_a_camera_with_another_clock_than_the_actions_is_refused(tmp_path: Path,
     assert len(imported(file, tmp_path / "log")) == 1
 
 
+def test_actions_that_all_come_too_late_are_said(tmp_path: Path) -> None:
+    file = bag(tmp_path / "bag", "std_msgs/msg/String", [{"data": "up"}] * 8, delay_ns=60_000_000_000)
+    with pytest.raises(
+        RecordingImportError, match=r"no action comes before the last picture, the first one 59.2 s after"
+    ):
+        imported(file, tmp_path)
+
+
 def test_json_actions_hold_until_the_next(tmp_path: Path) -> None:
     times = steady(7)
     actions = [(times[0], "left"), (times[3], "right")]

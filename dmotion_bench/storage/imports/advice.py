@@ -64,8 +64,12 @@ def _reason(surveys: Sequence[Survey], options: ImportOptions) -> str:
         if usual_s <= 1 / SLOWEST_HZ:
             return f"{apart} Lower '--hz' to {1 / usual_s:.2g}."
         return f"{apart} If they are to follow one another at each step, save them as files and import their folder."
+    given = [one for survey in surveys for one in survey.segments if one.commands is not None and len(one.times_ns)]
+    late = [float(one.commands.times_ns[0] - one.times_ns[-1]) / 1e9 for one in given if one.commands is not None]
+    if late and min(late) >= 0:
+        return f"no action comes before the last picture, the first one {min(late):.3g} s after it."
     seconds = max(float(np.ptp(times)) for times in segments) / 1e9
+    shorter = ", or allow shorter episodes with '--min-frames 3'" if options.min_frames > 3 else ""
     return (
-        f"the longest recording takes {seconds:.3g} s. Raise '--hz', bridge longer gaps with '--max-gap', or allow "
-        "shorter episodes with '--min-frames 3'."
+        f"the longest recording takes {seconds:.3g} s. Raise '--hz', or bridge longer gaps with '--max-gap'{shorter}."
     )

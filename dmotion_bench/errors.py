@@ -24,6 +24,7 @@
     │   ├── RunMismatch               a run that was made with other settings or data
     │   └── ProcessLost               one of the processes that train together has ended, and so do the others
     ├── ModelContractBroken           a model does not do what learning/model.py asks
+    ├── PlannerContractBroken         a solver or an objective does not do what its contract asks
     ├── ShareMissing                  nothing is published in that place under that fingerprint
     ├── ShareCorrupt                  what is published there is not what its name or its manifest says
     ├── EntryInvalid                  an entry of the leaderboard that breaks its schema

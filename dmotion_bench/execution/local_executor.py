@@ -13,10 +13,13 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.context import BaseContext
 from pathlib import Path
 from threading import Thread
-from typing import cast
+from typing import Final, cast
 
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result
 from dmotion_bench.execution.processes import end_with
+
+BEGINNINGS: Final = "dmotion_bench.execution.beginnings"
+"""What the server of processes loads to say nothing of one that comes too late."""
 
 
 class SerialExecutor:
@@ -82,7 +85,8 @@ def _context(function: Callable[[Job], Result]) -> BaseContext:
     if sys.platform != "linux":  # elsewhere there is no server, or it is less reliable
         return get_context("spawn")
     context = get_context("forkserver")
-    context.set_forkserver_preload([name for name in (function.__module__, "torch") if name in sys.modules])
+    loaded = [name for name in (function.__module__, "torch") if name in sys.modules]
+    context.set_forkserver_preload([BEGINNINGS, *loaded])
     _start_server(os.getpid())
     return context
 

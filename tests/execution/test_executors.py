@@ -216,6 +216,39 @@ def test_an_interruption_while_a_process_starts_leaves_no_pool(monkeypatch: pyte
     assert_no_pool_is_left()
 
 
+LATE = """
+import os
+import sys
+from multiprocessing.synchronize import SemLock
+from dmotion_bench.execution.local_executor import _context
+
+if __name__ == "__main__":
+    context = _context(print)
+    given = "no number"
+    if sys.argv[1] == "late":
+        given = context.Lock()
+        SemLock._cleanup(given._semlock.name)  # as at the end of a command
+    process = context.Process(target=int, args=(given,))
+    process.start()
+    process.join()
+    print(process.exitcode, flush=True)
+    os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there is no server of processes")
+@pytest.mark.parametrize(("what", "said"), [("late", ""), ("wrong", "ValueError: invalid literal")])
+def test_a_process_that_begins_too_late_says_nothing_and_others_what_is_wrong(
+    tmp_path: Path, what: str, said: str
+) -> None:
+    script = tmp_path / "late.py"
+    script.write_text(LATE)
+    done = subprocess.run([sys.executable, str(script), what], capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout == "1\n"
+    assert said in done.stderr
+    assert ("Traceback" in done.stderr) == bool(said)
+
+
 def assert_no_pool_is_left() -> None:
     """Else the interpreter's end may meet a pool that closes its pipe, and print a traceback."""
     assert not [thread for thread in threading.enumerate() if type(thread).__module__ == "concurrent.futures.process"]

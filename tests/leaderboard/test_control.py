@@ -120,7 +120,6 @@ def test_a_changed_figure_is_found(controlled: Workspace, entry: Entry, who: str
         (lambda content: content["settings"].update(control_steps="5"), "settings.control_steps is '5'"),
         (lambda content: content["settings"].update(control_steps=10**9), "settings.control_steps is"),
         (lambda content: content["settings"].update(control_tasks=2), "control of model: the actions are those of"),
-        (lambda content: content["settings"].update(control_planner="luck"), "scoring anew fails: no planner"),
         (lambda content: content["settings"].update(metrics=[]), "control: the entry holds actions"),
         (lambda content: content["reference"].pop("random"), "reference.random"),
         (lambda content: content["by_episode"].clear(), "by_episode: "),
@@ -134,6 +133,14 @@ def test_what_the_entry_says_of_its_control_counts(
 
     findings = check_entry(Entry(content), controlled, QUICK).findings
     assert any(finding.startswith(said) for finding in findings), findings
+
+
+def test_a_planner_that_is_not_installed_is_missing_and_no_lie(controlled: Workspace, entry: Entry) -> None:
+    content = _content(entry)
+    content["settings"]["control_planner"] = "luck"
+    verdict = check_entry(Entry(content), controlled, QUICK)
+    assert not verdict.holds
+    assert [one.startswith("code: no planner") for one in verdict.missing] == [True]
 
 
 def test_what_another_version_planned_is_repeated_and_not_planned_anew(controlled: Workspace, entry: Entry) -> None:

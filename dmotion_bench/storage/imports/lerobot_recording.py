@@ -88,7 +88,7 @@ class LeRobotRecording:
             elif placed.video not in sizes:
                 with VideoFile(placed.video, pixels=self._limits.pixels) as video:
                     sizes[placed.video] = (video.height, video.width)
-            if self._actions is not None or (number == 0 and placed.data.is_file()):
+            if self._actions is not None or number == 0:
                 self._check_pace(placed)
             times = steady_times(placed.frames, self._layout.fps, self.path)
             segments.append(Segment(times_ns=times, commands=self._commands(placed, times)))

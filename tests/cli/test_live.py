@@ -10,6 +10,9 @@ from dmbench_command import dmbench
 from rrd_contents import curve, values
 
 from dmotion_bench.learning.samples import samples_of
+from dmotion_bench.recording.preset import recipe_for
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.specs import Preset
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +59,10 @@ def test_a_recording_a_training_and_following_them_afterwards(
     ],
 )
 def test_mistakes(
-    words: list[str], sentence: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    record_dataset(tmp_path / "data/grid_world-tiny", recipe_for("grid_world", Preset.TINY))
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
     said = dmbench(words, capsys, monkeypatch)
     assert said.code == 2
     assert sentence in said.sentence()

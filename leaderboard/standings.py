@@ -102,10 +102,9 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
 
 
 def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
-    small = row.variant
     name = element("a", row.name, href=f"#{row.entries[0].slug}") if row.entries else element("span", row.name)
     cells = [
-        element("th", name, element("small", small or ("" if row.entries else "reference")), scope="row"),
+        element("th", name, element("small", row.variant or ("" if row.entries else "reference")), scope="row"),
         element("td", "" if row.label_count is None else count(row.label_count), element("small", row.labels)),
     ]
     for column in columns:

@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 import torch
 
 from dmotion_bench.actions import ActionSpec, ActionTaken
-from dmotion_bench.errors import DmbenchError, LabelsNotAvailable, UsageError
+from dmotion_bench.errors import DmbenchError, LabelsNotAvailable
 from dmotion_bench.learning.driving import Drive
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.tasks import take, task_environment
@@ -88,7 +88,7 @@ class Driven:
         def follow(action: ActionTaken | None) -> Frame:
             if action is None:
                 options = {"vary": list(recipe.vary)} if recipe.vary else None
-                frame: Frame = env.reset(seed=self.dataset.rows[self.episode].seed, options=options)[0]
+                frame: Frame = env.reset(seed=self.dataset.row(self.episode).seed, options=options)[0]
                 return frame
             return take(env, action)
 
@@ -115,6 +115,5 @@ def open_driven(run: AnyPath | None, episode: int | None, workspace: Workspace) 
         raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
     test = dataset.split("test")
     chosen = int(test[0]) if episode is None and len(test) else episode or 0
-    if chosen >= len(dataset):
-        raise UsageError(f"{dataset.name!r} has no episode {chosen}; it has 0 to {len(dataset) - 1}.")
+    dataset.row(chosen)  # an episode that there is not is said before anything is loaded
     return Driven(run=opened, dataset=dataset, actions=dataset.spec.actions, episode=chosen)

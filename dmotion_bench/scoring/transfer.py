@@ -59,9 +59,10 @@ def report_folder(
         return run / report_place(None, split, column)
     plain = run / report_place(dataset.name, split, column)
     marked = run / report_place(f"{dataset.name}-{dataset.fingerprint[:8]}", split, column)
-    standing = None if marked.is_dir() else read_report(plain)
-    is_anothers = standing is not None and standing.dataset["fingerprint"] != dataset.fingerprint
-    return marked if marked.is_dir() or is_anothers else plain
+    if marked.is_dir():
+        return marked
+    standing = read_report(plain)
+    return plain if standing is None or standing.dataset["fingerprint"] == dataset.fingerprint else marked
 
 
 def transfer_folders(run: Path) -> list[Path]:

@@ -158,7 +158,12 @@ class Dataset:
         view.spec = replace(self.spec, actions=actions)
         return view
 
-    def _row(self, episode: int) -> EpisodeRow:
+    def row(self, episode: int) -> EpisodeRow:
+        """Where an episode is and how it came about.
+
+        Raises:
+            UsageError: There is none of this number.
+        """
         if not 0 <= episode < len(self.rows):
             raise UsageError(f"{shown(self.name)} has no episode {shown(episode)}; it has 0 to {len(self) - 1}.")
         return self.rows[episode]
@@ -170,7 +175,7 @@ class Dataset:
             episode: Its number.
             room: Where the file's chunks are unpacked; whoever reads many episodes in turn takes the same for all.
         """
-        row = self._row(episode)
+        row = self.row(episode)
         return self._read(VIDEO, row, lambda file: read_video(file, row.video, self.spec, row.frames, room))
 
     def states(self, episode: int) -> StateLabels:
@@ -179,7 +184,7 @@ class Dataset:
         Raises:
             LabelsNotAvailable: ``labels/`` is not there.
         """
-        row = self._row(episode)
+        row = self.row(episode)
         self._require_labels(row)
         stored = self.manifest.spec  # its actions are those in the file
         states = self._read(LABELS, row, lambda file: read_states(file, row.states, stored, row.frames))
@@ -191,7 +196,7 @@ class Dataset:
         Raises:
             LabelsNotAvailable: ``labels/`` is not there.
         """
-        row, states = self._row(episode), self.states(episode)
+        row, states = self.row(episode), self.states(episode)
 
         def read_masks(file: Path) -> UInt8[np.ndarray, "t h w"]:
             masks = np.empty((row.frames, self.spec.height, self.spec.width), np.uint8)
@@ -254,7 +259,7 @@ class Dataset:
 
     def episode(self, episode: int) -> Episode:
         """An episode, its video and its labels."""
-        row = self._row(episode)
+        row = self.row(episode)
         return Episode(frames=self.video(episode), labels=self.labels(episode), seed=row.seed, ended=row.ended)
 
     def split(self, name: SplitName) -> Int[np.ndarray, " n"]:

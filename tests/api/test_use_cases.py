@@ -135,7 +135,7 @@ def test_a_plain_data_loader_makes_batches_that_a_model_learns_from(workspace: P
 
 def test_labels_of_triplets_are_those_that_the_budget_pays_for(workspace: Path) -> None:
     dataset = dm.open_dataset()
-    triplets = dataset.triplets("train", labels="16", seed=3)
+    triplets = dataset.triplets("train", labels=16, seed=3)
     paid = LabelBudget(dataset, LabelRequest.parse("16"), 3).actions(TripletSet.of_split(dataset, "train"), "training")
     assert triplets.actions is not None
     assert np.array_equal(triplets.actions, paid.actions)

@@ -16,8 +16,10 @@ from PIL import Image
 from rrd_contents import curve, read
 
 from dmotion_bench.actions import Continuous, Discrete
+from dmotion_bench.api.driving import open_driven
 from dmotion_bench.cli.keys import read_keys, single_keys
 from dmotion_bench.cli.play import bindings, commands, moves
+from dmotion_bench.errors import UsageError
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.start import TrainingRequest, open_run
 from dmotion_bench.planning.tasks import load_problems, task_environment
@@ -156,6 +158,30 @@ def test_mistakes_get_one_sentence(
     assert said.code == code
     assert sentence in said.sentence()
     assert said.out == ""
+
+
+def test_an_episode_that_there_is_not_cannot_be_played(run: str) -> None:
+    with pytest.raises(UsageError, match="has no episode 99; it has 0 to"):
+        open_driven(run, 99, Workspace.current())
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "the memory does not suffice for this; take a smaller model"),
+        (RuntimeError("can't allocate memory: you tried to allocate 8589934592 bytes"), "this: 8.0 GiB were asked for"),
+    ],
+)
+def test_too_little_memory_is_a_sentence(
+    error: Exception, said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def short(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("dmotion_bench.cli.app.register_commands", short)
+    outcome = dmbench(["info"], capsys, monkeypatch)
+    assert outcome.code == 1
+    assert said in outcome.sentence()
 
 
 def test_playing_needs_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

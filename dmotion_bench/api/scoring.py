@@ -10,7 +10,7 @@ import torch
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of
-from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
+from dmotion_bench.errors import DmbenchError, RunError, RunMismatch, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.learning.run import Run
@@ -134,7 +134,7 @@ def score_runs(
     data: Path | None = None,
     progress: Progress = None,
     note: Callable[[str], None] = _LOG.info,
-    left_out: Callable[[str], None] = _LOG.warning,
+    warn: Callable[[str], None] = _LOG.warning,
 ) -> tuple[dict[Path, Report], dict[str, str]]:
     """Score runs one after the other; of several, one that fails does not stop the rest.
 
@@ -146,7 +146,7 @@ def score_runs(
         keep: Whether reports that are up to date are left as they are.
         data: What to score on in place of each run's own data set; of many, runs that do not fit it are left out.
         progress: Told how far the present run is.
-        note, left_out: Told in a sentence what is worth knowing, and why a run was left out.
+        note, warn: Told in a sentence what is worth knowing; that a run was left out, or its model changed.
 
     Returns:
         The report of each run, and by its name what went wrong with each that has none.
@@ -162,10 +162,11 @@ def score_runs(
                 tell(JobProgress(what=f"scoring {name}", done=done, total=total, status=what))
 
             try:
-                told = scoring_shortage(Run.open(path).threads or 1, available_workers())
-                if told is not None and told not in warned:
-                    warned.add(told)
-                    note(told)
+                slow = scoring_shortage(Run.open(path).threads or 1, available_workers())
+                for told, tell_it in ((slow, note), (changed_code(path), warn)):
+                    if told is not None and told not in warned:
+                        warned.add(told)
+                        tell_it(told)
                 reports[path] = score_run(
                     path,
                     metrics=metrics,
@@ -179,11 +180,25 @@ def score_runs(
                 if len(paths) == 1:
                     raise
                 if keep and data is not None and isinstance(error, RunMismatch):
-                    left_out(f"left out: {error}")
+                    warn(f"left out: {error}")
                     continue
                 failures[path.name] = str(error) if isinstance(error, DmbenchError) else repr(error)
                 note(f"{path.name}: {failures[path.name]}")
     return reports, failures
+
+
+def changed_code(path: AnyPath) -> str | None:
+    """A sentence if a run's model is no longer the code that was trained, the same for all runs of the model."""
+    try:
+        run = Run.open(path)
+    except RunError:  # it is said when the run is scored
+        return None
+    if not run.changed_modules:
+        return None
+    return (
+        f"the code of the model {run.spec.model!r} was changed since it was trained. What is scored now is these "
+        "weights in the present code, and reports that are up to date are of the code of their time."
+    )
 
 
 def score_references(

@@ -10,7 +10,7 @@ from typing import Final
 
 import torch
 
-from dmotion_bench.api.scoring import compute_device
+from dmotion_bench.api.scoring import changed_code, compute_device
 from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
@@ -160,12 +160,12 @@ def score_at_once(
     batch_size: int = 64,
     data: Path | None = None,
     note: Callable[[str], None] = _nobody,
-    left_out: Callable[[str], None] = _nobody,
+    warn: Callable[[str], None] = _nobody,
 ) -> tuple[dict[Path, Report], dict[str, str]]:
     """Score runs by an executor; reports that are up to date are kept.
 
     Args:
-        paths, metrics, settings, batch_size, data, note, left_out: See ``scoring.score_runs``.
+        paths, metrics, settings, batch_size, data, note, warn: See ``scoring.score_runs``.
         workspace: Where the jobs meet.
         hands: Who scores.
 
@@ -188,6 +188,8 @@ def score_at_once(
         )
         for path in paths
     ]
+    for told in dict.fromkeys(told for path in paths if (told := changed_code(path)) is not None):
+        warn(told)
     own = {job.run: path for job, path in zip(jobs, paths, strict=True)}
     reports: dict[Path, Report] = {}
     failures: dict[str, str] = {}
@@ -203,7 +205,7 @@ def score_at_once(
                 if outcome.error is None:
                     reports[path] = scored_report(path, settings.split, data, settings.control.column)
                 elif outcome.unfit and data is not None:
-                    left_out(f"left out: {outcome.error}")
+                    warn(f"left out: {outcome.error}")
                 else:
                     failures[path.name] = outcome.error
                     note(f"{path.name}: {outcome.error}")

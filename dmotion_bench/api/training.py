@@ -183,7 +183,7 @@ def complete(
         trackers: Names of ``TRACKERS`` that are told the curves, too.
         loaders: Threads that read the compressed files of a run that streams them; None for the usual number.
         note: Told in a sentence where the training comes from, if it does not begin.
-        warn: Told in a sentence if it will be slow.
+        warn: Told in a sentence if it will be slow, and if the model's code was changed since it began.
 
     Returns:
         The run's result.
@@ -195,13 +195,13 @@ def complete(
         companions = Companions(fabric)
         with companions.noticing_losses():
             finished, run.manifest, run.threads = companions.of_first(
-                lambda: (finished_result(run, note), run.manifest, run.threads)
+                lambda: (finished_result(run, note, warn), run.manifest, run.threads)
             )
             if finished is None and mine.local_rank == 0:
                 prepare_frames(run, dataset)
             companions.gathered(mine.rank)
     else:
-        finished = finished_result(run, note)
+        finished = finished_result(run, note, warn)
     if finished is not None:
         return finished
     if mine.rank == 0 and (told := shortage(run.threads or 1, available_workers() // mine.local_world)) is not None:

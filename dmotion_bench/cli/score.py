@@ -174,7 +174,7 @@ def _scored(
     from dmotion_bench.cli.progress import BarOnDemand, note
 
     how: dict[str, Any] = {"batch_size": batch_size, "data": data, "note": note}
-    how |= {"left_out": lambda why: typer.echo(why, err=True)}
+    how |= {"warn": lambda told: typer.echo(told, err=True)}
 
     with BarOnDemand() as bar, jobs_bar("scoring") as (count, watch):
         hands = Hands(executor=executor, workers=workers, device=device, count=count, watch=watch)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.twins import take_over
+from dmotion_bench.wording import shown
+
+_MOST_NAMED: Final = 5
 
 
-def finished_result(run: Run, note: Callable[[str], None] = lambda _: None) -> dict[str, Any] | None:
+def finished_result(
+    run: Run, note: Callable[[str], None] = lambda _: None, warn: Callable[[str], None] = lambda _: None
+) -> dict[str, Any] | None:
     """The result of a run that is trained already; None if it is to be trained.
 
     A finished run whose weights are damaged begins anew. A run that has not begun takes over the training of another
@@ -18,7 +23,7 @@ def finished_result(run: Run, note: Callable[[str], None] = lambda _: None) -> d
 
     Args:
         run: Its folder may be changed.
-        note: Told in a sentence what was found.
+        note, warn: Told in a sentence what was found; and that the model's code was changed since.
     """
     if run.result is not None:
         try:
@@ -28,9 +33,22 @@ def finished_result(run: Run, note: Callable[[str], None] = lambda _: None) -> d
             run.begin_anew()
         else:
             note(f"{run.path} is already trained; here is its result.")
+            _tell_changes(run, warn)
             return run.result
     if (twin := take_over(run)) is not None:
         note(f"using the training of {twin.path}, which differs only in its labels.")
+        _tell_changes(twin, warn)
     elif run.last.exists():
         note(f"going on with {run.path}.")
+        _tell_changes(run, warn)
     return None
+
+
+def _tell_changes(run: Run, warn: Callable[[str], None]) -> None:
+    if not (names := run.changed_modules):
+        return
+    named = ", ".join([*names[:_MOST_NAMED], *(["and others"] if len(names) > _MOST_NAMED else [])])
+    warn(
+        f"the code of the model {run.spec.model!r} was changed since that training began ({named}); to train the model "
+        f"as it is now, delete {shown(str(run.path))} first."
+    )

@@ -3,7 +3,8 @@
 ::
 
     runs/dmotion-grid_world-small-s0/
-      run.json            what decides the result (RunSpec, Conditions), the versions, and the result once there is one
+      run.json            what decides the result (RunSpec, Conditions), the versions, hashes of the model's code, and
+                          the result once there is one
       metrics.jsonl       a row every few steps: losses, learning rate, triplets/s; a row a validation
       last.safetensors    all that resuming needs
       best.safetensors    the weights that validated best, with the actions aligned once training is done
@@ -32,6 +33,7 @@ from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.precision import AUTO
 from dmotion_bench.learning.run_manifest import RUN_FORMAT, Conditions, RunSpec, read_manifest
 from dmotion_bench.learning.settings import from_json
+from dmotion_bench.learning.source import changed_modules, code_of
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.remote_copy import copy_folder
 from dmotion_bench.wording import command, shown
@@ -122,6 +124,7 @@ class Run:
             "spec": dataclasses.asdict(spec),
             "dataset_path": str(dataset_path),
             "versions": dict(versions),
+            "code": code_of(spec.model),
             "result": None,
         }
         return cls(path, manifest, threads)
@@ -217,6 +220,14 @@ class Run:
         """The training's curves, a JSON object a line."""
         return self.path / "metrics.jsonl"
 
+    @property
+    def changed_modules(self) -> list[str]:
+        """The modules of the model whose code was changed since the training began, by name (``source.py``).
+
+        Runs of older versions and models of notebooks say nothing of theirs.
+        """
+        return changed_modules(self.manifest.get("code", {}), self.spec.model)
+
     def require_aligned(self) -> None:
         """Raise an error if the model was never told which latent action each action is.
 
@@ -235,7 +246,7 @@ class Run:
         """Delete the result and everything that the training wrote, so that it starts again."""
         for file in (self.last, self.best, self.watched, self.unadapted, self.metrics):
             file.unlink(missing_ok=True)
-        self.manifest["result"] = None
+        self.manifest |= {"code": code_of(self.spec.model), "result": None}
         self.write()
 
     def write(self) -> None:

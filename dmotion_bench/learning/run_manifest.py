@@ -293,6 +293,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
         from_json(RunResult, manifest["result"])
     if "conditions" in manifest:
         from_json(Conditions, fields.pairs("conditions"))
+    for name, told in fields.pairs("code").items() if "code" in manifest else ():
+        if len(name) > LONGEST_TEXT or type(told) is not str or not _SHA256.fullmatch(told):
+            raise ValueError(f"its code of {shown(name)} is {shown(told)}, no SHA-256")
     return manifest
 
 

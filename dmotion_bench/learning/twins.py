@@ -51,7 +51,7 @@ def take_over(run: Run) -> Run | None:
             run.path.mkdir(parents=True, exist_ok=True)
             for name, source in files.items():
                 write_atomically(run.path / name, source.read_bytes())
-            run.manifest["trained_as"] = twin.name
+            run.manifest |= {"trained_as": twin.name, "code": twin.manifest.get("code", {})}
             if twin.conditions is not None:
                 run.begin(twin.conditions)
             run.write()

@@ -127,6 +127,16 @@ def test_many_runs_stand_in_one_table_the_best_first(run: Callable[..., Result])
     assert firsts.index("b") < firsts.index("a") < firsts.index("copy_last")
 
 
+def test_a_model_whose_code_was_changed_is_named_once(run: Callable[..., Result], tmp_path: Path) -> None:
+    assert "code of the model" not in run("a", "b").stderr
+    for name in ("a", "b"):
+        file = tmp_path / "runs" / name / "run.json"
+        file.write_text(json.dumps(json.loads(file.read_text()) | {"code": {"baselines.dmotion": "0" * 64}}))
+    result = run("a", "b")
+    assert result.exit_code == 0
+    assert result.stderr.count("the code of the model 'dmotion' was changed since") == 1
+
+
 def test_all_goes_on_after_a_run_that_fails(run: Callable[..., Result]) -> None:
     result = run("--all", "--workers", "1", "--json")
 

@@ -1,0 +1,99 @@
+"""The code of a model: hashes by which a run notices that it is no longer the one that was trained.
+
+A run holds the hash of every module that its class is made of: those of the class and of its bases, and what they
+import at their top from their own packages. The core is not among them; its version stands in the run. Comments,
+docstrings and layout do not count; of a script that is run, only its classes and functions do. A class that is written
+in a notebook has no file, and so no hash.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+from typing import Final
+
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.registry import model_class
+
+MOST_MODULES: Final = 1000
+"""That a run may hold; a model of more keeps the first ones by name."""
+_CORE: Final = __name__.partition(".")[0]
+_NOT_THE_MODELS: Final = {_CORE, "torch", "builtins", "abc", "typing"}
+_END: Final = object()
+
+
+def code_of(model: str) -> dict[str, str]:
+    """The SHA-256 of each module that a registered model is made of, by the module's name; none if it is not here."""
+    try:
+        kind: type = model_class(model)
+    except DmbenchError:
+        return {}
+    found: dict[str, str] = {}
+    waiting = [base.__module__ for base in inspect.getmro(kind) if _package(base.__module__) not in _NOT_THE_MODELS]
+    while waiting:
+        module = sys.modules.get(name := waiting.pop())
+        if name in found or module is None or (file := getattr(module, "__file__", None)) is None:
+            continue
+        try:
+            source = Path(file).read_bytes()
+            found[name] = _hash_of(source, script=name == "__main__")
+            waiting += _imported(ast.parse(source), module)
+        except (OSError, SyntaxError, ValueError):  # compiled, or just being edited
+            continue
+    return dict(sorted(found.items())[:MOST_MODULES])
+
+
+def changed_modules(recorded: Mapping[str, str], model: str) -> list[str]:
+    """Those modules of a model whose code is another one than was recorded, by name; not those that are gone."""
+    if not recorded:
+        return []
+    now = code_of(model)
+    return [name for name, told in recorded.items() if name in now and now[name] != told]
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def _imported(tree: ast.Module, module: ModuleType) -> Iterator[str]:
+    """The modules of the same package that a module's own statements import, and perhaps names that are none."""
+    for statement in tree.body:
+        names: list[str] = []
+        if isinstance(statement, ast.Import):
+            names = [one.name for one in statement.names]
+        elif isinstance(statement, ast.ImportFrom):
+            written = "." * statement.level + (statement.module or "")
+            source = importlib.util.resolve_name(written, module.__package__) if statement.level else written
+            names = [source, *(f"{source}.{one.name}" for one in statement.names)]
+        yield from (name for name in names if _package(name) == _package(module.__name__))
+
+
+@lru_cache(maxsize=MOST_MODULES)
+def _hash_of(source: bytes, *, script: bool) -> str:
+    """The hash of what a file means: its syntax tree without texts that nobody reads, alike in all Python versions."""
+    told, tree = hashlib.sha256(), ast.parse(source)
+    defined = (ast.ClassDef, ast.FunctionDef)
+    stack: list[object] = [[one for one in tree.body if isinstance(one, defined)] if script else tree]
+    while stack:
+        node = stack.pop()
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            continue
+        if isinstance(node, ast.AST):
+            told.update(f"{type(node).__name__}(".encode())
+            stack.append(_END)
+            for name, value in reversed(list(ast.iter_fields(node))):
+                if value not in (None, []):  # fields that only later versions have
+                    stack += [value, name]
+        elif isinstance(node, list):
+            told.update(b"[")
+            stack += [_END, *reversed(node)]
+        else:
+            told.update(b")" if node is _END else f"{node!r},".encode())
+    return told.hexdigest()

@@ -1,0 +1,174 @@
+"""A run notices that the code of its model was changed; comments, layout and the rest of a script do not count."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from known_model import result_of
+
+from dmotion_bench import registry
+from dmotion_bench.errors import RunCorrupt
+from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.beginning import finished_result
+from dmotion_bench.learning.model import TrainingConfig
+from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.settings import to_json
+from dmotion_bench.learning.source import changed_modules, code_of
+from dmotion_bench.registry import model_class, register_model
+
+MODEL = '''"""A model."""
+from baselines.lapo import Lapo
+from edited_models import parts
+from .parts import WIDTH
+
+
+class Edited(Lapo):
+    width = WIDTH + parts.WIDTH
+'''
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of an imported package with the model 'edited'."""
+    folder = tmp_path / "edited_models"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (folder / "parts.py").write_text("WIDTH = 3\n")
+    (folder / "unused.py").write_text("DEPTH = 3\n")
+    (folder / "model.py").write_text(MODEL)
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.invalidate_caches()
+    monkeypatch.setattr(registry, "_ADDED", {})
+    register_model("edited", importlib.import_module("edited_models.model").Edited)
+    yield folder
+    for name in [name for name in sys.modules if name.partition(".")[0] == "edited_models"]:
+        del sys.modules[name]
+
+
+def test_it_is_of_the_model_its_bases_and_what_they_import(package: Path) -> None:
+    names = list(code_of("edited"))
+    assert {"edited_models", "edited_models.model", "edited_models.parts", "baselines.lapo", "baselines.layers"} < {
+        *names
+    }
+    assert names == sorted(names)
+    assert not [name for name in names if name.startswith(("dmotion_bench", "torch")) or name.endswith("unused")]
+    assert code_of("nobodys-model") == {}
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "changed"),
+    [
+        ("model.py", "WIDTH + ", "WIDTH * ", ["edited_models.model"]),
+        ("model.py", "WIDTH + ", "2 + WIDTH + ", ["edited_models.model"]),
+        ("parts.py", "3", "4", ["edited_models.parts"]),
+        ("parts.py", "WIDTH = 3", "WIDTH = '3'", ["edited_models.parts"]),
+        ("model.py", "A model.", "Another model.", []),
+        ("model.py", "    width", "    # half of it\n\n    width", []),
+        ("unused.py", "3", "4", []),
+        ("model.py", "class", "class class", []),  # being edited: nothing can be said of it
+    ],
+)
+def test_what_counts_as_a_change(package: Path, file: str, before: str, after: str, changed: list[str]) -> None:
+    recorded = code_of("edited")
+    text = (package / file).read_text()
+    assert before in text
+    (package / file).write_text(text.replace(before, after, 1))
+    assert changed_modules(recorded, "edited") == changed
+
+
+def test_of_a_script_its_classes_and_functions_count(
+    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("EPOCHS = 3\nclass Mine:\n    width = 3\n")
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", str(script), raising=False)
+    kind = type("Mine", (registry.model_class("edited"),), {"__module__": "__main__"})
+    register_model("mine", kind)
+    recorded = code_of("mine")
+    script.write_text("EPOCHS = 4\nclass Mine:\n    width = 3\n")
+    assert changed_modules(recorded, "mine") == []
+    script.write_text("EPOCHS = 4\nclass Mine:\n    width = 4\n")
+    assert changed_modules(recorded, "mine") == ["__main__"]
+
+
+def _trained(package: Path, folder: Path) -> Run:
+    """A finished run of the model 'edited', begun by the code as it is."""
+    spec = RunSpec(
+        model="edited",
+        arch="compact",
+        config=to_json(model_class("lapo").Config()),
+        training=to_json(TrainingConfig(epochs=1)),
+        preset="tiny",
+        labels="none",
+        seed=0,
+        dataset="grid",
+        fingerprint="f",
+        height=32,
+        width=32,
+        actions=4,
+    )
+    run = Run.create_or_open(folder, spec, dataset_path="data/grid", versions={})
+    folder.mkdir(parents=True)
+    run.metrics.touch()
+    weights = {"a": torch.ones(3)}
+    for file in (run.best, run.last):
+        checkpoint.save(file, checkpoint.with_prefix("model", weights), {})
+    run.finish(result_of(weights))
+    return Run.open(folder)
+
+
+def _told(run: Run) -> str:
+    """What is said of a run before it is trained."""
+    said: list[str] = []
+    finished_result(run, said.append, said.append)
+    return " ".join(said)
+
+
+def test_training_it_again_says_so(package: Path, tmp_path: Path) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    assert _told(run) == f"{run.path} is already trained; here is its result."
+    (package / "parts.py").write_text("WIDTH = 5\n")
+    assert "was changed since that training began (edited_models.parts); to train the model as it is" in _told(run)
+    assert f"delete {str(run.path)!r} first" in _told(run)
+
+
+def test_so_does_a_budget_that_takes_the_training_over(package: Path, tmp_path: Path) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    (package / "parts.py").write_text("WIDTH = 5\n")
+    spec = dataclasses.replace(run.spec, labels="one-shot")
+    other = Run.create_or_open(run.path.with_name("two"), spec, dataset_path="data/grid", versions={})
+    told = _told(other)
+    assert "which differs only in its labels. the code of the model 'edited' was changed" in told
+    assert f"delete {str(run.path)!r} first" in told
+    assert Run.open(other.path).changed_modules == ["edited_models.parts"]  # it is what the other one was trained with
+
+
+def test_damaged_weights_are_trained_anew_by_the_code_as_it_is(package: Path, tmp_path: Path) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    (package / "parts.py").write_text("WIDTH = 5\n")
+    run.best.unlink()
+    assert "training" in _told(run)
+    assert run.changed_modules == []
+
+
+def test_a_run_of_before_says_nothing(package: Path, tmp_path: Path) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    (package / "parts.py").write_text("WIDTH = 5\n")
+    del run.manifest["code"]
+    run.write()
+    assert _told(Run.open(run.path)) == f"{run.path} is already trained; here is its result."
+
+
+@pytest.mark.parametrize("code", [{"a": 3}, {"a": "0"}, {"a" * 100_000: "0" * 64}, [], "a"])
+def test_what_is_no_hash_of_code_is_refused(package: Path, tmp_path: Path, code: object) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    run.manifest["code"] = code
+    run.write()
+    with pytest.raises(RunCorrupt, match=r"run\.json' cannot be read"):
+        Run.open(run.path)

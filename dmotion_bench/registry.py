@@ -273,6 +273,12 @@ def model_class(name: str) -> type[ForwardModel[Any]]:
     return loaded
 
 
+def is_built_in(model: str) -> bool:
+    """Whether a model is one of this project's own."""
+    owners = {point.dist.name for point in registered(MODELS) if point.name == model and point.dist is not None}
+    return owners == {"dmbench"}
+
+
 def objective_names() -> list[str]:
     """The names of all installed objectives."""
     return names(OBJECTIVES)

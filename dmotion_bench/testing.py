@@ -30,6 +30,7 @@ from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phas
 from dmotion_bench.learning.model_trial import ModelTrial
 from dmotion_bench.learning.settings import from_json, to_json
 from dmotion_bench.specs import Preset, Supervision
+from dmotion_bench.wording import shown
 
 BATCH = 3
 STEPS = 3
@@ -54,11 +55,31 @@ def check_model(
     Raises:
         ModelContractBroken: At the first breach.
     """
+    spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
+    _check(kind, arch, [(side, side) for side in (SIZES if size is None else (size,))], spec)
+
+
+def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs) -> None:
+    """As ``check_model``, on the actions of a training, and on its frames if the model refuses others.
+
+    Args:
+        kind: The class.
+        arch: The architecture that is trained.
+        inputs: What the model is to be trained for; actions that are not known are taken to be four.
+
+    Raises:
+        ModelContractBroken: At the first breach.
+    """
+    spec = inputs.actions or Discrete.numbered(4)
+    with torch.random.fork_rng():
+        _check(kind, arch, [*((side, side) for side in SIZES), (inputs.height, inputs.width)], spec)
+
+
+def _check(kind: type[ForwardModel[Any]], arch: str | None, sizes: list[tuple[int, int]], actions: ActionSpec) -> None:
     _check_class(kind)
     _check_settings(kind)
     arch = arch or kind.architectures[0]
-    spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
-    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec))
+    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, sizes, actions))
     _check_building(subject)
     _check_phases(subject)
     for phase in subject.build().phases():
@@ -74,11 +95,13 @@ def check_model(
         _check_rollout(packed)
 
 
-def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ...], actions: ActionSpec) -> ModelInputs:
+def _inputs_taken(
+    kind: type[ForwardModel[Any]], arch: str, sizes: list[tuple[int, int]], actions: ActionSpec
+) -> ModelInputs:
     """The smallest frames on which the model is tried: ``__init__`` may refuse a size by ``InvalidSetting``."""
     said = ""
-    for size in sizes:
-        inputs = ModelInputs(height=size, width=size, actions=actions)
+    for height, width in sizes:
+        inputs = ModelInputs(height=height, width=width, actions=actions)
         try:
             ModelTrial(kind, arch, inputs).build()
         except ModelContractBroken as error:
@@ -88,9 +111,14 @@ def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ..
         else:
             return inputs
     raise ModelTrial(kind, arch, ModelInputs(height=0, width=0, actions=actions)).broken(
-        f"its architecture {arch!r} takes no frames of {' or '.join(map(str, sizes))} pixels ({said}); name a size "
+        f"its architecture {arch!r} takes no frames of {' or '.join(map(_side, sizes))} pixels ({said}); name a size "
         "that it takes: check_model(..., size=SIDE)"
     )
+
+
+def _side(size: tuple[int, int]) -> str:
+    height, width = size
+    return str(width) if width == height else f"{width} x {height}"
 
 
 def _check_class(kind: type[ForwardModel[Any]]) -> None:
@@ -101,7 +129,8 @@ def _check_class(kind: type[ForwardModel[Any]]) -> None:
     subject.require(not lacking, f"it does not define {lacking}")
     subject.require(
         isinstance(getattr(kind, "supervision", None), Supervision),
-        "its class variable supervision is not set; it is Supervision.NONE for models that learn from video alone, "
+        f"its class variable supervision is {shown(getattr(kind, 'supervision', None))}; it can be "
+        "Supervision.NONE for models that learn from video alone, "
         "Supervision.FEW for those that are given a few beside it, Supervision.ACTIONS for those that are given the "
         "actions of all that they learn from",
     )

@@ -12,10 +12,11 @@ import torch
 from older_network import OlderNetwork
 from torch import nn
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken
-from dmotion_bench.learning.model import ForwardModel, Losses, Phase, TrainingConfig
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig
 from dmotion_bench.specs import Supervision
-from dmotion_bench.testing import check_model
+from dmotion_bench.testing import check_before_training, check_model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +110,24 @@ def test_what_older_networks_do_is_no_breach(kind: type) -> None:
     check_model(kind)
 
 
+class Wide(Sound):
+    """Takes frames of one size."""
+
+    def __init__(self, config, inputs) -> None:
+        if (inputs.height, inputs.width) != (24, 40):
+            raise InvalidSetting("Wide takes frames of 40 x 24 pixels.")
+        super().__init__(config, inputs)
+
+
+@pytest.mark.parametrize("actions", [None, Discrete.numbered(3)])
+def test_before_a_training_its_own_frames_are_tried_last(actions: Discrete | None) -> None:
+    drawn = torch.get_rng_state()
+    check_before_training(Wide, "compact", ModelInputs(height=24, width=40, actions=actions))
+    assert torch.equal(torch.get_rng_state(), drawn)
+    with pytest.raises(ModelContractBroken, match="no frames of 64 or 128 or 41 x 24 pixels"):
+        check_before_training(Wide, "compact", ModelInputs(height=24, width=41, actions=actions))
+
+
 def test_a_size_that_a_model_refuses_is_said() -> None:
     with pytest.raises(ModelContractBroken, match=r"no frames of 64 pixels \(frames are 64 x 64; .*size=SIDE"):
         check_model(Large, size=64)
@@ -161,7 +180,7 @@ BREACHES: dict[str, tuple[Any, str]] = {
     "no class": (Sound.losses, r"is no subclass of .*ForwardModel"),
     "another class": (nn.Linear, r"is no subclass of .*ForwardModel"),
     "abstract": (type("Broken", (ForwardModel,), {}), r"does not define losses"),
-    "no supervision": (_breaks(Sound, supervision="none"), r"supervision is not set"),
+    "no supervision": (_breaks(Sound, supervision="none"), r"supervision is 'none'; it can be"),
     "no paper": (_breaks(Sound, paper=""), r"paper says no authors"),
     "thawed config": (_breaks(Sound, Config=dataclass(type("Loose", (), {}))), r"Config is no @dataclass\(frozen"),
     "architectures": (_breaks(Sound, architectures="compact"), r"architectures is 'compact', not a tuple"),

@@ -20,6 +20,7 @@ from dmotion_bench.errors import (
     FolderInUse,
     InvalidSetting,
     LabelsNotAvailable,
+    ModelContractBroken,
     RunMissing,
     UnknownName,
     UsageError,
@@ -296,6 +297,11 @@ def test_a_model_of_a_notebook_is_trained_and_scored_by_its_name(workspace: Path
     assert "mine" in dm.model_names()
     figures = [dm.score(one, "prediction").figures["mse"] for one in (run, same)]
     assert figures[0] == figures[1]
+    wrong = type("Wrong", (kind,), {"predict": lambda self, previous, current, action: current[:, :1]})
+    dm.register_model("wrong", wrong)
+    with pytest.raises(ModelContractBroken, match=r"Wrong: predict\(previous, current, action\) gave the shape"):
+        dm.train("wrong", labels="all", settings={"epochs": 0.1}, threads=1)
+    assert not list((workspace / "runs").glob("wrong*"))
     with pytest.raises(UsageError, match="registered by a package already"):
         dm.register_model("dmotion", kind)
     with pytest.raises(UsageError, match="no class of models"):

@@ -152,7 +152,11 @@ class Parametrised(Protocol):
 
 @runtime_checkable
 class Unproven(Protocol):
-    """An environment class that may not be exact: a recording takes a sample of its episodes again and compares."""
+    """An environment class that says whether its episodes may not repeat.
+
+    If so, a recording takes a sample of them again and compares. Classes of other packages that do not say so are
+    taken for unproven ones.
+    """
 
     unproven: ClassVar[bool]
 
@@ -331,7 +335,8 @@ class Policy(Protocol):
 class EpisodeGenerator(Protocol):
     """An environment class that makes many episodes at once, faster than step by step.
 
-    What it yields must equal what resetting and stepping the environment with the same seeds gives.
+    What it yields must equal what resetting and stepping the environment with the same seeds gives. A class that
+    inherits ``generate`` may step in another way, so it is not used there; define it anew if it holds.
     """
 
     @classmethod

@@ -136,6 +136,12 @@ def names(group: str) -> list[str]:
     return sorted({point.name for point in registered(group)} | added)
 
 
+def is_built_in(group: str, name: str) -> bool:
+    """Whether this project itself registers a name, and so tests what it stands for."""
+    owners = {point.dist.name for point in registered(group) if point.name == name and point.dist is not None}
+    return owners == {"dmbench"}
+
+
 def _load(group: str, kind: str, name: str) -> Any:
     if (group, name) in _ADDED:
         return _ADDED[group, name]
@@ -271,12 +277,6 @@ def model_class(name: str) -> type[ForwardModel[Any]]:
     """
     loaded: type[ForwardModel[Any]] = _load(MODELS, "model", name)
     return loaded
-
-
-def is_built_in(model: str) -> bool:
-    """Whether a model is one of this project's own."""
-    owners = {point.dist.name for point in registered(MODELS) if point.name == model and point.dist is not None}
-    return owners == {"dmbench"}
 
 
 def objective_names() -> list[str]:

@@ -32,7 +32,7 @@ from dmotion_bench.learning.tracking import require_trackers
 from dmotion_bench.learning.training import Report
 from dmotion_bench.learning.training import train as train_steps
 from dmotion_bench.learning.triplets import SplitProtocol
-from dmotion_bench.registry import is_built_in, model_class
+from dmotion_bench.registry import MODELS, is_built_in, model_class
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_before_training
@@ -205,7 +205,9 @@ def complete(
         finished = finished_result(run, note, warn)
     if finished is not None:
         return finished
-    if not run.last.exists() and not is_built_in(run.spec.model):  # a few seconds, before the hours of a training
+    if not run.last.exists() and not is_built_in(
+        MODELS, run.spec.model
+    ):  # a few seconds, before the hours of a training
         check_before_training(model_class(run.spec.model), run.spec.arch, run.spec.inputs)
     if mine.rank == 0 and (told := shortage(run.threads or 1, available_workers() // mine.local_world)) is not None:
         warn(told)

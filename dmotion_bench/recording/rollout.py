@@ -60,7 +60,8 @@ def record_episodes(
     seeds = [episode_seed(recipe.seed, episode) for episode in episodes]
     make_policy = find_policy(kind, recipe)
     at_once: object = kind
-    if isinstance(at_once, EpisodeGenerator) and not recipe.vary and recipe.policy in kind.policies:
+    usual = not recipe.vary and recipe.policy in kind.policies and "generate" in vars(kind)
+    if usual and isinstance(at_once, EpisodeGenerator):
         yield from at_once.generate(seeds, frames=recipe.frames, policy=recipe.policy, parameters=recipe.parameters)
         return
     env = make_environment(kind, recipe)

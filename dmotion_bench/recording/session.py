@@ -17,7 +17,7 @@ from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.policies import find_policy
 from dmotion_bench.recording.replay import replay_sample
 from dmotion_bench.recording.rollout import make_environment, record_episodes
-from dmotion_bench.registry import environment_class
+from dmotion_bench.registry import ENVIRONMENTS, environment_class, is_built_in
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.manifest import Manifest, Replay
 from dmotion_bench.storage.remote_copy import RemoteCopy, copy_folder, upload
@@ -154,7 +154,7 @@ def record_dataset(
             writer.withdraw()
             raise
         replay = None if writer.complete is None else writer.complete.replay
-        if writer.complete is None and isinstance(kind, Unproven) and kind.unproven:
+        if writer.complete is None and _is_unproven(recipe.environment):
             replay = replay_sample(writer, executor)
         writer.finish(replay=replay)
         return Recorded(
@@ -171,6 +171,12 @@ def recording_folder(path: AnyPath) -> Path:
     """Where a data set is recorded: its own folder, or where it waits to be put at an address."""
     address = remote_address(path)
     return Path(path) if address is None else copy_folder(address, "-recording")
+
+
+def _is_unproven(environment: str) -> bool:
+    """Whether a sample of an environment's episodes is recorded again."""
+    kind: object = environment_class(environment)
+    return kind.unproven if isinstance(kind, Unproven) else not is_built_in(ENVIRONMENTS, environment)
 
 
 def _record_elsewhere(

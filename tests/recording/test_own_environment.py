@@ -1,0 +1,73 @@
+"""An environment of another package is recorded a second time in part, unless it says that it is exact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dmotion_bench import registry
+from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.registry import environment_class, register_environment
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.manifest import Replay
+
+GridWorld = environment_class("grid_world")
+
+
+class Own(GridWorld):  # type: ignore[misc, valid-type]
+    """Repeats."""
+
+
+class Forgetful(GridWorld):  # type: ignore[misc, valid-type]
+    """Takes no notice of its seed."""
+
+    def reset(self, *, seed=None, options=None):  # type: ignore[no-untyped-def]
+        return super().reset(seed=int(np.random.default_rng().integers(2**31)), options=options)
+
+
+class Sure(Forgetful):
+    """Says that it is exact, and is believed."""
+
+    unproven = False
+
+
+class Still(GridWorld):  # type: ignore[misc, valid-type]
+    """Takes another step than the world that it is made of, which makes many episodes at once."""
+
+    def step(self, action):  # type: ignore[no-untyped-def]
+        return self.render(), 0.0, False, False, {}
+
+
+@pytest.fixture(autouse=True)
+def own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "_ADDED", {})
+    for kind in (Own, Forgetful, Sure, Still):
+        register_environment(kind.__name__.lower(), kind)
+
+
+def replay_of(environment: str, path: Path) -> Replay | None:
+    record_dataset(path, DatasetRecipe(environment=environment, episodes=5, frames=6, tasks=1, shard_episodes=3))
+    return Dataset.open(path).manifest.replay
+
+
+def test_one_that_repeats_is_found_to(tmp_path: Path) -> None:
+    assert replay_of("own", tmp_path / "d") == Replay(episodes=(0, 2, 4), differs="")
+
+
+def test_one_that_does_not_has_no_tasks(tmp_path: Path) -> None:
+    assert replay_of("forgetful", tmp_path / "d") == Replay(episodes=(0, 2, 4), differs="frame 0 of episode 0")
+    assert Dataset.open(tmp_path / "d").tasks() == []
+
+
+@pytest.mark.parametrize("environment", ["sure", "grid_world"])
+def test_one_that_is_exact_is_not_asked(environment: str, tmp_path: Path) -> None:
+    assert replay_of(environment, tmp_path / "d") is None
+
+
+def test_its_own_steps_are_recorded(tmp_path: Path) -> None:
+    assert replay_of("still", tmp_path / "d") == Replay(episodes=(0, 2, 4), differs="")
+    video = Dataset.open(tmp_path / "d").video(0)
+    assert np.array_equal(video, np.broadcast_to(video[:1], video.shape))

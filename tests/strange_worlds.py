@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from typing import Any, ClassVar
 
@@ -45,6 +46,15 @@ class Slider(gymnasium.Env[np.ndarray, Any]):
         width = columns // self.places
         picture[:, self.place * width : (self.place + 1) * width] = 250
         return picture
+
+
+class Talking(Slider):
+    """Prints, in Python and as a library in C does."""
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        print("a step")  # noqa: T201
+        os.write(1, b"another step\n")
+        return super().step(action)
 
 
 class Unseeded(Slider):
@@ -170,6 +180,7 @@ def register() -> None:
     """Make them known to Gymnasium, as ``Strange/NAME-v0``."""
     for kind in (
         Slider,
+        Talking,
         Unseeded,
         Legacy,
         Remembering,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dmotion_bench.cli.options import ObjectiveName, ObjectiveSettings, PlanColumnName, PlannerName, PlannerSettings
+from dmotion_bench.cli.stdout import prints_on_stderr
 from dmotion_bench.wording import command, shown
 
 if TYPE_CHECKING:
@@ -63,7 +64,8 @@ def plan(
     chosen = control_scoring(
         None, planner, planner_set, objective, objective_set, steps=steps, seed=seed, group=1, column=column
     )
-    trial = open_trial(run, task, chosen, Workspace.current(), data)
+    with prints_on_stderr(as_json):
+        trial = open_trial(run, task, chosen, Workspace.current(), data)
     if window := not (web or save or as_json):
         require_display()  # said before the work, not after it
     strip = save if save is not None and save.suffix == STRIP else None
@@ -71,6 +73,7 @@ def plan(
     watched = window or web or film is not None
     with (
         live_recording(trial.title, trial.blueprint, window=window, web=web, save=film) as recording,
+        prints_on_stderr(as_json),
         BarOnDemand() as bar,
     ):
         planned = trial.solve(recording if watched else None, bar, strip)

@@ -11,6 +11,7 @@ import typer
 from dmotion_bench.api.settings import as_preset
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
+from dmotion_bench.cli.stdout import prints_on_stderr
 from dmotion_bench.specs import Preset
 from dmotion_bench.wording import command
 
@@ -126,24 +127,25 @@ def record(
     from dmotion_bench.recording.session import recording_folder
     from dmotion_bench.workspace import Workspace
 
-    recipe = recipe_for(
-        environment,
-        preset,
-        episodes=episodes,
-        frames=frames,
-        tasks=tasks,
-        seed=seed,
-        vary=vary.split(","),
-        ranges=ranges,
-        policy=policy,
-        settings=settings or (),
-        size=size,
-        frame_skip=frame_skip,
-    )
-    folder = out or default_folder(recipe, preset, Workspace.current())
-    hands = executor_for(recipe, folder, executor, workers)
+    with prints_on_stderr(as_json):
+        recipe = recipe_for(
+            environment,
+            preset,
+            episodes=episodes,
+            frames=frames,
+            tasks=tasks,
+            seed=seed,
+            vary=vary.split(","),
+            ranges=ranges,
+            policy=policy,
+            settings=settings or (),
+            size=size,
+            frame_skip=frame_skip,
+        )
+        folder = out or default_folder(recipe, preset, Workspace.current())
+        hands = executor_for(recipe, folder, executor, workers)
     with following(lambda: _follower(recording_folder(folder), recipe), live, live_to) as poll:
-        with BarOnDemand(poll) as tell:
+        with prints_on_stderr(as_json), BarOnDemand(poll) as tell:
             recorded = record_recipe(recipe, folder, hands, tell)
         _tell(recorded, recipe.tasks, as_json)
 

@@ -13,6 +13,7 @@ import typer
 from dmotion_bench.api.settings import DEVICES, as_preset, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.options import EXECUTORS, TABLES, AsJson, Device, listed
+from dmotion_bench.cli.stdout import prints_on_stderr
 from dmotion_bench.specs import Preset
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def reproduce(
     plan = plan_table(
         table, preset=preset, seeds=_numbers(seeds), models=_names(models), worlds=_names(worlds), workspace=None
     )
-    with progress_bar() as bar:
+    with prints_on_stderr(as_json), progress_bar() as bar:
         task = bar.add_task("measuring speeds", total=None, status="")
         cost = what_it_costs(plan, device, speeds, lambda what: bar.update(task, status=what))
     if not as_json:
@@ -108,7 +109,7 @@ def reproduce(
             typer.echo(json.dumps({"table": plan.name, "left": cost.to_json()}))
         return
     try:
-        with _watching() as watch:
+        with prints_on_stderr(as_json), _watching() as watch:
             made = make(plan, cost, Hands(executor=executor, workers=workers, device=device), watch)
     except KeyboardInterrupt:
         raise Interrupted(

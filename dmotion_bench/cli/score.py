@@ -23,6 +23,7 @@ from dmotion_bench.cli.options import (
     PlannerSettings,
     listed,
 )
+from dmotion_bench.cli.stdout import prints_on_stderr
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.control import ControlScoring
@@ -133,18 +134,19 @@ def score(
     other = None if data is None else workspace.dataset(data)
     if not every:
         require_all("score", workers, executor)
-    reports, failures = _scored(
-        paths,
-        asked,
-        settings,
-        workspace,
-        every=every,
-        executor=executor,
-        workers=workers,
-        device=device,
-        batch_size=batch_size,
-        data=other,
-    )
+    with prints_on_stderr(as_json):
+        reports, failures = _scored(
+            paths,
+            asked,
+            settings,
+            workspace,
+            every=every,
+            executor=executor,
+            workers=workers,
+            device=device,
+            batch_size=batch_size,
+            data=other,
+        )
     if as_json:
         summaries = [report.summary() | {"run": str(path)} for path, report in reports.items()]
         typer.echo(json.dumps({"reports": summaries}))
@@ -190,7 +192,7 @@ def _references(names: list[str], path: Path, scoring: ControlScoring, *, as_jso
     from dmotion_bench.cli.report_table import show_control
     from dmotion_bench.storage.dataset import Dataset
 
-    with BarOnDemand() as bar:
+    with prints_on_stderr(as_json), BarOnDemand() as bar:
         found = score_references(names, path, scoring, bar)
     figures = {name: {figure: value.to_json() for figure, value in own.items()} for name, own in found.items()}
     dataset = Dataset.open(path).name

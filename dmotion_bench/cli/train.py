@@ -17,6 +17,7 @@ from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import AsJson, Device, listed
 from dmotion_bench.cli.record import LARGEST_SEED
+from dmotion_bench.cli.stdout import prints_on_stderr
 from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
 from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset
 from dmotion_bench.wording import command
@@ -195,7 +196,8 @@ def train(
         raise UsageError(
             "no model is named; name one ('dmbench list models' lists them), or give --all to train every model."
         )
-    model_class(model)  # a misspelt name is said before anything is loaded
+    with prints_on_stderr(as_json):
+        model_class(model)  # a misspelt name is said before anything is loaded
 
     from dmotion_bench.api.training import TrainingRequest, begin, require_sharing
     from dmotion_bench.storage.dataset import Dataset
@@ -229,7 +231,9 @@ def train(
         train_run(run, dataset, device, trackers=trackers, loaders=loaders)
         return
     with following(lambda: _follower(run.path), live, live_to) as poll:
-        _tell(run, dataset, train_run(run, dataset, device, poll, trackers, loaders), as_json)
+        with prints_on_stderr(as_json):
+            result = train_run(run, dataset, device, poll, trackers, loaders)
+        _tell(run, dataset, result, as_json)
 
 
 def _follower(run: Path) -> Follower:
@@ -308,7 +312,7 @@ def _train_all(
 
     dataset = Dataset.open(workspace.dataset(data))
     wanted = table_rows(dataset)
-    with jobs_bar(f"training {dataset.name}") as (count, watch):
+    with prints_on_stderr(as_json), jobs_bar(f"training {dataset.name}") as (count, watch):
         hands = Hands(executor=executor, workers=workers, device=device, count=count, watch=watch)
         outcomes = train_every(
             request,

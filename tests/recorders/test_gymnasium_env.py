@@ -161,6 +161,19 @@ def test_what_does_not_repeat_is_recorded_and_said(run: Run, tmp_path: Path) -> 
     assert json.loads(run("gym:Strange/Unseeded-v0", *SMALL, "--tasks", "3", "--json").out)["repeats"] is False
 
 
+def test_json_is_alone_on_stdout_whatever_a_simulator_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    words = ("record", "gym:Strange/Talking-v0", *SMALL)
+    outcome = dmbench((*words, "--json"), capfd, monkeypatch)
+    assert json.loads(outcome.out)["episodes"] == 2
+    assert {"a step", "another step"} <= {*outcome.err.splitlines()}
+    outcome = dmbench((*words, "--out", str(tmp_path / "again")), capfd, monkeypatch)
+    assert {"a step", "another step"} <= {*outcome.out.splitlines()}
+    assert str(tmp_path / "again") in outcome.out  # stdout is where it was
+
+
 def test_a_simulator_that_draws_from_shared_generators_repeats_and_leaves_them_alone(tmp_path: Path) -> None:
     dataset = recorded(tmp_path / "data", "gym:Strange/Legacy-v0", episodes=4)
     assert dataset.manifest.replay is not None

@@ -1,0 +1,38 @@
+"""``--json`` prints one object alone: what environments, models and libraries print meanwhile goes to stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from typing import Final
+
+_STDOUT: Final = 1
+_STDERR: Final = 2
+
+
+@contextlib.contextmanager
+def prints_on_stderr(as_json: bool) -> Iterator[None]:
+    """Send to stderr whatever this process and those that it starts print, in Python or below it.
+
+    Args:
+        as_json: Whether the command was given ``--json``; without it nothing is changed.
+    """
+    if not as_json:
+        yield
+        return
+    try:
+        own = os.dup(_STDOUT)
+    except OSError:  # it is closed
+        yield
+        return
+    sys.stdout.flush()
+    os.dup2(_STDERR, _STDOUT)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(own, _STDOUT)
+        os.close(own)

@@ -18,14 +18,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunError
+from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunError, UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, TRANSFERS, Report
 from dmotion_bench.scoring.transfer import fitting, transfer_folders
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, shown
 from leaderboard.comparison import scored, sums_by_episode
 from leaderboard.control import actions_of
 from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
@@ -76,7 +76,10 @@ def build(
 
     Raises:
         EntryInvalid: A given entry is none.
+        UsageError: The folder holds a page of another kind.
     """
+    if (out / PAGE).exists() and not (out / SCHEMA).exists():
+        raise UsageError(f"{shown(str(out / PAGE))} is no leaderboard's page; name another folder with '--out DIR'.")
     found = [published_entry(row, label_count(row.environment, row.labels)) for row in published_results()]
     found += _given(given)
     left_out: dict[str, str] = {}

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.errors import EntryInvalid, UsageError
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import build
 from leaderboard.entry import Entry, schema_text
@@ -82,6 +82,14 @@ def test_an_empty_workspace_shows_the_tables(tmp_path: Path) -> None:
 
     assert (built.measured, built.published) == (0, 22)
     assert "Published results alone" in built.page.read_text()
+
+
+def test_a_page_of_another_kind_is_left_as_it_is(tmp_path: Path) -> None:
+    page = tmp_path / "index.html"
+    page.write_text("somebody's")
+    with pytest.raises(UsageError, match=r"index\.html' is no leaderboard's page"):
+        build([], [], tmp_path)
+    assert [(page.name, page.read_text())] == [(file.name, file.read_text()) for file in tmp_path.iterdir()]
 
 
 def test_what_is_no_entry_stops_the_build(tmp_path: Path) -> None:

@@ -25,6 +25,10 @@ PENALTIES = torch.logspace(-6, 3, 37, dtype=torch.float64)
 """The regularisations that are tried, per demonstration; the normalised numbers of an action are at most 1."""
 
 
+ALIKE = 1e-9
+"""Errors that differ by a smaller share are equal."""
+
+
 class ActionToLatent(nn.Module):
     """A map from actions to latent actions, kept in one buffer, so that a checkpoint keeps it.
 
@@ -166,24 +170,38 @@ def ridge(inputs: Float[Tensor, "n a"], outputs: Float[Tensor, "n d"]) -> Float[
     """
     known, wanted = inputs.double().cpu(), outputs.double().cpu()
     offset, level = known.mean(0), wanted.mean(0)
-    left, values, right = torch.linalg.svd(known - offset, full_matrices=False)
-    along = left.T @ (wanted - level)
-    errors = [_left_out(left, values, along, wanted - level, float(one)) for one in PENALTIES * len(known)]
-    best = float(PENALTIES[min(range(len(errors)), key=lambda place: (errors[place], -place))]) * len(known)
-    slopes = right.T @ ((values / (values.square() + best))[:, None] * along)
+    known, wanted = known - offset, wanted - level
+    values, directions = _principal(known)
+    places = known @ directions
+    along = places.T @ wanted
+    shrunk = 1 / (values[:, None] + PENALTIES * len(known))
+    errors = _left_out(places, along, wanted, shrunk)
+    # of equal ones the largest penalty: of two rows each tells the other the same with any
+    best = max(place for place, error in enumerate(errors) if error <= min(errors) * (1 + ALIKE))
+    slopes = directions @ (shrunk[:, best, None] * along)
     found = torch.cat([(level - offset @ slopes)[None], slopes])
     return found.to(outputs)
 
 
+def _principal(known: Float[Tensor, "n a"]) -> tuple[Float[Tensor, " m"], Float[Tensor, "a m"]]:
+    """The squared singular values of rows and their directions, from the smaller of the two matrices that tell them."""
+    if len(known) < known.shape[1]:
+        _, values, directions = torch.linalg.svd(known, full_matrices=False)
+        return values.square(), directions.T
+    values, directions = torch.linalg.eigh(known.T @ known)
+    return values.clamp(min=0), directions
+
+
 def _left_out(
-    left: Float[Tensor, "n m"],
-    values: Float[Tensor, " m"],
+    places: Float[Tensor, "n m"],
     along: Float[Tensor, "m d"],
     wanted: Float[Tensor, "n d"],
-    penalty: float,
-) -> float:
-    """The summed squared error of each row by the regression of all others."""
-    shrunk = values.square() / (values.square() + penalty)
-    leverage = 1 / len(left) + left.square() @ shrunk
-    residual = wanted - left @ (shrunk[:, None] * along)
-    return float((residual / (1 - leverage).clamp(min=1e-9)[:, None]).square().sum())
+    shrunk: Float[Tensor, "m p"],
+) -> list[float]:
+    """The summed squared error of each row by the regression of all others, for each penalty."""
+    leverage = 1 / len(places) + places.square() @ shrunk
+    slopes = shrunk[:, :, None] * along[:, None]
+    read = (places @ slopes.flatten(1)).reshape(-1, *slopes.shape[1:])
+    errors = (wanted[:, None] - read) / (1 - leverage).clamp(min=1e-9)[:, :, None]
+    summed: list[float] = errors.square().sum((0, 2)).tolist()
+    return summed

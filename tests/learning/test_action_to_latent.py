@@ -100,6 +100,33 @@ def test_the_regularisation_is_the_one_that_leaves_least_error_when_each_row_is_
     torch.testing.assert_close(ridge(known, wanted), torch.cat([offset[None], slopes]))
 
 
+@pytest.mark.parametrize(("rows", "numbers"), [(1, 2), (2, 2), (3, 8), (40, 60), (60, 40), (400, 3)])
+def test_it_is_the_regression_by_singular_values(rows: int, numbers: int) -> None:
+    """With columns that repeat each other, one that does not vary, and scales that differ a thousandfold."""
+    generator = torch.Generator().manual_seed(0)
+    known = torch.randn(rows, numbers, generator=generator, dtype=torch.float64)
+    known[:, 0] *= 1e-3
+    known[:, -1] = known[:, 0]
+    known[:, numbers // 2] = 3
+    slopes = torch.randn(numbers, 2, generator=generator, dtype=torch.float64)
+    wanted = known @ slopes + 0.1 * torch.randn(rows, 2, generator=generator, dtype=torch.float64)
+    x, y = known - known.mean(0), wanted - wanted.mean(0)
+    left, values, right = torch.linalg.svd(x, full_matrices=False)
+
+    def left_out(penalty: float) -> float:
+        shrunk = values.square() / (values.square() + penalty)
+        leverage = 1 / rows + left.square() @ shrunk
+        residual = y - left @ (shrunk[:, None] * (left.T @ y))
+        return float((residual / (1 - leverage).clamp(min=1e-9)[:, None]).square().sum())
+
+    errors = {float(one): left_out(float(one)) for one in PENALTIES * rows}
+    best = max(one for one, error in errors.items() if error <= min(errors.values()) * (1 + 1e-9))
+    slopes = right.T @ ((values / (values.square() + best))[:, None] * (left.T @ y))
+    found = ridge(known, wanted)
+    torch.testing.assert_close(found[1:], slopes, rtol=0, atol=1e-9 * max(1.0, float(slopes.abs().max())))
+    torch.testing.assert_close(found[0], wanted.mean(0) - known.mean(0) @ slopes, rtol=0, atol=1e-8)
+
+
 def test_noise_alone_is_answered_by_the_mean() -> None:
     generator = torch.Generator().manual_seed(0)
     wanted = torch.randn(40, 2, generator=generator)

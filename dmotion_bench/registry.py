@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import functools
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
@@ -47,6 +48,8 @@ LISTED = {
 """The commands that list the names of each group."""
 
 
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
 _ADDED: Final[dict[tuple[str, str], object]] = {}
 """What this process has added to the groups by ``add``, by group and name."""
 
@@ -81,8 +84,13 @@ def add(group: str, name: str, what: object) -> None:
         what: The class.
 
     Raises:
-        UsageError: A package has registered this name.
+        UsageError: A package has registered this name, or it cannot be a part of a folder's name.
     """
+    if not _NAME.fullmatch(name):
+        raise UsageError(
+            f"{shown(name)} cannot be a name here; it has at most 100 letters, digits, dots, dashes and underscores, "
+            "the first of them a letter or a digit."
+        )
     if any(point.name == name for point in registered(group)):
         raise UsageError(f"{shown(name)} is registered by a package already ({group}); choose another name.")
     _ADDED[group, name] = what
@@ -96,7 +104,7 @@ def register_model(name: str, kind: type[ForwardModel[Any]]) -> None:
         kind: The class, a subclass of ``ForwardModel``.
 
     Raises:
-        UsageError: The name is a package's, or this is no such class.
+        UsageError: The name is a package's or cannot be one, or this is no such class.
 
     Example:
         >>> from dmotion_bench.registry import model_class
@@ -117,7 +125,7 @@ def register_environment(name: str, kind: type[Environment]) -> None:
         kind: The class; ``dmotion_bench.environment`` says what it has to do.
 
     Raises:
-        UsageError: The name is a package's, or this is no such class.
+        UsageError: The name is a package's or cannot be one, or this is no such class.
 
     Example:
         >>> from dmotion_bench.registry import environment_class

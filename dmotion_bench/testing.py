@@ -59,27 +59,34 @@ def check_model(
     _check(kind, arch, [(side, side) for side in (SIZES if size is None else (size,))], spec)
 
 
-def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs) -> None:
+def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs, config: Any = None) -> None:
     """As ``check_model``, on the actions of a training, and on its frames if the model refuses others.
 
     Args:
         kind: The class.
         arch: The architecture that is trained.
         inputs: What the model is to be trained for; actions that are not known are taken to be four.
+        config: Of the model; the architecture's default if left out.
 
     Raises:
         ModelContractBroken: At the first breach.
     """
     spec = inputs.actions or Discrete.numbered(4)
     with torch.random.fork_rng():
-        _check(kind, arch, [*((side, side) for side in SIZES), (inputs.height, inputs.width)], spec)
+        _check(kind, arch, [*((side, side) for side in SIZES), (inputs.height, inputs.width)], spec, config)
 
 
-def _check(kind: type[ForwardModel[Any]], arch: str | None, sizes: list[tuple[int, int]], actions: ActionSpec) -> None:
+def _check(
+    kind: type[ForwardModel[Any]],
+    arch: str | None,
+    sizes: list[tuple[int, int]],
+    actions: ActionSpec,
+    config: Any = None,
+) -> None:
     _check_class(kind)
     _check_settings(kind)
     arch = arch or kind.architectures[0]
-    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, sizes, actions))
+    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, sizes, actions, config), config=config)
     _check_building(subject)
     _check_phases(subject)
     for phase in subject.build().phases():
@@ -89,21 +96,21 @@ def _check(kind: type[ForwardModel[Any]], arch: str | None, sizes: list[tuple[in
     _check_prediction(subject)
     _check_rollout(subject)
     if any(kind.training_defaults(preset, arch).channels_last for preset in Preset):
-        packed = ModelTrial(kind, arch, subject.inputs, channels_last=True)
+        packed = ModelTrial(kind, arch, subject.inputs, channels_last=True, config=config)
         for phase in packed.build().phases():
             _check_losses(packed, phase)
         _check_rollout(packed)
 
 
 def _inputs_taken(
-    kind: type[ForwardModel[Any]], arch: str, sizes: list[tuple[int, int]], actions: ActionSpec
+    kind: type[ForwardModel[Any]], arch: str, sizes: list[tuple[int, int]], actions: ActionSpec, config: Any
 ) -> ModelInputs:
     """The smallest frames on which the model is tried: ``__init__`` may refuse a size by ``InvalidSetting``."""
     said = ""
     for height, width in sizes:
         inputs = ModelInputs(height=height, width=width, actions=actions)
         try:
-            ModelTrial(kind, arch, inputs).build()
+            ModelTrial(kind, arch, inputs, config=config).build()
         except ModelContractBroken as error:
             if not isinstance(error.__cause__, InvalidSetting):
                 return inputs  # what is wrong is said where the building is checked

@@ -35,11 +35,8 @@ from dmotion_bench.scoring.prediction import Execution, Progress, silent
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import SCORING_VERSION
 from dmotion_bench.scoring.samples import CONTROL, GAIN
-from dmotion_bench.scoring.score import (
-    METRICS,
-    ScoreSettings,
-    score_model,
-)
+from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.settings import METRICS, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.transfer import report_folder, transfer_folders
 from dmotion_bench.storage.dataset import Dataset

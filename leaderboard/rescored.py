@@ -17,7 +17,8 @@ from dmotion_bench.scoring.prediction import MODEL
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import SAMPLES_FILE
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, GAIN, GAIN_COLUMNS, column, read_samples
-from dmotion_bench.scoring.score import Scores, ScoreSettings
+from dmotion_bench.scoring.score import Scores
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.storage.shard import file_facts
 from leaderboard.comparison import sums_by_episode
 from leaderboard.control import FIGURES as CONTROLLED

@@ -41,7 +41,8 @@ from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.gain import GainScoring, gain_tables
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace

@@ -128,6 +128,19 @@ def test_before_a_training_its_own_frames_are_tried_last(actions: Discrete | Non
         check_before_training(Wide, "compact", ModelInputs(height=24, width=41, actions=actions))
 
 
+def test_before_a_training_its_own_settings_are_tried() -> None:
+    inputs = ModelInputs(height=24, width=40, actions=Discrete.numbered(3))
+    sizes: list[int] = []
+
+    class Counting(Sound):
+        def __init__(self, config, inputs) -> None:
+            sizes.append(config.width)
+            super().__init__(config, inputs)
+
+    check_before_training(Counting, "compact", inputs, Counting.Config(width=7))
+    assert {*sizes} == {7}
+
+
 def test_a_size_that_a_model_refuses_is_said() -> None:
     with pytest.raises(ModelContractBroken, match=r"no frames of 64 pixels \(frames are 64 x 64; .*size=SIDE"):
         check_model(Large, size=64)

@@ -16,7 +16,7 @@ from dmotion_bench.api.viewing import scene_of
 from dmotion_bench.learning.start import TrainingRequest
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.scoring.report import Report
-from dmotion_bench.scoring.score import ScoreSettings
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.scene import write_scene

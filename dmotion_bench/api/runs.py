@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -20,6 +20,9 @@ from dmotion_bench.workspace import AnyPath, Workspace
 
 Images = np.ndarray[Any, Any] | Tensor
 """Stored frames UInt8[h w 3] or UInt8[b h w 3], or images Float[b c h w] in [-1, 1]."""
+
+_FARTHEST: Final = 2.0
+"""Of an image's values from zero; a predicted one may lie a little outside [-1, 1]."""
 
 
 class Run(runs.Run):
@@ -172,8 +175,18 @@ def _is_stored(images: Images) -> bool:
 
 
 def _batch(images: Images) -> Tensor:
-    """A batch, of frames or images; the model says what is wrong with any other."""
+    """A batch, of frames or images; the model says what is wrong with any other.
+
+    Raises:
+        UsageError: These are numbers that are no images in [-1, 1], which a model would take for ones.
+    """
     tensor = torch.tensor(images) if isinstance(images, np.ndarray) else images
+    images_given = isinstance(tensor, Tensor) and tensor.is_floating_point() and tensor.numel() > 0
+    if images_given and not tensor.abs().max() <= _FARTHEST:  # nor if it is no number
+        raise UsageError(
+            f"images have values from {tensor.min():g} to {tensor.max():g}; a model's lie in [-1, 1]. Give stored "
+            "frames as uint8, or convert them with dmotion_bench.learning.images.to_model."
+        )
     return tensor[None] if isinstance(tensor, Tensor) and tensor.ndim == 3 else tensor
 
 

@@ -22,7 +22,8 @@ from dmotion_bench.scoring.control import score_reference as control_of_referenc
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import Execution, Precision
 from dmotion_bench.scoring.report import Report, read_report_samples
-from dmotion_bench.scoring.score import METRICS, Metric, ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import METRICS, Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset

@@ -19,7 +19,8 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest
 from dmotion_bench.learning.table import Outcome, Row, rows, train_side_by_side, train_table
 from dmotion_bench.scoring.report import Report
-from dmotion_bench.scoring.score import Metric, ScoreSettings, scored_report
+from dmotion_bench.scoring.score import scored_report
+from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.scoring.side_by_side import ScoreJob, score_side_by_side
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace

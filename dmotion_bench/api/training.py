@@ -19,6 +19,7 @@ from dmotion_bench.learning.beginning import finished_result
 from dmotion_bench.learning.companions import Companions
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.labels import first_budget
+from dmotion_bench.learning.settings import from_json
 from dmotion_bench.learning.start import (
     TrainingRequest,
     default_path,
@@ -208,7 +209,8 @@ def complete(
     if not run.last.exists() and not is_built_in(
         MODELS, run.spec.model
     ):  # a few seconds, before the hours of a training
-        check_before_training(model_class(run.spec.model), run.spec.arch, run.spec.inputs)
+        kind = model_class(run.spec.model)
+        check_before_training(kind, run.spec.arch, run.spec.inputs, from_json(kind.Config, run.spec.config))
     if mine.rank == 0 and (told := shortage(run.threads or 1, available_workers() // mine.local_world)) is not None:
         warn(told)
     fabric = fabric or launch(device)

@@ -13,7 +13,7 @@ import typer
 from dmotion_bench.api.settings import DEVICES
 
 if TYPE_CHECKING:
-    from dmotion_bench.scoring.score import Metric
+    from dmotion_bench.scoring.settings import Metric
 
 PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "icem-recall", "mppi", "random-shooting")
 OBJECTIVES: Final = (

@@ -28,7 +28,7 @@ from dmotion_bench.cli.stdout import prints_on_stderr
 if TYPE_CHECKING:
     from dmotion_bench.scoring.control import ControlScoring
     from dmotion_bench.scoring.report import Report
-    from dmotion_bench.scoring.score import Metric, ScoreSettings
+    from dmotion_bench.scoring.settings import Metric, ScoreSettings
     from dmotion_bench.workspace import Workspace
 
 

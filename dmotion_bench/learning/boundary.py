@@ -41,6 +41,9 @@ IMAGES: Final = {
 ACTION: Final = {"predict": 2, "advance": 1, "rollout": 2}
 """Which of a method's arguments is the action."""
 
+_TAKEN: Final = (torch.float32, torch.bfloat16)
+"""Types of images that a model is given as they are; of bfloat16 by a caller who computes in it."""
+
 BATCHES: Final = ("losses", "align")
 """Methods whose one argument holds triplets of images. The library alone makes these, in the right form."""
 
@@ -68,8 +71,14 @@ def guarded(method: MethodT, name: str | None = None) -> MethodT:
         if named:
             given = inspect.signature(method).bind(self, *given, **named).args[1:]
         arguments = list(given)
-        for place in range(min(IMAGES.get(name, 0), len(arguments))):
+        frames = range(min(IMAGES.get(name, 0), len(arguments)))
+        for place in frames:
             arguments[place] = _images(self, f"{name}()", arguments[place])
+        if len({len(arguments[place]) for place in frames}) > 1:
+            counts = ", ".join(str(len(arguments[place])) for place in frames)
+            raise UsageError(
+                f"{type(self).__name__}.{name}() was given batches of {counts} images; all hold the same moments."
+            )
         if name in ACTION and len(arguments) > ACTION[name]:
             like = arguments[0][0] if isinstance(arguments[0], tuple) else arguments[0]
             arguments[ACTION[name]] = _actions(self, f"{name}()", arguments[ACTION[name]], like, name == "rollout")
@@ -88,6 +97,7 @@ def _images(model: ForwardModel[Any], method: str, value: Any) -> Tensor:
         elif images.dtype == torch.uint8 and images.shape[1:] == (3, *size):
             images = to_model(images.movedim(1, -1))
         if images.is_floating_point() and images.shape[1:] == (3, *size):
+            images = images if images.dtype in _TAKEN else images.float()
             return images if model.channels_last else images.contiguous()
     raise UsageError(
         f"{type(model).__name__}.{method} was given {_described(value)} as images; it takes a batch of floating-point "

@@ -27,12 +27,20 @@ class ModelTrial:
         arch: Which of its architectures.
         inputs: What its models are built for.
         channels_last: Memory format of images and weights.
+        config: Of its models; the architecture's default if left out.
     """
 
     def __init__(
-        self, kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs, *, channels_last: bool = False
+        self,
+        kind: type[ForwardModel[Any]],
+        arch: str,
+        inputs: ModelInputs,
+        *,
+        channels_last: bool = False,
+        config: Any = None,
     ) -> None:
         self.kind, self.arch, self.inputs, self.channels_last = kind, arch, inputs, channels_last
+        self.config = config
         asked = " on channels-last images, which its training_defaults ask for (TrainingConfig.channels_last)"
         assert inputs.actions is not None, "a trial shows actions"
         self._spec = inputs.actions
@@ -42,7 +50,8 @@ class ModelTrial:
         """A new model, the same each time."""
         with torch.random.fork_rng(), self.calling("__init__(config, inputs)"):
             torch.manual_seed(0)
-            model = self.kind(self.kind.configure(self.arch), self.inputs)
+            config = self.kind.configure(self.arch) if self.config is None else self.config
+            model = self.kind(config, self.inputs)
             return model.laid_out(channels_last=True) if self.channels_last else model
 
     def images(self, count: int, seed: int) -> Float[Tensor, "n c h w"]:

@@ -30,7 +30,7 @@ from dmotion_bench.registry import model_class
 from dmotion_bench.reproduction.table import Column, Entrant, Table, World
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.gain import reason_against
-from dmotion_bench.scoring.score import Metric, ScoreSettings
+from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import shard_count

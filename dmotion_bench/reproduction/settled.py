@@ -17,7 +17,8 @@ from dmotion_bench.reproduction.plan import Plan, Scoring, Training
 from dmotion_bench.reproduction.table import Column
 from dmotion_bench.scoring.earlier_planning import present_settings
 from dmotion_bench.scoring.report import SCORING_VERSION
-from dmotion_bench.scoring.score import OWN_SETTINGS, is_scored
+from dmotion_bench.scoring.score import is_scored
+from dmotion_bench.scoring.settings import OWN_SETTINGS
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 
 ENTRIES: Final = "entries"

@@ -18,7 +18,7 @@ from dmotion_bench.planning.choices import DEFAULT_SOLVER
 from dmotion_bench.planning.columns import TASKS, TaskData, column_named
 from dmotion_bench.planning.mpc import STEPS
 from dmotion_bench.scoring.control import ControlScoring
-from dmotion_bench.scoring.score import METRICS, Metric
+from dmotion_bench.scoring.settings import METRICS, Metric
 from dmotion_bench.specs import Preset
 
 Kept = TypeVar("Kept")

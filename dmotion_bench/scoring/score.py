@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import torch
 
-from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing, UnknownName
+from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing
 from dmotion_bench.learning.memory import keep_freed_memory
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.run import Run
@@ -20,17 +19,16 @@ from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import TEST, require_fitting_tasks
 from dmotion_bench.planning.dynamics.model import arithmetic_on
-from dmotion_bench.scoring.control import ControlScoring, control_tables, require_tasks, shares_of
-from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
+from dmotion_bench.scoring.control import control_tables, require_tasks, shares_of
+from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
-from dmotion_bench.scoring.gain import GainScoring, gain_tables, reason_against, require_gain
+from dmotion_bench.scoring.gain import gain_tables, reason_against, require_gain
 from dmotion_bench.scoring.identification import LatentActionModel
 from dmotion_bench.scoring.latent_samples import learned_from_video, score_latent_actions, with_latent_actions
 from dmotion_bench.scoring.prediction import (
     MODEL,
     Execution,
-    Precision,
     predicting,
     score_reference_rollouts,
     score_reference_steps,
@@ -39,16 +37,15 @@ from dmotion_bench.scoring.prediction import (
 )
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
-    SCORING_VERSION,
     Report,
     read_report,
-    read_report_samples,
     write_report,
 )
 from dmotion_bench.scoring.run_report import compose_report
-from dmotion_bench.scoring.samples import PICTURE_CONTROL, SCHEMA, require_readable
+from dmotion_bench.scoring.samples import SCHEMA, require_readable
+from dmotion_bench.scoring.settings import DEFAULT_METRICS, OWN_SETTINGS, Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
-from dmotion_bench.scoring.statistics import RESAMPLES
+from dmotion_bench.scoring.standing import planning_of, samples_of, standing_report, true_groups, with_standing
 from dmotion_bench.scoring.transfer import report_folder, transferable
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import SplitName
@@ -57,52 +54,10 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.workspace import AnyPath, cache_folder
 
-Metric = Literal["prediction", "rollout", "gain", "control"]
-METRICS: tuple[Metric, ...] = get_args(Metric)
-DEFAULT_METRICS: tuple[Metric, ...] = ("prediction", "rollout")
-"""Those that need no simulator and take seconds; the gain captured takes a minute or a few, control many."""
-
 CONTROL_JOURNAL = "control.json"
 """The file of a report's folder in which an unfinished control keeps how far it is."""
 
-OWN_SETTINGS: tuple[Metric, ...] = ("gain", "control")
-"""Groups that are decided by settings of their own, which begin with the group's name, and by no others."""
-
 BESIDE = (*REFERENCES, *CONTROL_REFERENCES)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScoreSettings:
-    """The settings that decide a report's figures, besides the weights and the data.
-
-    Attributes:
-        split: The episodes that are scored.
-        protocol: How triplets are split; a run trained on the paper's leaking split is scored on it.
-        horizon: Steps of a rollout.
-        precision: Of the model's arithmetic: ``"float32"``, or ``"bf16"`` autocast.
-        resamples: Draws of the bootstrap.
-        gain: At how many moments the gain captured is measured, and how.
-        control: Which control tasks are worked on, and how.
-    """
-
-    split: SplitName = "test"
-    protocol: SplitProtocol = "episode"
-    horizon: int = 15
-    precision: Precision = "float32"
-    resamples: int = RESAMPLES
-    gain: GainScoring = field(default_factory=GainScoring)
-    control: ControlScoring = field(default_factory=ControlScoring)
-
-    def __post_init__(self) -> None:
-        if self.horizon < 1:
-            raise InvalidSetting(f"the horizon is {self.horizon}; a rollout has at least 1 step.")
-
-    def to_json(self, metrics: tuple[str, ...]) -> dict[str, Any]:
-        """The settings as a report with these groups of figures stores them."""
-        plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in OWN_SETTINGS}
-        owned = {"gain": self.gain.to_json(), "control": self.control.to_json()}
-        chosen = {name: value for group in OWN_SETTINGS if group in metrics for name, value in owned[group].items()}
-        return plain | chosen | {"metrics": list(metrics)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,11 +209,11 @@ def score_run(
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder):
         remove_leftovers(folder)
-        report, samples = _stored(folder, run, dataset)
+        report, samples = standing_report(folder, run, dataset)
         true: tuple[str, ...] = ()
         if report is not None:
-            settings = _with_stored(settings, report, metrics)
-            true = _true_groups(run, dataset, report, settings, metrics)
+            settings = with_standing(settings, report, metrics)
+            true = true_groups(run, dataset, report, settings, metrics)
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
@@ -270,7 +225,7 @@ def score_run(
                 settings=settings,
                 how=how,
                 shared=shared,
-                earlier=_of_groups(samples, set(true) - set(metrics)),
+                earlier=samples_of(samples, set(true) - set(metrics)),
                 journal=(journal := folder / CONTROL_JOURNAL),
             )
         groups = tuple(dict.fromkeys((*true, *metrics)))
@@ -279,9 +234,9 @@ def score_run(
             scored = replace(scored, remarks={**scored.remarks, "gain": f"not measured: {lacking}"})
         if "control" in metrics:
             arithmetic = {"arithmetic": arithmetic_on((how or Execution()).device)}
-            scored = replace(scored, planning=_planning(run, dataset, settings) | arithmetic)
+            scored = replace(scored, planning=planning_of(run, dataset, settings) | arithmetic)
         elif "control" in true and report is not None:
-            scored = replace(scored, planning=present_planning(report.planning) or _planning(run, dataset, settings))
+            scored = replace(scored, planning=present_planning(report.planning) or planning_of(run, dataset, settings))
         written = write_report(folder, scored, scores.samples)
         for done in (journal, *shares_of(journal)):
             done.unlink(missing_ok=True)
@@ -321,56 +276,6 @@ def scored_data(
     return dataset, report_folder(run.path, run.spec.fingerprint, dataset, split, column)
 
 
-def _stored(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa.Table]:
-    """The report of a folder with its samples, if it is of these weights on this data."""
-    report = read_report(folder)
-    if report is not None and run.result is not None:
-        same = report.weights == run.result["weights"] and report.dataset["fingerprint"] == dataset.fingerprint
-        samples = read_report_samples(folder, report) if same else None
-        if samples is not None:
-            return report, samples
-    return None, SCHEMA.empty_table()
-
-
-def _of_groups(samples: pa.Table, metrics: Collection[str]) -> pa.Table:
-    """The samples of some groups of figures."""
-    names = {*metrics, *((PICTURE_CONTROL,) if "control" in metrics else ())}
-    return samples.filter(pc.is_in(samples["metric"], pa.array(sorted(names), pa.string())))
-
-
-def _with_stored(settings: ScoreSettings, report: Report, metrics: tuple[str, ...]) -> ScoreSettings:
-    """Take the settings of groups that are not asked for from the report."""
-    if "rollout" not in metrics:
-        settings = replace(settings, horizon=report.settings["horizon"])
-    if "gain" not in metrics and "gain" in report.settings["metrics"]:
-        settings = replace(settings, gain=GainScoring.from_json(report.settings))
-    if "control" not in metrics and "control" in report.settings["metrics"]:
-        settings = replace(settings, control=ControlScoring.from_json(report.settings))
-    return settings
-
-
-def _planning(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, Any]:
-    return settings.control.planning(dataset, needs_pixels=run.model.needs_pixels)
-
-
-def _true_groups(
-    run: Run, dataset: Dataset, report: Report, settings: ScoreSettings, asked: Collection[str]
-) -> tuple[str, ...]:
-    """The groups of a report's figures that scoring now would give again.
-
-    Control is taken for one of them where its environment, which has a say in it, is not installed and it is not asked
-    for.
-    """
-    planning: dict[str, Any] = {}
-    if "control" in report.settings["metrics"]:
-        try:
-            planning = _planning(run, dataset, settings)
-        except UnknownName:
-            if "control" in asked:
-                raise
-    return tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
-
-
 def scored_report(path: AnyPath, split: SplitName, data: AnyPath | None = None, column: str | None = None) -> Report:
     """The report of a run that was just scored.
 
@@ -392,22 +297,5 @@ def is_scored(path: AnyPath, metric: Metric, settings: ScoreSettings, data: AnyP
     """
     run = Run.open(path)
     dataset, folder = scored_data(run, settings.split, data, settings.control.column)
-    report, _ = _stored(folder, run, dataset)
-    return report is not None and metric in _true_groups(run, dataset, report, settings, (metric,))
-
-
-def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Mapping[str, Any]) -> bool:
-    """Whether a report's figures of one group are those that scoring now would give."""
-    said = settings.to_json(METRICS)
-    others = {"metrics", *(() if metric == "rollout" else ("horizon",))}
-    owner = {name: next((one for one in OWN_SETTINGS if name.startswith(f"{one}_")), None) for name in said}
-    mine = metric if metric in OWN_SETTINGS else None
-    shared = ("split",) if metric == "gain" else ()
-    decisive = [name for name in said if (owner[name] == mine or name in shared) and name not in others]
-    if metric == "control":  # its version is among its settings; reports of before that hold no solver
-        said_of = present_planning(report.planning)
-        same = not said_of or all(said_of.get(name) == one for name, one in planning.items())
-    else:
-        same = report.scoring_version == SCORING_VERSION
-    stored = present_settings(report.settings)
-    return same and all(said[name] == stored.get(name) for name in decisive)
+    report, _ = standing_report(folder, run, dataset)
+    return report is not None and metric in true_groups(run, dataset, report, settings, (metric,))

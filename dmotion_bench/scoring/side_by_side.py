@@ -27,14 +27,8 @@ from dmotion_bench.learning.twins import training_of
 from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.scoring.control import score_control, share_of
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.score import (
-    CONTROL_JOURNAL,
-    Metric,
-    ScoreSettings,
-    is_scored,
-    score_run,
-    scored_data,
-)
+from dmotion_bench.scoring.score import CONTROL_JOURNAL, is_scored, score_run, scored_data
+from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 
 _SHARED: Final = SharedSamples()

@@ -172,6 +172,22 @@ def test_a_run_predicts_stored_frames_as_its_model_predicts_images(workspace: Pa
     assert np.array_equal(shown, run.predict(frames[0], frames[1], 2))
 
 
+def test_images_that_a_model_would_take_wrongly_are_refused(workspace: Path) -> None:
+    run = dm.load_run("tiny")
+    frames = torch.from_numpy(run.dataset.video(0))
+    before, now = (to_model(frames[step][None]) for step in (0, 1))
+    same = run.predict(before, now, "up")
+    for kind in (torch.float64, torch.float16):
+        assert torch.allclose(run.predict(before.to(kind), now.to(kind), "up"), same, atol=0.01)
+    raw = frames[1][None].movedim(-1, 1).float()
+    for wrong, says in ((raw, "values from 0 to 25"), (now * torch.nan, "values from nan to nan")):
+        for call in (lambda one: run.predict(before, one, "up"), lambda one: run.latent_action(before, now, one)):
+            with pytest.raises(UsageError, match=says):
+                call(wrong)
+    with pytest.raises(UsageError, match=r"DMotion\.predict\(\) was given batches of 1, 2 images"):
+        run.predict(frames[0], frames[:2], "up")
+
+
 def test_a_rollout_begins_with_the_prediction_and_takes_a_sequence_for_each(workspace: Path) -> None:
     run = dm.load_run("tiny")
     frames = run.dataset.video(0)
@@ -304,6 +320,9 @@ def test_a_model_of_a_notebook_is_trained_and_scored_by_its_name(workspace: Path
     assert not list((workspace / "runs").glob("wrong*"))
     with pytest.raises(UsageError, match="registered by a package already"):
         dm.register_model("dmotion", kind)
+    for name in ("", "../mine", "a/b", "a b", "-a", "a" * 101):
+        with pytest.raises(UsageError, match="cannot be a name here"):
+            dm.register_model(name, kind)
     with pytest.raises(UsageError, match="no class of models"):
         dm.register_model("other", object)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="no class of environments"):

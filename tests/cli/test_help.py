@@ -62,7 +62,7 @@ def test_the_listed_names_are_those_that_there_are() -> None:
     from dmotion_bench.planning.agents import REFERENCES
     from dmotion_bench.planning.columns import COLUMNS
     from dmotion_bench.registry import objective_names, solver_names
-    from dmotion_bench.scoring.score import METRICS
+    from dmotion_bench.scoring.settings import METRICS
 
     assert list(options.PLANNERS) == solver_names()
     assert list(options.OBJECTIVES) == objective_names()

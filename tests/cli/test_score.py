@@ -15,7 +15,7 @@ from dmotion_bench.cli import score as command
 from dmotion_bench.errors import RunError, RunMismatch, RunMissing, UnknownName, UsageError
 from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.scoring.report import Report
-from dmotion_bench.scoring.score import ScoreSettings
+from dmotion_bench.scoring.settings import ScoreSettings
 
 FIGURE = {"mean": 15.04, "std": 90.0, "low": 12.5, "high": 18.0, "n": 700}
 SPEC = RunSpec(

@@ -21,7 +21,8 @@ from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.figures import Figures
 from dmotion_bench.scoring.report import SCORING_VERSION
-from dmotion_bench.scoring.score import ScoreSettings, score_model
+from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 

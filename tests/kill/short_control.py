@@ -15,7 +15,7 @@ def score() -> None:
     """The run that is named."""
     from dmotion_bench.planning import journal
     from dmotion_bench.scoring.control import ControlScoring
-    from dmotion_bench.scoring.score import ScoreSettings
+    from dmotion_bench.scoring.settings import ScoreSettings
 
     journal.WRITE_EVERY = 0.1  # type: ignore[misc]
     control = ControlScoring(tasks=TASKS, steps=STEPS, planner="exhaustive", group=1)

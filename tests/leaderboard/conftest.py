@@ -14,7 +14,8 @@ from known_model import Known, write_run
 
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset

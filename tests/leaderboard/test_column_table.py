@@ -16,7 +16,8 @@ from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.statistics import detectable_difference, over_trainings, standard_error, wilson
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.sharing.run_share import share_of

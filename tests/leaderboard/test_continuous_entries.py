@@ -20,7 +20,8 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, control_samples, score_control, score_reference
 from dmotion_bench.scoring.report import read_report, write_report
 from dmotion_bench.scoring.samples import read_samples, vectors, write_samples
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace

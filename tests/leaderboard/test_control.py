@@ -20,7 +20,8 @@ from dmotion_bench.scoring.control import ControlScoring, score_reference
 from dmotion_bench.scoring.earlier_planning import earlier_planning
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.report import read_report, write_report
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace

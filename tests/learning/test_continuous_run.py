@@ -18,7 +18,8 @@ from dmotion_bench.learning.training import train
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.samples import column, read_samples, vectors
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace

@@ -26,7 +26,8 @@ from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, control_samples, score_reference
 from dmotion_bench.scoring.figures import figures_of
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.tiers import tier_of_data
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset

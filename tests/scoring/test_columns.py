@@ -18,7 +18,8 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.earlier_planning import present_planning, without_later
 from dmotion_bench.scoring.report import read_report
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset

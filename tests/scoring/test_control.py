@@ -27,7 +27,8 @@ from dmotion_bench.scoring.earlier_planning import earlier_planning
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.samples import read_samples
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 

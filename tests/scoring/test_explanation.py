@@ -10,7 +10,8 @@ from known_model import Known
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.score import ScoreSettings, score_model
+from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.storage.dataset import Dataset
 
 from .test_identification import SeesGreen

@@ -24,7 +24,8 @@ from dmotion_bench.scoring.gain import GainScoring, gain_tables, known_truth
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.samples import GAIN, SampleRows, read_samples
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import cache_folder

@@ -21,7 +21,8 @@ from dmotion_bench.scoring.identification import (
     swap_partners,
 )
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.score import ScoreSettings, score_model
+from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.statistics import EpisodeBootstrap
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.storage.dataset import Dataset

@@ -21,7 +21,8 @@ from dmotion_bench.errors import DatasetMissing, LabelsNotAvailable, RunMismatch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring import transfer
 from dmotion_bench.scoring.report import Report, read_report_samples
-from dmotion_bench.scoring.score import ScoreSettings, score_model, score_run
+from dmotion_bench.scoring.score import score_model, score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.transfer import transferable
 from dmotion_bench.storage.dataset import Dataset

@@ -17,7 +17,8 @@ from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.scoring import latent_ranking
 from dmotion_bench.scoring.latent_ranking import rank_rollouts, ranks
 from dmotion_bench.scoring.samples import column
-from dmotion_bench.scoring.score import ScoreSettings, score_model
+from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.storage.dataset import Dataset
 

@@ -15,7 +15,8 @@ from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.latent_samples import learned_from_video
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.score import ScoreSettings, score_model
+from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.storage.dataset import Dataset
 

@@ -15,7 +15,8 @@ from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.scoring.frame_measures import FrameMeasures
 from dmotion_bench.scoring.pixels import PSNR_CAP
 from dmotion_bench.scoring.references import agent_moves, copy_last
-from dmotion_bench.scoring.score import ScoreSettings, score_model
+from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.transitions import HeldOut, TransitionBatch
 from dmotion_bench.specs import MASK_AGENT, episode_seed
 from dmotion_bench.storage.dataset import Dataset

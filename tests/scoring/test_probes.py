@@ -27,7 +27,8 @@ from dmotion_bench.scoring.probes import (
     probe_scores,
 )
 from dmotion_bench.scoring.samples import read_samples, write_samples
-from dmotion_bench.scoring.score import Scores, ScoreSettings, score_model
+from dmotion_bench.scoring.score import Scores, score_model
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
 from dmotion_bench.scoring.true_factors import FACTORS
 from dmotion_bench.specs import DatasetRecipe

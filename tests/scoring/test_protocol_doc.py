@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from dmotion_bench.learning.run import Run
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 
 DOC = (Path(__file__).parents[2] / "docs/protocol.md").read_text()
 

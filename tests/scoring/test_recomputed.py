@@ -13,7 +13,8 @@ import pytest
 from scipy import stats
 
 from dmotion_bench.learning.run import Run
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 
 DRAWS = 100
 

@@ -22,7 +22,8 @@ from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.references import PublishedFigure, PublishedResult, published_for
 from dmotion_bench.scoring.report import SCORING_VERSION, read_report
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS
-from dmotion_bench.scoring.score import ScoreSettings, score_model, score_run
+from dmotion_bench.scoring.score import score_model, score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.storage.dataset import Dataset
 

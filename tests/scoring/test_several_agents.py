@@ -16,7 +16,8 @@ from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.scoring.identification import identify
 from dmotion_bench.scoring.references import PublishedResult, published_for
 from dmotion_bench.scoring.samples import read_samples, write_samples
-from dmotion_bench.scoring.score import ScoreSettings, score_model
+from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset

@@ -9,7 +9,8 @@ import pytest
 
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.workspace import CACHE_VARIABLE
 

@@ -23,7 +23,7 @@ from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, shares_of
 from dmotion_bench.scoring.report import read_report
-from dmotion_bench.scoring.score import ScoreSettings
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.side_by_side import ScoreJob, control_shares, score_side_by_side
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset

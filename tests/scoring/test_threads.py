@@ -15,7 +15,8 @@ from torch import Tensor
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.run import Conditions, Run
 from dmotion_bench.learning.threads import scoring_shortage
-from dmotion_bench.scoring.score import ScoreSettings, score_run
+from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 
 MakeRun = Callable[..., Run]

@@ -16,7 +16,8 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import compare_runs, scored_on
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.report import read_report, read_report_samples
-from dmotion_bench.scoring.score import ScoreSettings, score_model, score_run
+from dmotion_bench.scoring.score import score_model, score_run
+from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset

@@ -21,8 +21,8 @@ from dmotion_bench.workspace import AnyPath, Workspace
 Images = np.ndarray[Any, Any] | Tensor
 """Stored frames UInt8[h w 3] or UInt8[b h w 3], or images Float[b c h w] in [-1, 1]."""
 
-_FARTHEST: Final = 2.0
-"""Of an image's values from zero; a predicted one may lie a little outside [-1, 1]."""
+_FARTHEST: Final = 10.0
+"""Of an image's values from zero; a predicted one may lie outside [-1, 1], pixels reach 255."""
 
 
 class Run(runs.Run):

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.runs import Run
 from dmotion_bench.api.settings import DEVICES, SPLIT_PROTOCOLS, TRACKERS, Settings, as_preset, as_texts, require_one_of
-from dmotion_bench.errors import RunMissing, UsageError
+from dmotion_bench.errors import DmbenchError, ModelContractBroken, RunMissing, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.execution.processes import place
@@ -189,6 +190,9 @@ def complete(
 
     Returns:
         The run's result.
+
+    Raises:
+        ModelContractBroken: The training failed, and the model breaks the contract; that alone is a warning.
     """
     mine = place()
     fabric: Fabric | None = None
@@ -206,16 +210,50 @@ def complete(
         finished = finished_result(run, note, warn)
     if finished is not None:
         return finished
-    if not run.last.exists() and not is_built_in(
-        MODELS, run.spec.model
-    ):  # a few seconds, before the hours of a training
-        kind = model_class(run.spec.model)
-        check_before_training(kind, run.spec.arch, run.spec.inputs, from_json(kind.Config, run.spec.config))
+    breach = None if run.last.exists() or is_built_in(MODELS, run.spec.model) else _breach(run.spec)
+    if breach is not None and mine.rank == 0:
+        warn(f"{breach} The training begins all the same.")
     if mine.rank == 0 and (told := shortage(run.threads or 1, available_workers() // mine.local_world)) is not None:
         warn(told)
     fabric = fabric or launch(device)
-    if mine.rank > 0:
-        return train_steps(run, training_data(run, dataset, loaders), fabric, lambda _: None)
+    with _explaining(breach):
+        if mine.rank > 0:
+            return train_steps(run, training_data(run, dataset, loaders), fabric, lambda _: None)
+        return _train(run, dataset, fabric, progress, trackers, loaders)
+
+
+def _breach(spec: runs.RunSpec) -> ModelContractBroken | None:
+    """In which way the model breaks its contract; found in seconds, where a training may fail after hours."""
+    kind = model_class(spec.model)
+    try:
+        check_before_training(kind, spec.arch, spec.inputs, from_json(kind.Config, spec.config))
+    except ModelContractBroken as error:
+        return error
+    return None
+
+
+@contextlib.contextmanager
+def _explaining(breach: ModelContractBroken | None) -> Iterator[None]:
+    """Say of a training that fails that its model breaks the contract, if it does."""
+    try:
+        yield
+    except DmbenchError:
+        raise
+    except Exception as error:
+        if breach is None:
+            raise
+        raise breach from error
+
+
+def _train(
+    run: runs.Run,
+    dataset: Dataset,
+    fabric: Fabric,
+    progress: Progress,
+    trackers: Sequence[str],
+    loaders: int | None,
+) -> dict[str, Any]:
+    """Train in the process that tells how far it is."""
     what = f"training {run.spec.model}"
     with telling(progress) as tell:
         tell(JobProgress(what=what, done=0, total=None, status="reading the data"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import sys
 from collections.abc import Iterator
@@ -27,12 +28,20 @@ def prints_on_stderr(as_json: bool) -> Iterator[None]:
     except OSError:  # it is closed
         yield
         return
-    sys.stdout.flush()
+    _flush()
     os.dup2(_STDERR, _STDOUT)
     try:
         with contextlib.redirect_stdout(sys.stderr):
             yield
     finally:
-        sys.stdout.flush()
+        _flush()
         os.dup2(own, _STDOUT)
         os.close(own)
+
+
+def _flush() -> None:
+    """Write what Python and C libraries hold back; each has a buffer of its own."""
+    if sys.stdout is not None:  # it is None in a process that was started without
+        sys.stdout.flush()
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # Windows has no library of this name
+        ctypes.CDLL(None).fflush(None)

@@ -214,7 +214,8 @@ def train(
         stream=stream,
     )
     dataset = Dataset.open(workspace.dataset(data))
-    run = begin(request, dataset, workspace, out, resume=resume)
+    with prints_on_stderr(as_json):
+        run = begin(request, dataset, workspace, out, resume=resume)
     together = place()
     if together.world == 1 and devices * nodes > 1:
         require_sharing(run, devices * nodes)
@@ -228,7 +229,8 @@ def train(
     if is_led():
         end_with(int(os.environ[LED]))
     if together.rank > 0:
-        train_run(run, dataset, device, trackers=trackers, loaders=loaders)
+        with prints_on_stderr(as_json):
+            train_run(run, dataset, device, trackers=trackers, loaders=loaders)
         return
     with following(lambda: _follower(run.path), live, live_to) as poll:
         with prints_on_stderr(as_json):

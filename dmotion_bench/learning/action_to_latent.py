@@ -177,7 +177,8 @@ def ridge(inputs: Float[Tensor, "n a"], outputs: Float[Tensor, "n d"]) -> Float[
     shrunk = 1 / (values[:, None] + PENALTIES * len(known))
     errors = _left_out(places, along, wanted, shrunk)
     # of equal ones the largest penalty: of two rows each tells the other the same with any
-    best = max(place for place, error in enumerate(errors) if error <= min(errors) * (1 + ALIKE))
+    least = min(errors) * (1 + ALIKE)
+    best = max((place for place, error in enumerate(errors) if error <= least), default=-1)  # none if it is no number
     slopes = directions @ (shrunk[:, best, None] * along)
     found = torch.cat([(level - offset @ slopes)[None], slopes])
     return found.to(outputs)
@@ -200,8 +201,9 @@ def _left_out(
 ) -> list[float]:
     """The summed squared error of each row by the regression of all others, for each penalty."""
     leverage = 1 / len(places) + places.square() @ shrunk
-    slopes = shrunk[:, :, None] * along[:, None]
-    read = (places @ slopes.flatten(1)).reshape(-1, *slopes.shape[1:])
-    errors = (wanted[:, None] - read) / (1 - leverage).clamp(min=1e-9)[:, :, None]
-    summed: list[float] = errors.square().sum((0, 2)).tolist()
+    held_out = (1 - leverage).clamp(min=1e-9)
+    summed = []
+    for place, factor in enumerate(shrunk.T):
+        residual = wanted - places @ (factor[:, None] * along)
+        summed.append(float((residual / held_out[:, place, None]).square().sum()))
     return summed

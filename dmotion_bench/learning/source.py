@@ -3,7 +3,8 @@
 A run holds the hash of every module that its class is made of: those of the class and of its bases, and what they
 import at their top from their own packages. The core is not among them; its version stands in the run. Comments,
 docstrings and layout do not count; of a script that is run, only its classes and functions do. A class that is written
-in a notebook has no file, and so no hash.
+in a notebook has no file, and so no hash. Files are read when a run begins: a change between the import of a module
+and that moment is taken for what was trained.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import hashlib
 import importlib.util
 import inspect
 import sys
+import warnings
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -44,9 +46,9 @@ def code_of(model: str) -> dict[str, str]:
         try:
             source = Path(file).read_bytes()
             found[name] = _hash_of(source, script=name == "__main__")
-            waiting += _imported(ast.parse(source), module)
-        except (OSError, SyntaxError, ValueError):  # compiled, or just being edited
-            continue
+            waiting += _imported(_parsed(source), module)
+        except (OSError, SyntaxError, ValueError, ImportError, RecursionError, MemoryError):
+            continue  # compiled, or just being edited
     return dict(sorted(found.items())[:MOST_MODULES])
 
 
@@ -76,15 +78,24 @@ def _imported(tree: ast.Module, module: ModuleType) -> Iterator[str]:
 
 
 @lru_cache(maxsize=MOST_MODULES)
+def _parsed(source: bytes) -> ast.Module:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # whoever imports the module is told of them
+        return ast.parse(source)
+
+
+@lru_cache(maxsize=MOST_MODULES)
 def _hash_of(source: bytes, *, script: bool) -> str:
     """The hash of what a file means: its syntax tree without texts that nobody reads, alike in all Python versions."""
-    told, tree = hashlib.sha256(), ast.parse(source)
+    told, tree = hashlib.sha256(), _parsed(source)
     defined = (ast.ClassDef, ast.FunctionDef)
     stack: list[object] = [[one for one in tree.body if isinstance(one, defined)] if script else tree]
     while stack:
         node = stack.pop()
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
             continue
+        if isinstance(node, ast.JoinedStr):  # Python 3.12 adds empty pieces
+            node.values = [one for one in node.values if not (isinstance(one, ast.Constant) and one.value == "")]
         if isinstance(node, ast.AST):
             told.update(f"{type(node).__name__}(".encode())
             stack.append(_END)

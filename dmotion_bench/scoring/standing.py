@@ -50,6 +50,7 @@ def with_standing(settings: ScoreSettings, report: Report, metrics: tuple[str, .
 
 
 def planning_of(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, Any]:
+    """What decides a run's control beside its settings, as a report says it (``ControlScoring.planning``)."""
     return settings.control.planning(dataset, needs_pixels=run.model.needs_pixels)
 
 

@@ -68,6 +68,7 @@ def test_it_is_of_the_model_its_bases_and_what_they_import(package: Path) -> Non
         ("model.py", "WIDTH + ", "2 + WIDTH + ", ["edited_models.model"]),
         ("parts.py", "3", "4", ["edited_models.parts"]),
         ("parts.py", "WIDTH = 3", "WIDTH = '3'", ["edited_models.parts"]),
+        ("parts.py", "3", "+".join("3" * 20_000), []),  # too deep to be read
         ("model.py", "A model.", "Another model.", []),
         ("model.py", "    width", "    # half of it\n\n    width", []),
         ("unused.py", "3", "4", []),

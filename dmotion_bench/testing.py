@@ -55,8 +55,10 @@ def check_model(
     Raises:
         ModelContractBroken: At the first breach.
     """
+    _check_class(kind)
+    arch = arch or kind.architectures[0]
     spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
-    _check(kind, arch, [(side, side) for side in (SIZES if size is None else (size,))], spec)
+    _check(ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec)))
 
 
 def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs, config: Any = None) -> None:
@@ -71,22 +73,15 @@ def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: Mode
     Raises:
         ModelContractBroken: At the first breach.
     """
-    spec = inputs.actions or Discrete.numbered(4)
-    with torch.random.fork_rng():
-        _check(kind, arch, [(inputs.height, inputs.width)], spec, config)
-
-
-def _check(
-    kind: type[ForwardModel[Any]],
-    arch: str | None,
-    sizes: list[tuple[int, int]],
-    actions: ActionSpec,
-    config: Any = None,
-) -> None:
     _check_class(kind)
+    told = dataclasses.replace(inputs, actions=inputs.actions or Discrete.numbered(4))
+    with torch.random.fork_rng():
+        _check(ModelTrial(kind, arch, told, config=config))
+
+
+def _check(subject: ModelTrial) -> None:
+    kind = subject.kind
     _check_settings(kind)
-    arch = arch or kind.architectures[0]
-    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, sizes, actions, config), config=config)
     _check_building(subject)
     _check_phases(subject)
     for phase in subject.build().phases():
@@ -95,22 +90,20 @@ def _check(
     _check_alignment(subject)
     _check_prediction(subject)
     _check_rollout(subject)
-    if any(kind.training_defaults(preset, arch).channels_last for preset in Preset):
-        packed = ModelTrial(kind, arch, subject.inputs, channels_last=True, config=config)
+    if any(kind.training_defaults(preset, subject.arch).channels_last for preset in Preset):
+        packed = ModelTrial(kind, subject.arch, subject.inputs, channels_last=True, config=subject.config)
         for phase in packed.build().phases():
             _check_losses(packed, phase)
         _check_rollout(packed)
 
 
-def _inputs_taken(
-    kind: type[ForwardModel[Any]], arch: str, sizes: list[tuple[int, int]], actions: ActionSpec, config: Any
-) -> ModelInputs:
+def _inputs_taken(kind: type[ForwardModel[Any]], arch: str, sizes: tuple[int, ...], actions: ActionSpec) -> ModelInputs:
     """The smallest frames on which the model is tried: ``__init__`` may refuse a size by ``InvalidSetting``."""
     said = ""
-    for height, width in sizes:
-        inputs = ModelInputs(height=height, width=width, actions=actions)
+    for size in sizes:
+        inputs = ModelInputs(height=size, width=size, actions=actions)
         try:
-            ModelTrial(kind, arch, inputs, config=config).build()
+            ModelTrial(kind, arch, inputs).build()
         except ModelContractBroken as error:
             if not isinstance(error.__cause__, InvalidSetting):
                 return inputs  # what is wrong is said where the building is checked
@@ -118,14 +111,9 @@ def _inputs_taken(
         else:
             return inputs
     raise ModelTrial(kind, arch, ModelInputs(height=0, width=0, actions=actions)).broken(
-        f"its architecture {arch!r} takes no frames of {' or '.join(map(_side, sizes))} pixels ({said}); name a size "
+        f"its architecture {arch!r} takes no frames of {' or '.join(map(str, sizes))} pixels ({said}); name a size "
         "that it takes: check_model(..., size=SIDE)"
     )
-
-
-def _side(size: tuple[int, int]) -> str:
-    height, width = size
-    return str(width) if width == height else f"{width} x {height}"
 
 
 def _check_class(kind: type[ForwardModel[Any]]) -> None:

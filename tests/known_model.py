@@ -41,8 +41,8 @@ class Known(ForwardModel[NoConfig]):
         return current + self.offset
 
 
-def write_run(path: Path, dataset: Dataset, /, *, offset: float = 0.0, finished: bool = True, **changes: Any) -> Run:
-    """A run of DMotion with one label of each action, but for the changes; who opens it has to patch the model in."""
+def spec_with(**changes: Any) -> RunSpec:
+    """What a run of DMotion with one label of each action asks for, but for the changes."""
     asked: dict[str, Any] = {
         "model": "dmotion",
         "arch": "compact",
@@ -51,13 +51,19 @@ def write_run(path: Path, dataset: Dataset, /, *, offset: float = 0.0, finished:
         "preset": "tiny",
         "labels": "one-shot",
         "seed": 0,
-        "dataset": dataset.name,
-        "fingerprint": dataset.fingerprint,
+        "dataset": "grid",
+        "fingerprint": "f",
         "height": 128,
         "width": 128,
         "actions": 4,
     }
-    run = Run.create_or_open(path, RunSpec(**(asked | changes)), dataset_path=dataset.path, versions={})
+    return RunSpec(**(asked | changes))
+
+
+def write_run(path: Path, dataset: Dataset, /, *, offset: float = 0.0, finished: bool = True, **changes: Any) -> Run:
+    """A run of ``spec_with``; who opens it has to patch the model in."""
+    spec = spec_with(**{"dataset": dataset.name, "fingerprint": dataset.fingerprint, **changes})
+    run = Run.create_or_open(path, spec, dataset_path=dataset.path, versions={})
     run.write()
     if finished:
         weights = {"offset": torch.tensor([offset])}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import random
 from typing import Any, ClassVar
@@ -54,6 +55,7 @@ class Talking(Slider):
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         print("a step")  # noqa: T201
         os.write(1, b"another step\n")
+        ctypes.CDLL(None).printf(b"a step in C\n")  # waits in a buffer of its own
         return super().step(action)
 
 

@@ -10,7 +10,7 @@ import torch
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of
-from dmotion_bench.errors import DmbenchError, RunError, RunMismatch, UsageError
+from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.learning.run import Run
@@ -163,8 +163,9 @@ def score_runs(
                 tell(JobProgress(what=f"scoring {name}", done=done, total=total, status=what))
 
             try:
-                slow = scoring_shortage(Run.open(path).threads or 1, available_workers())
-                for told, tell_it in ((slow, note), (changed_code(path), warn)):
+                run = Run.open(path)
+                slow = scoring_shortage(run.threads or 1, available_workers())
+                for told, tell_it in ((slow, note), (changed_code(run), warn)):
                     if told is not None and told not in warned:
                         warned.add(told)
                         tell_it(told)
@@ -188,12 +189,8 @@ def score_runs(
     return reports, failures
 
 
-def changed_code(path: AnyPath) -> str | None:
+def changed_code(run: Run) -> str | None:
     """A sentence if a run's model is no longer the code that was trained, the same for all runs of the model."""
-    try:
-        run = Run.open(path)
-    except RunError:  # it is said when the run is scored
-        return None
     if not run.changed_modules:
         return None
     return (

@@ -11,10 +11,12 @@ from typing import Final
 import torch
 
 from dmotion_bench.api.scoring import changed_code, compute_device
+from dmotion_bench.errors import RunError
 from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
 from dmotion_bench.execution.local_executor import available_workers
+from dmotion_bench.learning.beginning import tell_changes
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest
 from dmotion_bench.learning.table import Outcome, Row, rows, train_side_by_side, train_table
@@ -95,6 +97,7 @@ def train_every(
     hands: Hands,
     train: Callable[[Run], object],
     trackers: tuple[str, ...] = (),
+    warn: Callable[[str], None] = _nobody,
 ) -> Iterator[Outcome]:
     """Train every model with each of its label budgets; one that fails does not stop the rest.
 
@@ -105,6 +108,7 @@ def train_every(
         hands: Who trains. Rows of one model are one job.
         train: Trains one run to its end, where this process does it.
         trackers: That are told the curves, where others do it.
+        warn: Told in a sentence of a run, where others do it, whose model was changed since it began.
 
     Yields:
         What became of each row, as they end.
@@ -114,7 +118,10 @@ def train_every(
         yield from train_table(request, dataset, workspace, train)
         return
     with contextlib.closing(_trained_at_once(request, dataset, workspace, hands, models, trackers)) as outcomes:
-        yield from outcomes
+        for outcome in outcomes:
+            if outcome.run is not None:
+                tell_changes(outcome.run, warn)
+            yield outcome
 
 
 def _trained_at_once(
@@ -149,6 +156,13 @@ def _trained_at_once(
             for done, outcome in enumerate(outcomes, start=1):
                 hands.count(done, total)
                 yield outcome
+
+
+def _changed_code_at(path: Path) -> str | None:
+    try:
+        return changed_code(Run.open(path))
+    except RunError:  # it is said when the run is scored
+        return None
 
 
 def score_at_once(
@@ -189,7 +203,7 @@ def score_at_once(
         )
         for path in paths
     ]
-    for told in dict.fromkeys(told for path in paths if (told := changed_code(path)) is not None):
+    for told in dict.fromkeys(filter(None, map(_changed_code_at, paths))):
         warn(told)
     own = {job.run: path for job, path in zip(jobs, paths, strict=True)}
     reports: dict[Path, Report] = {}

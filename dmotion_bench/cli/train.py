@@ -323,6 +323,7 @@ def _train_all(
             hands,
             lambda run: train_run(run, dataset, device, trackers=trackers),
             trackers,
+            warn=lambda told: typer.echo(told, err=True),
         )
         told = {outcome.row: _told(outcome, as_json) for outcome in outcomes}
     rows = [told[row] for row in wanted]

@@ -33,18 +33,19 @@ def finished_result(
             run.begin_anew()
         else:
             note(f"{run.path} is already trained; here is its result.")
-            _tell_changes(run, warn)
+            tell_changes(run, warn)
             return run.result
     if (twin := take_over(run)) is not None:
         note(f"using the training of {twin.path}, which differs only in its labels.")
-        _tell_changes(twin, warn)
+        tell_changes(twin, warn)
     elif run.last.exists():
         note(f"going on with {run.path}.")
-        _tell_changes(run, warn)
+        tell_changes(run, warn)
     return None
 
 
-def _tell_changes(run: Run, warn: Callable[[str], None]) -> None:
+def tell_changes(run: Run, warn: Callable[[str], None]) -> None:
+    """Warn that a model's code was changed since a run began, if it was."""
     if not (names := run.changed_modules):
         return
     named = ", ".join([*names[:_MOST_NAMED], *(["and others"] if len(names) > _MOST_NAMED else [])])

@@ -18,14 +18,13 @@ import warnings
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
 from typing import Final
 
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.registry import model_class
 
-MOST_MODULES: Final = 1000
-"""That a run may hold; a model of more keeps the first ones by name."""
+MOST_MODULES: Final = 200
+"""Of a model; further ones are not looked at."""
 _CORE: Final = __name__.partition(".")[0]
 _NOT_THE_MODELS: Final = {_CORE, "torch", "builtins", "abc", "typing"}
 _END: Final = object()
@@ -39,17 +38,16 @@ def code_of(model: str) -> dict[str, str]:
         return {}
     found: dict[str, str] = {}
     waiting = [base.__module__ for base in inspect.getmro(kind) if _package(base.__module__) not in _NOT_THE_MODELS]
-    while waiting:
+    while waiting and len(found) < MOST_MODULES:
         module = sys.modules.get(name := waiting.pop())
         if name in found or module is None or (file := getattr(module, "__file__", None)) is None:
             continue
         try:
-            source = Path(file).read_bytes()
-            found[name] = _hash_of(source, script=name == "__main__")
-            waiting += _imported(_parsed(source), module)
+            found[name], imported = _read(Path(file).read_bytes(), name, module.__package__)
         except (OSError, SyntaxError, ValueError, ImportError, RecursionError, MemoryError):
             continue  # compiled, or just being edited
-    return dict(sorted(found.items())[:MOST_MODULES])
+        waiting += imported
+    return dict(sorted(found.items()))
 
 
 def changed_modules(recorded: Mapping[str, str], model: str) -> list[str]:
@@ -64,32 +62,33 @@ def _package(module: str) -> str:
     return module.partition(".")[0]
 
 
-def _imported(tree: ast.Module, module: ModuleType) -> Iterator[str]:
-    """The modules of the same package that a module's own statements import, and perhaps names that are none."""
-    for statement in tree.body:
-        names: list[str] = []
-        if isinstance(statement, ast.Import):
-            names = [one.name for one in statement.names]
-        elif isinstance(statement, ast.ImportFrom):
-            written = "." * statement.level + (statement.module or "")
-            source = importlib.util.resolve_name(written, module.__package__) if statement.level else written
-            names = [source, *(f"{source}.{one.name}" for one in statement.names)]
-        yield from (name for name in names if _package(name) == _package(module.__name__))
-
-
-@lru_cache(maxsize=MOST_MODULES)
-def _parsed(source: bytes) -> ast.Module:
+@lru_cache(maxsize=5 * MOST_MODULES)
+def _read(source: bytes, name: str, package: str | None) -> tuple[str, tuple[str, ...]]:
+    """The hash of a module, and what it imports from its own package: modules, and perhaps names that are none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # whoever imports the module is told of them
-        return ast.parse(source)
+        tree = ast.parse(source)
+    imported = [one for one in _imported(tree, package) if _package(one) == _package(name)]
+    if name == "__main__":
+        tree.body = [one for one in tree.body if isinstance(one, ast.ClassDef | ast.FunctionDef)]
+    return _hash_of(tree), tuple(imported)
 
 
-@lru_cache(maxsize=MOST_MODULES)
-def _hash_of(source: bytes, *, script: bool) -> str:
-    """The hash of what a file means: its syntax tree without texts that nobody reads, alike in all Python versions."""
-    told, tree = hashlib.sha256(), _parsed(source)
-    defined = (ast.ClassDef, ast.FunctionDef)
-    stack: list[object] = [[one for one in tree.body if isinstance(one, defined)] if script else tree]
+def _imported(tree: ast.Module, package: str | None) -> Iterator[str]:
+    """What a module's own statements import."""
+    for statement in tree.body:
+        if isinstance(statement, ast.Import):
+            yield from (one.name for one in statement.names)
+        elif isinstance(statement, ast.ImportFrom):
+            written = "." * statement.level + (statement.module or "")
+            source = importlib.util.resolve_name(written, package) if statement.level else written
+            yield source
+            yield from (f"{source}.{one.name}" for one in statement.names)
+
+
+def _hash_of(tree: ast.Module) -> str:
+    """The hash of what a file means: its syntax without texts that nobody reads, alike in all Python versions."""
+    told, stack = hashlib.sha256(), list[object]([tree])
     while stack:
         node = stack.pop()
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):

@@ -9,29 +9,17 @@ from pathlib import Path
 import pytest
 import typer
 from click.testing import Result
+from known_model import spec_with
 from typer.testing import CliRunner
 
 from dmotion_bench.cli import score as command
 from dmotion_bench.errors import RunError, RunMismatch, RunMissing, UnknownName, UsageError
-from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.settings import ScoreSettings
 
 FIGURE = {"mean": 15.04, "std": 90.0, "low": 12.5, "high": 18.0, "n": 700}
-SPEC = RunSpec(
-    model="dmotion",
-    arch="compact",
-    config={},
-    training={"epochs": 1},
-    preset="small",
-    labels="one-shot",
-    seed=0,
-    dataset="grid_world-small",
-    fingerprint="f",
-    height=128,
-    width=128,
-    actions=4,
-)
+SPEC = spec_with(preset="small", dataset="grid_world-small")
 PUBLISHED = {"mean": 14.3, "std": 99.8, "low": None, "high": None, "n": None}
 
 

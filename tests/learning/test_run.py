@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from known_model import result_of
+from known_model import result_of, spec_with
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, RunMismatch
@@ -59,20 +59,8 @@ def test_what_is_gone_is_named_as_it_was_given(workspace: Path) -> None:
 
 def _asked(**settings: object) -> RunSpec:
     config = to_json(model_class("dmotion").Config())
-    return RunSpec(
-        model="dmotion",
-        arch="compact",
-        config=config | settings,
-        training=to_json(TrainingConfig(epochs=1)),
-        preset="tiny",
-        labels="none",
-        seed=0,
-        dataset="grid",
-        fingerprint="f",
-        height=8,
-        width=8,
-        actions=4,
-    )
+    training = to_json(TrainingConfig(epochs=1))
+    return spec_with(config=config | settings, training=training, labels="none", height=8, width=8)
 
 
 def _stored(path: Path, spec: RunSpec) -> Run:

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 import torch
-from known_model import result_of
+from known_model import result_of, spec_with
 
 from dmotion_bench import registry
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.beginning import finished_result
 from dmotion_bench.learning.model import TrainingConfig
-from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.settings import to_json
 from dmotion_bench.learning.source import changed_modules, code_of
 from dmotion_bench.registry import model_class, register_model
@@ -100,20 +100,8 @@ def test_of_a_script_its_classes_and_functions_count(
 
 def _trained(package: Path, folder: Path) -> Run:
     """A finished run of the model 'edited', begun by the code as it is."""
-    spec = RunSpec(
-        model="edited",
-        arch="compact",
-        config=to_json(model_class("lapo").Config()),
-        training=to_json(TrainingConfig(epochs=1)),
-        preset="tiny",
-        labels="none",
-        seed=0,
-        dataset="grid",
-        fingerprint="f",
-        height=32,
-        width=32,
-        actions=4,
-    )
+    config, training = to_json(model_class("lapo").Config()), to_json(TrainingConfig(epochs=1))
+    spec = spec_with(model="edited", config=config, training=training, labels="none")
     run = Run.create_or_open(folder, spec, dataset_path="data/grid", versions={})
     folder.mkdir(parents=True)
     run.metrics.touch()

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dmotion_bench import registry
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.registry import environment_class, register_environment
+from dmotion_bench.registry import register_environment
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Replay
+from recorders.grid_world import GridWorld
 
-GridWorld = environment_class("grid_world")
 
-
-class Own(GridWorld):  # type: ignore[misc, valid-type]
+class Own(GridWorld):
     """Repeats."""
 
 
-class Forgetful(GridWorld):  # type: ignore[misc, valid-type]
+class Forgetful(GridWorld):
     """Takes no notice of its seed."""
 
-    def reset(self, *, seed=None, options=None):  # type: ignore[no-untyped-def]
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         return super().reset(seed=int(np.random.default_rng().integers(2**31)), options=options)
 
 
@@ -34,10 +34,10 @@ class Sure(Forgetful):
     unproven = False
 
 
-class Still(GridWorld):  # type: ignore[misc, valid-type]
+class Still(GridWorld):
     """Takes another step than the world that it is made of, which makes many episodes at once."""
 
-    def step(self, action):  # type: ignore[no-untyped-def]
+    def step(self, action: int) -> Any:
         return self.render(), 0.0, False, False, {}
 
 

@@ -240,9 +240,12 @@ def _explaining(breach: ModelContractBroken | None) -> Iterator[None]:
     except DmbenchError:
         raise
     except Exception as error:
-        if breach is None:
+        if breach is None or isinstance(error, MemoryError):
             raise
-        raise breach from error
+        told = (
+            f"the training failed ({type(error).__name__}: {str(error).rstrip('.')}), and its model breaks the contract"
+        )
+        raise ModelContractBroken(f"{told}: {breach}") from error
 
 
 def _train(

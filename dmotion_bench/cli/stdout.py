@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import sys
 from collections.abc import Iterator
@@ -43,5 +42,7 @@ def _flush() -> None:
     """Write what Python and C libraries hold back; each has a buffer of its own."""
     if sys.stdout is not None:  # it is None in a process that was started without
         sys.stdout.flush()
+    import ctypes  # other commands start without it
+
     with contextlib.suppress(OSError, AttributeError, TypeError):  # Windows has no library of this name
         ctypes.CDLL(None).fflush(None)

@@ -59,7 +59,7 @@ def record_grid_world(path: Path, episodes: int = 3, frames: int = 5) -> Dataset
     )
     with DatasetWriter.create_or_resume(path, recipe, FACTS) as writer:
         for index in writer.missing:
-            writer.write_shard(index, record_episodes(GridWorld(), recipe, writer.episodes_of(index)))
+            writer.write_shard(index, record_episodes(GridWorld, recipe, writer.episodes_of(index)))
         writer.finish()
     return Dataset.open(path)
 

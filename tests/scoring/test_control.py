@@ -170,7 +170,7 @@ def test_another_version_of_scoring_leaves_control_true_and_one_of_control_does_
     how = Execution(progress=lambda what, done, total: asked.append(what.partition(",")[0]))
     before = score(run, "prediction", "control")
     control = {name: one for name, one in before.figures.items() if name.startswith("control_")}
-    for module in ("score", "run_report"):
+    for module in ("standing", "run_report"):
         monkeypatch.setattr(f"dmotion_bench.scoring.{module}.SCORING_VERSION", 2)
 
     renewed = score(run, "prediction", how=how, renew=False)

@@ -24,7 +24,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from statistics import fmean
 from typing import Final
@@ -36,13 +36,12 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from baselines.cswm import ContrastiveConfig, ContrastiveWorldModel, GraphTransition
-from baselines.published.descent import descend
+from baselines.published.descent import train
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.memory import keep_freed_memory
-from dmotion_bench.learning.model import ModelInputs, Phase, TripletBatch
-from dmotion_bench.learning.optimization import autocast, has_bf16
+from dmotion_bench.learning.model import ModelInputs, TripletBatch
 from dmotion_bench.scoring.latent_ranking import ranks
 
 SIDE, OBJECTS, CELL = 5, 5, 16
@@ -53,7 +52,6 @@ EPISODES, LENGTH = 1_000, 100
 ASKED, HORIZONS = 10_000, (1, 5, 10)
 BATCH, PASSES, RATE = 256, 20, 5e-4
 DRAWN_BATCH, DECODER_STEPS, DRAWN_RATE = 64, 1_500, 1e-3
-CPU: Final = torch.device("cpu")
 PUBLISHED: Final = {1: 1.0, 5: 1.0, 10: 0.999}
 """H@1 by steps ahead, from the paper's table 1."""
 
@@ -142,27 +140,14 @@ def trained(seed: int, passes: int, decoder_steps: int, data: Episodes) -> Shape
     torch.manual_seed(seed)
     model = ShapesModel()
     contrast, decoder = model.phases()
-    _train(model, contrast, data, batch=BATCH, steps=passes * (data.actions.numel() // BATCH), rate=RATE)
-    _train(model, decoder, data, batch=DRAWN_BATCH, steps=decoder_steps, rate=DRAWN_RATE)
+    tiles = shapes()
+
+    def batches(size: int) -> Callable[[], TripletBatch]:
+        return lambda: _triplets(data, torch.randint(len(data.actions), (size,)), tiles)
+
+    train(model, contrast, batches(BATCH), steps=passes * (data.actions.numel() // BATCH), rate=RATE)
+    train(model, decoder, batches(DRAWN_BATCH), steps=decoder_steps, rate=DRAWN_RATE)
     return model.eval()
-
-
-def _train(model: ContrastiveWorldModel, phase: Phase, data: Episodes, *, batch: int, steps: int, rate: float) -> None:
-    """Train what the phase trains, and say so on stderr."""
-    model.enter(phase)
-    model.train()
-    precision, tiles = "bf16" if has_bf16(CPU) else "float32", shapes()
-
-    def loss() -> Tensor:
-        given = _triplets(data, torch.randint(len(data.actions), (batch,)), tiles)
-        with autocast(precision, CPU):
-            return model.losses(given).total
-
-    def tell(step: int, value: Tensor) -> None:
-        if step % 100 == 1 or step == steps:
-            sys.stderr.write(f"{phase.name}: {step:,} of {steps:,}, loss {value.item():.4f}\n")
-
-    descend([one for one in model.parameters() if one.requires_grad], steps, rate, loss, tell)
 
 
 def _triplets(data: Episodes, episode: Int[Tensor, " b"], tiles: Float[Tensor, "6 3 16 16"]) -> TripletBatch:

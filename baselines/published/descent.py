@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+
+from dmotion_bench.learning.model import ForwardModel, Phase, TripletBatch
+from dmotion_bench.learning.optimization import autocast, has_bf16
 
 
 def descend(
@@ -33,3 +38,30 @@ def descend(
         optimizer.step()
         schedule.step()
         tell(step + 1, value.detach())
+
+
+def train(
+    model: ForwardModel[Any], phase: Phase, batch: Callable[[], TripletBatch], *, steps: int, rate: float
+) -> None:
+    """Train what the phase trains, on the CPU, and say so on stderr.
+
+    Args:
+        model: Of the benchmark.
+        phase: One of its phases.
+        batch: What each step is given.
+        steps, rate: See ``descend``.
+    """
+    model.enter(phase)
+    model.train()
+    device = torch.device("cpu")
+    precision = "bf16" if has_bf16(device) else "float32"
+
+    def loss() -> Tensor:
+        with autocast(precision, device):
+            return model.losses(batch()).total
+
+    def tell(step: int, value: Tensor) -> None:
+        if step % 100 == 1 or step == steps:
+            sys.stderr.write(f"{phase.name}: {step:,} of {steps:,}, loss {value.item():.4f}\n")
+
+    descend([one for one in model.parameters() if one.requires_grad], steps, rate, loss, tell)

@@ -81,9 +81,10 @@ class UnknownName(UsageError):
         name: What was asked for.
         known: Every allowed name.
         listing: The command that lists them, if there is one.
+        registering: The function that makes one of the user's own known, if there is one.
     """
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], listing: str = "") -> None:
+    def __init__(self, kind: str, name: str, known: Iterable[str], listing: str = "", registering: str = "") -> None:
         self.kind, self.name, self.known = kind, name, sorted(known)
         near = difflib.get_close_matches(name, self.known, n=1)
         if near:
@@ -95,6 +96,8 @@ class UnknownName(UsageError):
         else:
             hint = "none is known here."
         tail = f" List them with '{listing}'." if listing else ""
+        if registering and not near:
+            tail += f" One of your own is known where {registering} was called, or once its package is installed."
         super().__init__(f"no {kind} named {shown(name)}; {hint}{tail}")
 
 

@@ -47,6 +47,9 @@ LISTED = {
 }
 """The commands that list the names of each group."""
 
+_REGISTERING: Final = {ENVIRONMENTS: "register_environment", MODELS: "register_model"}
+"""The functions that make a class known in one process."""
+
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -155,7 +158,7 @@ def _load(group: str, kind: str, name: str) -> Any:
         return _ADDED[group, name]
     found: list[EntryPoint] = [point for point in registered(group) if point.name == name]
     if not found:
-        raise UnknownName(kind, name, names(group), LISTED.get(group, ""))
+        raise UnknownName(kind, name, names(group), LISTED.get(group, ""), _REGISTERING.get(group, ""))
     if len({point.value for point in found}) > 1:
         owners = sorted(f"{point.dist.name if point.dist else 'a package'} ({point.value})" for point in found)
         raise DmbenchError(f"the {kind} {name!r} is registered by {' and by '.join(owners)}; rename or uninstall one.")

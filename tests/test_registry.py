@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from dmotion_bench import registry
+from dmotion_bench.errors import UnknownName
 from dmotion_bench.registry import MODELS, environment_title, names
 
 POINTS = "[dmbench.models]\n{name} = no_such_module:Model\n"
@@ -61,3 +62,13 @@ def test_a_world_is_called_by_its_own_title_or_by_its_name_in_words() -> None:
     assert environment_title("grid_world") == "Grid World"
     assert environment_title("somebody_elses") == "Somebody Elses"
     assert environment_title("gym:CartPole-v1") == "gym:CartPole-v1"
+
+
+def test_somebody_who_asks_for_a_class_of_their_own_is_told_how_it_becomes_known() -> None:
+    with pytest.raises(UnknownName, match="where register_model was called, or once its package is installed"):
+        registry.model_class("xyzzy")
+    with pytest.raises(UnknownName, match="register_environment"):
+        registry.environment_class("xyzzy")
+    with pytest.raises(UnknownName) as near:
+        registry.model_class("dmotoin")
+    assert "register" not in str(near.value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +11,7 @@ import typer
 
 from dmotion_bench.api.settings import DEVICES
 from dmotion_bench.cli.options import AsJson, listed
+from dmotion_bench.cli.stdout import print_json
 
 if TYPE_CHECKING:
     from dmotion_bench.benchmarks.comparison import Change, Stored
@@ -76,7 +76,7 @@ def bench(
             "results": [one.to_json() for one in results],
         }
         compared = {} if stored is None else {"changes": list(map(asdict, changed))}
-        typer.echo(json.dumps(found | {"failures": list(map(asdict, failures))} | compared))
+        print_json(found | {"failures": list(map(asdict, failures))} | compared)
     elif results:
         from dmotion_bench.cli.tables import show_rows
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +10,7 @@ import typer
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.cli import data_export, data_import
 from dmotion_bench.cli.options import AsJson
+from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.wording import command
 
 group = typer.Typer(help="Inspect, check, repair, import and export data sets.", no_args_is_help=True)
@@ -40,7 +40,7 @@ def info(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
 
     summary = summarize(Workspace.current().dataset(dataset))
     if as_json:
-        typer.echo(json.dumps(summary))
+        print_json(summary)
         return
     for name, text in _lines(summary):
         typer.echo(f"{name:12s} {text}")
@@ -104,7 +104,7 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
     if as_json:
         damages = [{"file": damage.file, "what": damage.what} for damage in report.damages]
         whole = {"dataset": where, "sound": not damages, "damages": damages, "labels": report.labels}
-        typer.echo(json.dumps(whole | {"episodes": recipe.episodes, "frames": frames}))
+        print_json(whole | {"episodes": recipe.episodes, "frames": frames})
     else:
         for damage in report.damages:
             typer.echo(f"{damage.file} {damage.what}")
@@ -132,7 +132,7 @@ def repair(
     lost = list(done.salvaged.lost) if done.salvaged else []
     if as_json:
         result = {"dataset": str(folder), "how": done.how, "shards": list(done.shards), "episodes_lost": lost}
-        typer.echo(json.dumps(result | {"original": str(done.salvaged.original) if done.salvaged else None}))
+        print_json(result | {"original": str(done.salvaged.original) if done.salvaged else None})
     elif done.salvaged:
         typer.echo(
             f"{folder} could not be recorded anew; {len(done.salvaged.kept)} episodes were kept and {len(lost)} are "

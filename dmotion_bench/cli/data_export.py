@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dmotion_bench.cli.options import AsJson
+from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.errors import Interrupted, UnknownName
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def data_export(
     folder = out or workspace.root / "exports" / f"{source.name}-lerobot"
     report = _export_with_progress(source, folder, CODECS[codec], labels=not video_only)
     if as_json:
-        typer.echo(json.dumps(dataclasses.asdict(report) | {"path": str(report.path), "lossless": not report.mse}))
+        print_json(dataclasses.asdict(report) | {"path": str(report.path), "lossless": not report.mse})
     else:
         typer.echo(_summary(report))
 

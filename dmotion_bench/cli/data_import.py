@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -12,6 +11,7 @@ import typer
 
 from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
+from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.errors import Interrupted, UnknownName
 from dmotion_bench.wording import command
 
@@ -179,7 +179,7 @@ def data_import(
     else:
         report = _import_fleet(recordings, folder, options, executor, workers, skip_damaged=skip_damaged)
     if as_json:
-        typer.echo(json.dumps(_as_json(report)))
+        print_json(_as_json(report))
     else:
         typer.echo(_summary(report, options))
 

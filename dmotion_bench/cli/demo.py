@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from dmotion_bench.cli.options import AsJson
+from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.wording import command
 
 
@@ -36,7 +36,7 @@ def demo(
 
         done = demonstrate(out, seed=seed, workers=None, say=say, note=note, progress=bar)
     if as_json:
-        typer.echo(json.dumps(done.to_json()))
+        print_json(done.to_json())
         return
     show_report(done.report, done.run)
     typer.echo(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import typer
 
 from dmotion_bench.cli.options import AsJson
+from dmotion_bench.cli.stdout import print_json
 
 
 def register(app: typer.Typer) -> None:
@@ -44,7 +44,7 @@ def info(as_json: AsJson = False) -> None:
         "models": model_names(),
     }
     if as_json:
-        typer.echo(json.dumps(facts))
+        print_json(facts)
         return
     for key, value in facts.items():
         if isinstance(value, dict):

@@ -6,7 +6,6 @@ The core knows no leaderboard: what the commands call comes through entry points
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -15,6 +14,7 @@ import typer
 from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
+from dmotion_bench.cli.stdout import print_json
 
 if TYPE_CHECKING:
     from dmotion_bench.workspace import Workspace
@@ -61,7 +61,7 @@ def build(
 
         built = _part("build")(paths, entries or [], out or workspace.reports / FOLDER, on_progress=show)
     if as_json:
-        typer.echo(json.dumps(built.to_json()))
+        print_json(built.to_json())
         return
     for name, why in built.left_out.items():
         typer.echo(f"left out {name}: {why}", err=True)
@@ -142,7 +142,7 @@ def check(
                 asked, workspace, executor or "local", workers, bar, task, quick=quick, differing=differing
             )
     if as_json:
-        typer.echo(json.dumps({"verdicts": [verdict.to_json() for verdict in verdicts]}))
+        print_json({"verdicts": [verdict.to_json() for verdict in verdicts]})
     else:
         for verdict in verdicts:
             _show_verdict(verdict)
@@ -216,7 +216,7 @@ def compare(
     one, other = (workspace.run(run) for run in (first, second))
     differences = _part("compare")(one, other, None if data is None else workspace.dataset(data).name, split)
     if as_json:
-        typer.echo(json.dumps({"first": str(one), "second": str(other), "differences": list(map(_plain, differences))}))
+        print_json({"first": str(one), "second": str(other), "differences": list(map(_plain, differences))})
         return
     from dmotion_bench.cli.report_table import show_differences
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import typer
 
 from dmotion_bench.cli.options import AsJson
+from dmotion_bench.cli.stdout import print_json
 
 if TYPE_CHECKING:
     from dmotion_bench.environment import RecordingPreset
@@ -24,7 +24,7 @@ def register(app: typer.Typer) -> None:
 
 def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) -> None:
     if as_json:
-        typer.echo(json.dumps({key: rows}))
+        print_json({key: rows})
         return
     if not rows:
         typer.echo(nothing)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from dmotion_bench.api.settings import DEVICES
+from dmotion_bench.cli.stdout import reserve_stdout
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.settings import Metric
@@ -38,7 +39,7 @@ def listed(names: Iterable[str]) -> str:
     return f"[{'|'.join(names)}]"
 
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+AsJson = Annotated[bool, typer.Option("--json", callback=reserve_stdout, help="Print the result as one JSON object.")]
 Device = Annotated[
     str,
     typer.Option(metavar=listed(DEVICES), help="Where to compute. auto takes a GPU if there is one."),

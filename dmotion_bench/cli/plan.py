@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dmotion_bench.cli.options import ObjectiveName, ObjectiveSettings, PlanColumnName, PlannerName, PlannerSettings
-from dmotion_bench.cli.stdout import prints_on_stderr
+from dmotion_bench.cli.stdout import print_json, reserve_stdout
 from dmotion_bench.wording import command, shown
 
 if TYPE_CHECKING:
@@ -49,7 +48,8 @@ def plan(
         ),
     ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print the result as one JSON object and open no window.")
+        bool,
+        typer.Option("--json", callback=reserve_stdout, help="Print the result as one JSON object and open no window."),
     ] = False,
 ) -> None:
     """Plan one control task with a model and watch it in Rerun."""
@@ -64,8 +64,7 @@ def plan(
     chosen = control_scoring(
         None, planner, planner_set, objective, objective_set, steps=steps, seed=seed, group=1, column=column
     )
-    with prints_on_stderr(as_json):
-        trial = open_trial(run, task, chosen, Workspace.current(), data)
+    trial = open_trial(run, task, chosen, Workspace.current(), data)
     if window := not (web or save or as_json):
         require_display()  # said before the work, not after it
     strip = save if save is not None and save.suffix == STRIP else None
@@ -73,13 +72,12 @@ def plan(
     watched = window or web or film is not None
     with (
         live_recording(trial.title, trial.blueprint, window=window, web=web, save=film) as recording,
-        prints_on_stderr(as_json),
         BarOnDemand() as bar,
     ):
         planned = trial.solve(recording if watched else None, bar, strip)
         bar.end()  # the viewer may stay open for long
     if as_json:
-        typer.echo(json.dumps(planned.to_json()))
+        print_json(planned.to_json())
         return
     _show(planned, save)
 

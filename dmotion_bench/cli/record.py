@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +10,7 @@ import typer
 from dmotion_bench.api.settings import as_preset
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
-from dmotion_bench.cli.stdout import prints_on_stderr
+from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.specs import Preset
 from dmotion_bench.wording import command
 
@@ -127,25 +126,24 @@ def record(
     from dmotion_bench.recording.session import recording_folder
     from dmotion_bench.workspace import Workspace
 
-    with prints_on_stderr(as_json):
-        recipe = recipe_for(
-            environment,
-            preset,
-            episodes=episodes,
-            frames=frames,
-            tasks=tasks,
-            seed=seed,
-            vary=vary.split(","),
-            ranges=ranges,
-            policy=policy,
-            settings=settings or (),
-            size=size,
-            frame_skip=frame_skip,
-        )
-        folder = out or default_folder(recipe, preset, Workspace.current())
-        hands = executor_for(recipe, folder, executor, workers)
+    recipe = recipe_for(
+        environment,
+        preset,
+        episodes=episodes,
+        frames=frames,
+        tasks=tasks,
+        seed=seed,
+        vary=vary.split(","),
+        ranges=ranges,
+        policy=policy,
+        settings=settings or (),
+        size=size,
+        frame_skip=frame_skip,
+    )
+    folder = out or default_folder(recipe, preset, Workspace.current())
+    hands = executor_for(recipe, folder, executor, workers)
     with following(lambda: _follower(recording_folder(folder), recipe), live, live_to) as poll:
-        with prints_on_stderr(as_json), BarOnDemand(poll) as tell:
+        with BarOnDemand(poll) as tell:
             recorded = record_recipe(recipe, folder, hands, tell)
         _tell(recorded, recipe.tasks, as_json)
 
@@ -163,18 +161,16 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
 
     tasks, replay = len(Dataset.open(recorded.dataset).tasks()), recorded.replay
     if as_json:
-        typer.echo(
-            json.dumps(
-                {
-                    "dataset": str(recorded.dataset),
-                    "episodes": recorded.episodes,
-                    "frames": recorded.frames,
-                    "frames_per_s": round(recorded.made.frames_per_s, 1),
-                    "bytes_per_frame": round(recorded.bytes_per_frame, 1),
-                    "tasks": tasks,
-                }
-                | ({} if replay is None else {"repeats": replay.identical})
-            )
+        print_json(
+            {
+                "dataset": str(recorded.dataset),
+                "episodes": recorded.episodes,
+                "frames": recorded.frames,
+                "frames_per_s": round(recorded.made.frames_per_s, 1),
+                "bytes_per_frame": round(recorded.bytes_per_frame, 1),
+                "tasks": tasks,
+            }
+            | ({} if replay is None else {"repeats": replay.identical})
         )
         return
     typer.echo(f"{recorded.dataset}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +12,7 @@ import typer
 from dmotion_bench.api.settings import DEVICES, as_preset, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.options import EXECUTORS, TABLES, AsJson, Device, listed
-from dmotion_bench.cli.stdout import prints_on_stderr
+from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.specs import Preset
 
 if TYPE_CHECKING:
@@ -99,17 +98,17 @@ def reproduce(
     plan = plan_table(
         table, preset=preset, seeds=_numbers(seeds), models=_names(models), worlds=_names(worlds), workspace=None
     )
-    with prints_on_stderr(as_json), progress_bar() as bar:
+    with progress_bar() as bar:
         task = bar.add_task("measuring speeds", total=None, status="")
         cost = what_it_costs(plan, device, speeds, lambda what: bar.update(task, status=what))
     if not as_json:
         _show_cost(cost, plan)
     if dry_run:
         if as_json:
-            typer.echo(json.dumps({"table": plan.name, "left": cost.to_json()}))
+            print_json({"table": plan.name, "left": cost.to_json()})
         return
     try:
-        with prints_on_stderr(as_json), _watching() as watch:
+        with _watching() as watch:
             made = make(plan, cost, Hands(executor=executor, workers=workers, device=device), watch)
     except KeyboardInterrupt:
         raise Interrupted(
@@ -193,7 +192,7 @@ def _tell(made: Reproduced, as_json: bool) -> None:
     from dmotion_bench.errors import RunError
 
     if as_json:
-        typer.echo(json.dumps(made.to_json()))
+        print_json(made.to_json())
     else:
         typer.echo(f"{len(made.runs)} runs")
         for page in made.pages:

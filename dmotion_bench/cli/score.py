@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +22,7 @@ from dmotion_bench.cli.options import (
     PlannerSettings,
     listed,
 )
-from dmotion_bench.cli.stdout import prints_on_stderr
+from dmotion_bench.cli.stdout import print_json
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.control import ControlScoring
@@ -134,22 +133,21 @@ def score(
     other = None if data is None else workspace.dataset(data)
     if not every:
         require_all("score", workers, executor)
-    with prints_on_stderr(as_json):
-        reports, failures = _scored(
-            paths,
-            asked,
-            settings,
-            workspace,
-            every=every,
-            executor=executor,
-            workers=workers,
-            device=device,
-            batch_size=batch_size,
-            data=other,
-        )
+    reports, failures = _scored(
+        paths,
+        asked,
+        settings,
+        workspace,
+        every=every,
+        executor=executor,
+        workers=workers,
+        device=device,
+        batch_size=batch_size,
+        data=other,
+    )
     if as_json:
         summaries = [report.summary() | {"run": str(path)} for path, report in reports.items()]
-        typer.echo(json.dumps({"reports": summaries}))
+        print_json({"reports": summaries})
     else:
         _show(reports, overview=every or len(paths) > 1)
     if failures:
@@ -192,7 +190,7 @@ def _references(names: list[str], path: Path, scoring: ControlScoring, *, as_jso
     from dmotion_bench.cli.report_table import show_control
     from dmotion_bench.storage.dataset import Dataset
 
-    with prints_on_stderr(as_json), BarOnDemand() as bar:
+    with BarOnDemand() as bar:
         found = score_references(names, path, scoring, bar)
     figures = {name: {figure: value.to_json() for figure, value in own.items()} for name, own in found.items()}
     dataset = Dataset.open(path).name
@@ -205,7 +203,7 @@ def _references(names: list[str], path: Path, scoring: ControlScoring, *, as_jso
             "reference": {},
         }
         reports = [{"run": name, "model": name, **plain, "figures": figures[name]} for name in names]
-        typer.echo(json.dumps({"reports": reports}))
+        print_json({"reports": reports})
     else:
         show_control(figures, f"control on {dataset}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dmotion_bench.cli.options import AsJson
+from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def push(
     with BarOnDemand() as bar:
         pushed = share_push(what, place, labels=labels, mend=mend, progress=bar)
     if as_json:
-        typer.echo(json.dumps({"pushed": [asdict(one) for one in pushed]}))
+        print_json({"pushed": [asdict(one) for one in pushed]})
         return
     for one in pushed:
         _show_pushed(one, labels)
@@ -90,7 +90,7 @@ def pull(
     with BarOnDemand() as bar:
         pulled = share_pull(what, place, labels=labels, progress=bar)
     if as_json:
-        typer.echo(json.dumps({"pulled": [asdict(one) | {"path": str(one.path)} for one in pulled]}))
+        print_json({"pulled": [asdict(one) | {"path": str(one.path)} for one in pulled]})
         return
     for one in pulled:
         _show_pulled(one, labels)
@@ -106,7 +106,7 @@ def list_(
 
     found = share_list(place)
     if as_json:
-        typer.echo(json.dumps({"shared": [asdict(one) for one in found]}))
+        print_json({"shared": [asdict(one) for one in found]})
         return
     if not found:
         push_there = command("dmbench share push RUN --to", place)

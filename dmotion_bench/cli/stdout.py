@@ -3,39 +3,87 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sys
 from collections.abc import Iterator
-from typing import Final
+from dataclasses import dataclass
+from typing import Any, Final, TextIO
+
+import typer
 
 _STDOUT: Final = 1
 _STDERR: Final = 2
 
 
-@contextlib.contextmanager
-def prints_on_stderr(as_json: bool) -> Iterator[None]:
-    """Send to stderr whatever this process and those that it starts print, in Python or below it.
+@dataclass(frozen=True, kw_only=True)
+class _Reserved:
+    """What was stdout before: of the process, and in Python."""
 
-    Args:
-        as_json: Whether the command was given ``--json``; without it nothing is changed.
+    file: int
+    stream: TextIO
+
+
+_reserved: list[_Reserved] = []
+"""The innermost last; there is one stdout in a process."""
+
+
+def reserve_stdout(context: typer.Context, as_json: bool) -> bool:
+    """The callback of ``--json``: until the command ends, whatever is printed goes to stderr, in Python or below it.
+
+    Processes that the command starts inherit that.
     """
-    if not as_json:
+    if as_json and not context.resilient_parsing:
+        context.with_resource(_reserving())
+    return as_json
+
+
+def print_json(value: Any) -> None:
+    """Print the object that the command was asked for."""
+    with own_stdout():
+        typer.echo(json.dumps(value))
+
+
+@contextlib.contextmanager
+def own_stdout() -> Iterator[None]:
+    """The command's own stdout again, for its object or for a process that is to print it."""
+    if not _reserved:
         yield
         return
+    with _printing_to(_reserved[-1].file, _reserved[-1].stream):
+        yield
+
+
+@contextlib.contextmanager
+def _reserving() -> Iterator[None]:
     try:
         own = os.dup(_STDOUT)
     except OSError:  # it is closed
         yield
         return
-    _flush()
-    os.dup2(_STDERR, _STDOUT)
+    _reserved.append(_Reserved(file=own, stream=sys.stdout))
     try:
-        with contextlib.redirect_stdout(sys.stderr):
+        with _printing_to(_STDERR, sys.stderr):
             yield
     finally:
-        _flush()
-        os.dup2(own, _STDOUT)
+        _reserved.pop()
         os.close(own)
+
+
+@contextlib.contextmanager
+def _printing_to(file: int, stream: TextIO) -> Iterator[None]:
+    """Whatever is printed meanwhile goes there."""
+    before = os.dup(_STDOUT)
+    _flush()
+    os.dup2(file, _STDOUT)
+    try:
+        with contextlib.redirect_stdout(stream):
+            yield
+            _flush()
+    finally:
+        _flush()
+        os.dup2(before, _STDOUT)
+        os.close(before)
 
 
 def _flush() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Callable
@@ -17,7 +16,7 @@ from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import AsJson, Device, listed
 from dmotion_bench.cli.record import LARGEST_SEED
-from dmotion_bench.cli.stdout import prints_on_stderr
+from dmotion_bench.cli.stdout import own_stdout, print_json
 from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
 from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset
 from dmotion_bench.wording import command
@@ -196,8 +195,7 @@ def train(
         raise UsageError(
             "no model is named; name one ('dmbench list models' lists them), or give --all to train every model."
         )
-    with prints_on_stderr(as_json):
-        model_class(model)  # a misspelt name is said before anything is loaded
+    model_class(model)  # a misspelt name is said before anything is loaded
 
     from dmotion_bench.api.training import TrainingRequest, begin, require_sharing
     from dmotion_bench.storage.dataset import Dataset
@@ -214,12 +212,12 @@ def train(
         stream=stream,
     )
     dataset = Dataset.open(workspace.dataset(data))
-    with prints_on_stderr(as_json):
-        run = begin(request, dataset, workspace, out, resume=resume)
+    run = begin(request, dataset, workspace, out, resume=resume)
     together = place()
     if together.world == 1 and devices * nodes > 1:
         require_sharing(run, devices * nodes)
-        lead(sys.argv[1:], devices, nodes)
+        with own_stdout():  # one of the processes prints the object
+            lead(sys.argv[1:], devices, nodes)
         return
     if devices * nodes > 1 and (devices, nodes) != (together.local_world, together.nodes):
         raise UsageError(
@@ -229,12 +227,10 @@ def train(
     if is_led():
         end_with(int(os.environ[LED]))
     if together.rank > 0:
-        with prints_on_stderr(as_json):
-            train_run(run, dataset, device, trackers=trackers, loaders=loaders)
+        train_run(run, dataset, device, trackers=trackers, loaders=loaders)
         return
     with following(lambda: _follower(run.path), live, live_to) as poll:
-        with prints_on_stderr(as_json):
-            result = train_run(run, dataset, device, poll, trackers, loaders)
+        result = train_run(run, dataset, device, poll, trackers, loaders)
         _tell(run, dataset, result, as_json)
 
 
@@ -259,7 +255,7 @@ def _tell(run: Run, dataset: Dataset, result: dict[str, Any], as_json: bool) -> 
         "precision": result.get("precision"),
     }
     if as_json:
-        typer.echo(json.dumps(summary))
+        print_json(summary)
         return
     typer.echo(f"{run.path}")
     typer.echo(
@@ -314,7 +310,7 @@ def _train_all(
 
     dataset = Dataset.open(workspace.dataset(data))
     wanted = table_rows(dataset)
-    with prints_on_stderr(as_json), jobs_bar(f"training {dataset.name}") as (count, watch):
+    with jobs_bar(f"training {dataset.name}") as (count, watch):
         hands = Hands(executor=executor, workers=workers, device=device, count=count, watch=watch)
         outcomes = train_every(
             request,
@@ -328,7 +324,7 @@ def _train_all(
         told = {outcome.row: _told(outcome, as_json) for outcome in outcomes}
     rows = [told[row] for row in wanted]
     if as_json:
-        typer.echo(json.dumps({"rows": rows}))
+        print_json({"rows": rows})
     if failed := [row["model"] for row in rows if row["error"]]:
         raise RunError(
             f"{len(failed)} of {len(rows)} trainings failed: {', '.join(failed)}; "

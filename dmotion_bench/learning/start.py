@@ -123,7 +123,10 @@ def _require_adaptable(model: str, supervision: Supervision, labels: LabelReques
 
 
 def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) -> Path:
-    """A folder's name that says what sets the run apart, such as ``dmotion-grid_world-small-s0``."""
+    """A folder's name that says what sets the run apart, such as ``dmotion-grid_world-small-s0``.
+
+    A setting that is what the model takes anyway sets nothing apart.
+    """
     kind = model_class(spec.model)
     parts = [spec.model]
     if spec.arch != kind.architectures[0]:
@@ -135,12 +138,21 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
         parts.append(spec.labels.replace("%", "pct"))
     if spec.protocol != "episode":
         parts.append(f"split_{spec.protocol}")
-    parts += [setting.replace("=", "_").replace("/", "_") for setting in request.settings]
+    parts += [setting.replace("=", "_").replace("/", "_") for setting in _unusual_settings(request, spec)]
     if request.threads is not None:
         parts.append(f"threads_{request.threads}")
     if request.stream:
         parts.append("stream")
     return workspace.runs / "-".join([*parts, f"s{spec.seed}"])
+
+
+def _unusual_settings(request: TrainingRequest, spec: RunSpec) -> list[str]:
+    """Those that change what the model or the training would take by default."""
+    kind = model_class(spec.model)
+    defaults = kind.training_defaults(Preset(spec.preset), spec.arch), kind.configure(spec.arch)
+    usual = {name: value for config in defaults for name, value in to_json(config).items()}
+    taken = {**spec.training, **spec.config}
+    return [setting for setting in request.settings if taken[name := setting.partition("=")[0]] != usual[name]]
 
 
 def _usual_labels(model: str, supervision: Supervision, actions: ActionSpec | None) -> str:

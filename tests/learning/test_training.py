@@ -69,6 +69,24 @@ def test_each_budget_has_a_folder_of_its_own(recorded, tmp_path, model, labels, 
     assert default_path(request, spec, Workspace(tmp_path)) == tmp_path / "runs" / name
 
 
+@pytest.mark.parametrize(
+    ("settings", "name"),
+    [
+        (("epochs=3",), "dmotion-walk-test-small-epochs_3-s0"),
+        (("epochs={epochs}",), "dmotion-walk-test-small-s0"),
+        (("learning_rate={learning_rate}", "epochs=3"), "dmotion-walk-test-small-epochs_3-s0"),
+        (("warp=true",), "dmotion-walk-test-small-warp_true-s0"),
+        (("warp=False",), "dmotion-walk-test-small-s0"),
+    ],
+)
+def test_a_setting_that_the_model_takes_anyway_has_no_folder_of_its_own(recorded, tmp_path, settings, name) -> None:
+    usual = resolve(TrainingRequest(model="dmotion"), Dataset.open(recorded))
+    request = TrainingRequest(model="dmotion", settings=tuple(one.format(**usual.training) for one in settings))
+    spec = resolve(request, Dataset.open(recorded))
+    assert default_path(request, spec, Workspace(tmp_path)) == tmp_path / "runs" / name
+    assert (spec == usual) == name.endswith("small-s0")
+
+
 @pytest.mark.slow
 def test_a_killed_run_ends_with_the_same_bits(recorded, trained, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)

@@ -37,7 +37,7 @@ from dmotion_bench.learning.action_encoding import Actions, action_embedding
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Preset, Supervision
 
-EMBEDDING = Phase(name="embedding", fraction=0.6, needs_actions=True, together=16)
+EMBEDDING = Phase(name="embedding", fraction=0.6, needs_actions=True)
 DECODER = Phase(name="decoder", fraction=0.4, batch_size=32)
 
 KNOTS = 17
@@ -55,6 +55,7 @@ class JepaConfig:
         hidden: Width of projectors and predictor.
         depth: Residual layers of the predictor.
         dropout: In the predictor.
+        moments: Of each episode that stand side by side in a batch; 1 draws them all at random, as the authors do.
     """
 
     length: int = 192
@@ -63,10 +64,11 @@ class JepaConfig:
     hidden: int = 512
     depth: int = 2
     dropout: float = 0.1
+    moments: int = 16
 
     def __post_init__(self) -> None:
-        if min(self.length, self.projections, self.hidden, self.depth) < 1:
-            raise InvalidSetting("length, projections, hidden and depth must be 1 or more.")
+        if min(self.length, self.projections, self.hidden, self.depth, self.moments) < 1:
+            raise InvalidSetting("length, projections, hidden, depth and moments must be 1 or more.")
         if self.regularisation < 0 or not 0 <= self.dropout < 1:
             raise InvalidSetting("regularisation must be 0 or more, dropout in [0, 1).")
 
@@ -167,13 +169,13 @@ class LatentWorldModel(ForwardModel[JepaConfig]):
 
     def phases(self) -> tuple[Phase, ...]:
         """Embeddings and their dynamics first, from what is labelled; then the decoder, from all video."""
-        return EMBEDDING, DECODER
+        return dataclasses.replace(EMBEDDING, together=self.config.moments), DECODER
 
     def enter(self, phase: Phase) -> None:
         """Freeze the parameters and batch statistics that the other phase trains."""
         self.phase = phase
         for part in (self.encoder, self.projector, self.predictor):
-            part.requires_grad_(phase == EMBEDDING)
+            part.requires_grad_(phase != DECODER)
             if phase == DECODER:
                 part.eval()
         self.decoder.requires_grad_(phase == DECODER)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from baselines.jepa import DECODER, EMBEDDING, LatentWorldModel, sketched_gaussianity
+from dmotion_bench.errors import InvalidSetting
 
 
 def test_sigreg_is_the_epps_pulley_statistic_along_each_direction() -> None:
@@ -45,6 +47,13 @@ def test_each_phase_changes_its_own_part(build, step, batch, video) -> None:
             name.split(".")[0] for name, tensor in model.state_dict().items() if not torch.equal(tensor, before[name])
         }
         assert changed == own
+
+
+def test_a_batch_holds_as_many_moments_of_each_episode_as_is_said(build) -> None:
+    assert [phase.together for phase in build(LatentWorldModel).phases()] == [16, 1]
+    assert [phase.together for phase in build(LatentWorldModel, moments=1).phases()] == [1, 1]
+    with pytest.raises(InvalidSetting, match="moments must be 1 or more"):
+        build(LatentWorldModel, moments=0)
 
 
 def test_gradients_reach_the_target_too(build, batch) -> None:

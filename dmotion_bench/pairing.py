@@ -51,6 +51,7 @@ HIGHER_IS_BETTER: Final = frozenset(
         "reciprocal_rank",
         "control_success",
         "planning_gain",
+        "state_probe",
     }
 )
 NEITHER_IS_BETTER: Final = frozenset({"motion_swap_change"})

@@ -82,6 +82,15 @@ _AFTER: Final = (
         )
         for factor, words in UNWANTED.items()
     ),
+    *(
+        Column(
+            figure=f"state_probe[{place}]",
+            heading=f"State, {words}",
+            meaning=f"R² with which a linear probe reads {words} from a model's state, if it has one, in new layouts.",
+            higher=True,
+        )
+        for place, words in (("agent_place", "agent's place"), ("object_place", "objects' places"))
+    ),
     Column(
         figure="planning_gain",
         heading="Gain captured",

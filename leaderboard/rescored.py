@@ -32,7 +32,7 @@ SAMPLE_ROUNDING: Final = 1e-2
 """Relative and absolute; between two scorings of one sample."""
 
 PICTURE_ROUNDING: Final = 3  # pixel values
-LATER: Final = ("probe_", "codebook_")
+LATER: Final = ("probe_", "codebook_", "state_probe")
 """Figures that entries of this version of scoring may lack: they came later, and changed no other."""
 
 _KEY: Final = ("episode", "step", "ahead")
@@ -86,17 +86,21 @@ def same_scores(check: Findings, scores: Scores) -> None:
     for where, (said, figures) in everything.items():
         mine = {name: one.to_json() for name, one in figures.items()}
         others = {name: figure for name, figure in said.items() if not name.startswith(CONTROLLED)}
-        for later in (False, True):
+        for later in (None, *LATER):
             ours, theirs = (
-                {name: one for name, one in all_of.items() if name.startswith(LATER) == later}
-                for all_of in (mine, others)
+                {name: one for name, one in all_of.items() if _came(name) == later} for all_of in (mine, others)
             )
-            if theirs or not later:  # entries from before there were such figures have none
+            if theirs or later is None:  # entries from before there were such figures have none
                 absolute = SAMPLE_ROUNDING if later else 0.0  # scores of probes are near zero where they read nothing
                 check.expect_figures(
                     f"{where}, scored anew", theirs, ours, ROUNDING, means_only=True, absolute=absolute
                 )
     check.figures = len(scores.figures)
+
+
+def _came(figure: str) -> str | None:
+    """With which of the later figures this one came."""
+    return next((later for later in LATER if figure.startswith(later)), None)
 
 
 def same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing: float) -> None:

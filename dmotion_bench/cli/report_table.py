@@ -33,6 +33,8 @@ WORDS = {
     "codebook_used": "codes in use, share",
     "hit_at_1": "H@1",
     "reciprocal_rank": "MRR",
+    "state_probe[agent_place]": "agent's place in the state, R²",
+    "state_probe[object_place]": "objects' places in the state, R²",
     "planning_gain": "gain captured",
     "control_distance": "control, distance",
     "control_picture_distance": "control, difference of pictures",
@@ -218,6 +220,8 @@ def _words(name: str) -> str:
             else ""
         )
         return WORDS.get(base, base) + how
+    if name.startswith("state_probe"):
+        return WORDS.get(name, name)
     if name.endswith("]"):
         base, _, number = name.rstrip("]").partition("[")
         return f"{WORDS.get(base, base)}, {'codebook' if base.startswith('codebook_') else 'agent'} {number}"

@@ -18,6 +18,8 @@ from dmotion_bench.scoring.samples import (
     PICTURE_CONTROL,
     PROBE,
     RANK_COLUMNS,
+    STATE_PROBE,
+    STATE_PROBED,
     column,
     vectors,
 )
@@ -65,7 +67,8 @@ def _single_steps(single: pa.Table, resamples: int, seed: int) -> Figures:
         ratio = motion_within_over_between(motion, column(single, "action"), bootstrap)
         if ratio is not None:
             found["motion_within_over_between"] = ratio
-    return found | _each_agent(single, bootstrap) | _probes(single, bootstrap) | _codebooks(single)
+    found |= _each_agent(single, bootstrap) | _probes(single, bootstrap) | _state_probes(single, bootstrap)
+    return found | _codebooks(single)
 
 
 def _probes(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:
@@ -76,6 +79,18 @@ def _probes(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:
         if columns is not None:
             scores = probe_scores(columns.astype(np.float64), bootstrap)
             found |= {f"{PROBE}{name}[{factor}]": estimate for name, estimate in scores.items()}
+    return found
+
+
+def _state_probes(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:
+    """How much a probe of the model's state reads of where things are."""
+    found: Figures = {}
+    for name in STATE_PROBED:
+        columns = vectors(single, STATE_PROBE + name)
+        if columns is not None:
+            whole, error = columns.astype(np.float64).T
+            if (score := bootstrap.explained(error, whole)) is not None:
+                found[f"{STATE_PROBE.rstrip('_')}[{name}]"] = score
     return found
 
 

@@ -24,7 +24,8 @@ from dmotion_bench.scoring.frame_measures import FrameMeasures
 from dmotion_bench.scoring.inverse import InverseModel, inverse_figures
 from dmotion_bench.scoring.latent_ranking import Ranks, rank_rollouts
 from dmotion_bench.scoring.references import REFERENCES
-from dmotion_bench.scoring.samples import SampleRows, action_column
+from dmotion_bench.scoring.samples import STATE_PROBE, SampleRows, action_column
+from dmotion_bench.scoring.state_probes import probe_states
 from dmotion_bench.scoring.transitions import HeldOut, RolloutBatch, TransitionBatch
 
 MODEL = "model"
@@ -71,6 +72,7 @@ def predicting(device: torch.device, precision: Precision = "float32") -> Iterat
 def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> pa.Table:
     """Score the predicted next frame of every held-out triplet; for latent actions see ``latent_samples.py``."""
     measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("prediction", MODEL), 0
+    probed = probe_states(model, held_out, batch_size=how.batch_size, device=how.device)
     for batch in held_out.batches(how.batch_size):
         stored = torch.from_numpy(batch.frames).to(how.device)
         previous, current = to_model(stored[:, 0]), to_model(stored[:, 1])
@@ -81,7 +83,8 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
         if isinstance(model, InverseModel):
             named = model.infer_action(previous, current, to_model(truth))
             columns |= inverse_figures(named, action, held_out.dataset.spec.actions)
-        rows.add(_described(batch) | _numpy(columns))
+        here = {STATE_PROBE + name: values[done : done + len(batch)] for name, values in probed.items()}
+        rows.add(_described(batch) | here | _numpy(columns))
         done += len(batch)
         how.progress("single steps", done, len(held_out))
     return rows.table()

@@ -100,19 +100,13 @@ def probe_scores(columns: Float[np.ndarray, "n 6"], bootstrap: EpisodeBootstrap)
 
     Its std is that of the triplets' parts in it.
     """
-    counted = np.isfinite(columns).all(axis=1)
-    if not counted.any():
-        return {}
-    parts = np.where(counted[:, None], columns, 0.0)
+    columns = np.where(np.isfinite(columns).all(axis=1)[:, None], columns, np.nan)
     found = {}
     for whole, suffix in ((0, ""), (1 + len(PROBES), SHUFFLED)):
         for number, name in enumerate(PROBES):
-            sums = bootstrap.totals(parts[:, [whole + 1 + number, whole]])
-            low, high = bootstrap.interval(sums, lambda drawn: 1 - drawn[:, 0] / drawn[:, 1])
-            own = 1 - columns[counted, whole + 1 + number] / columns[counted, whole].mean()
-            found[name + suffix] = Estimate(
-                mean=float(own.mean()), std=float(own.std()), low=low, high=high, n=len(own)
-            )
+            score = bootstrap.explained(columns[:, whole + 1 + number], columns[:, whole])
+            if score is not None:
+                found[name + suffix] = score
     return found
 
 

@@ -15,6 +15,8 @@ figures            as in the report; null where the frame has no value (see ``po
 ``motion``         phi^0 of the true triplet, or any other latent action
 ``probe_...``      of each true factor that was probed: a whole and the errors of the linear and of the small
                    probe, then the same of their controls (``probes.py``); null where it was not probed
+``state_probe_...`` of the places of the agents and of the objects: squared distances [m^2] of the true ones from the
+                   mean, and from what a probe reads in the model's state (``state_probes.py``)
 ``codes``          that the latent action is made of, as many of each codebook, one's after the other's;
                    ``codebook_sizes`` how many each has
 ``each_...``       only there in worlds of several agents: a value for each agent of ``each_agent_iou``,
@@ -81,6 +83,10 @@ EACH = "each_"
 PROBE = "probe_"
 """Before the name of a column of what probes of a true factor came to."""
 
+STATE_PROBE: Final = "state_probe_"
+"""Before the name of a column of what a probe of a state came to."""
+
+STATE_PROBED: Final = ("agent_place", "object_place")
 EACH_FIGURES = ("agent_iou", "motion_shift_error", "motion_probe_accuracy")
 RANK_COLUMNS = ("hit_at_1", "reciprocal_rank")
 GAIN_COLUMNS = ("gain", "best_gain")
@@ -111,6 +117,7 @@ SCHEMA = pa.schema(
         (f"{EACH}motion", pa.list_(pa.float32())),
         *((EACH + name, pa.list_(pa.float32())) for name in EACH_FIGURES),
         *((PROBE + name, pa.list_(pa.float32())) for name in FACTORS),
+        *((STATE_PROBE + name, pa.list_(pa.float32())) for name in STATE_PROBED),
         ("codes", pa.list_(pa.int32())),
         ("codebook_sizes", pa.list_(pa.int32())),
     ]
@@ -132,7 +139,12 @@ MOST_SAMPLES: Final = 1_000_000
 _MOST_LISTED: Final = 2**26  # values in a column of lists
 _EACH_COLUMNS: Final = tuple(name for name in SCHEMA.names if name.startswith(EACH))
 _INVERSE_COLUMNS: Final = ("inverse_accuracy", "inverse_error")
-_PROBE_COLUMNS: Final = (*(PROBE + name for name in FACTORS), "codes", "codebook_sizes")
+_PROBE_COLUMNS: Final = (
+    *(PROBE + name for name in FACTORS),
+    *(STATE_PROBE + name for name in STATE_PROBED),
+    "codes",
+    "codebook_sizes",
+)
 _LISTS: Final = ("distance", "found", "found_truth", "motion", "command", *_EACH_COLUMNS, *_PROBE_COLUMNS)
 _LEFT_OUT: Final = (
     "command",

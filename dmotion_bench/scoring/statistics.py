@@ -83,6 +83,19 @@ class EpisodeBootstrap:
         mean = float(parts[counted].sum() / wholes[counted].sum())
         return Estimate(mean=mean, std=float(shares.std()), low=low, high=high, n=len(shares))
 
+    def explained(self, errors: Float[np.ndarray, " n"], wholes: Float[np.ndarray, " n"]) -> Estimate | None:
+        """R^2: 1 - the sum of some errors / the sum of their wholes; its std is that of the samples' parts in it.
+
+        Samples of which either is NaN are left out; None if there are no others, or the wholes are all zero.
+        """
+        counted = np.isfinite(errors) & np.isfinite(wholes)
+        if not counted.any() or not wholes[counted].any():
+            return None
+        totals = self.totals(np.stack([np.where(counted, one, 0.0) for one in (errors, wholes)], axis=1))
+        low, high = self.interval(totals, lambda sums: 1 - sums[:, 0] / sums[:, 1])
+        own = 1 - errors[counted] / wholes[counted].mean()
+        return Estimate(mean=float(own.mean()), std=float(own.std()), low=low, high=high, n=len(own))
+
     def totals(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "e m"]:
         """Sums over each episode's samples."""
         columns = values.astype(np.float64).T

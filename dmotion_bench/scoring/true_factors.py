@@ -19,11 +19,11 @@ A data set whose environment does not tell a factor has no figure of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.environment import Distracting
@@ -33,6 +33,7 @@ from dmotion_bench.registry import environment_class, is_environment
 from dmotion_bench.scoring.probes import Factor, beyond_actions
 from dmotion_bench.specs import delay_of
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.messages import StateLabels
 
 WANTED: Final = ("action", "agent_motion")
 UNWANTED: Final = ("agent_place", "camera", "background", "movers")
@@ -61,15 +62,42 @@ def true_factors(
     )
 
 
+def true_places(
+    dataset: Dataset, episode: Int[np.ndarray, " n"], step: Int[np.ndarray, " n"]
+) -> dict[str, Float[np.ndarray, "n _k 3"]]:
+    """Where the frames show each agent and each object, in the world [m]; NaN where nothing says so.
+
+    Args:
+        dataset: With labels.
+        episode, step: Of the frames.
+    """
+    spec = dataset.spec
+    found = {
+        "agent_place": np.full((len(step), len(spec.agents), 3), np.nan),
+        "object_place": np.full((len(step), len(spec.objects), 3), np.nan),
+    }
+    for rows, states, shown in _shown(dataset, episode, step[:, None]):
+        found["agent_place"][rows] = states.agent.position[shown[:, 0]].reshape(len(shown), -1, 3)
+        found["object_place"][rows] = states.objects.position[shown[:, 0]].reshape(len(shown), -1, 3)
+    return found
+
+
+def _shown(
+    dataset: Dataset, episode: Int[np.ndarray, " n"], frames: Int[np.ndarray, "n k"]
+) -> Iterator[tuple[Bool[np.ndarray, " n"], StateLabels, Int[np.ndarray, "r k"]]]:
+    """The rows of each episode, its states, and the numbers of those that the rows' frames show: they may come late."""
+    for one in np.unique(episode).tolist():
+        rows, states = episode == one, dataset.states(one)
+        yield rows, states, np.maximum(frames[rows] - delay_of(states.factors), 0)
+
+
 def _of_agents(
     dataset: Dataset, episode: Int[np.ndarray, " n"], step: Int[np.ndarray, " n"]
 ) -> dict[str, Float[np.ndarray, "n d"]]:
     """What the frames show of the agents; NaN where nothing says where they are."""
     width = 3 * len(dataset.spec.agents)
     motion, place = np.full((len(step), width), np.nan), np.full((len(step), width), np.nan)
-    for one in np.unique(episode).tolist():
-        rows, states = episode == one, dataset.states(one)
-        shown = np.maximum(step[rows][:, None] + np.arange(2) - delay_of(states.factors), 0)
+    for rows, states, shown in _shown(dataset, episode, step[:, None] + np.arange(2)):
         positions = states.agent.position[shown].reshape(len(shown), 2, width)
         place[rows], motion[rows] = positions[:, 0], positions[:, 1] - positions[:, 0]
     return {"agent_motion": motion, "agent_place": place}

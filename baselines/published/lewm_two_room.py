@@ -314,7 +314,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     source = torch.Generator().manual_seed(DEVELOPMENT if given.development else TEST)
     held_out = recorded(max(given.tasks, 20), source)
     tasks = tasks_of(held_out, given.tasks, source)
-    rows = [row("nobody", solved(tasks, idle)), row("chance", solved(tasks, at_random(0)))]
+    rows = [row("nobody", solved(tasks, idle)), row("random actions", solved(tasks, at_random(0)))]
     rows.append(row("the script", solved(tasks, scripted(tasks))))
     for seed in range(given.seeds):
         seen = recorded(given.episodes, torch.Generator().manual_seed(1_000 + seed))

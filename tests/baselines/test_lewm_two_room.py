@@ -208,7 +208,7 @@ def test_one_command_trains_and_prints_the_published_shares_below(capsys) -> Non
     assert printed.splitlines()[-3].startswith("| LeWorldModel, published | 87% |")
     main([*short, "--json"])
     rows = json.loads(capsys.readouterr().out)
-    assert [one["who"] for one in rows] == ["nobody", "chance", "the script", "ours, seed 0"]
+    assert [one["who"] for one in rows] == ["nobody", "random actions", "the script", "ours, seed 0"]
     assert rows[2]["reached"] == 1
     with pytest.raises(SystemExit):
         main(["--seeds", "0"])

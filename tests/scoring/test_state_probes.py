@@ -12,13 +12,14 @@ from known_model import Known, NoConfig
 from torch import Tensor
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.scoring import state_probes
 from dmotion_bench.scoring.samples import STATE_PROBED
 from dmotion_bench.scoring.score import score_model
 from dmotion_bench.scoring.settings import ScoreSettings
-from dmotion_bench.scoring.state_probes import _read, _regressed, probe_states
+from dmotion_bench.scoring.state_probes import _fitted, _regression, _summed, probe_states
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.storage.dataset import Dataset
 
@@ -93,32 +94,46 @@ def test_the_report_has_the_figures_and_their_samples(grid: Dataset) -> None:
     assert not any(name.startswith("state_probe") for name in scores.reference["copy_last"])
 
 
-def test_both_ways_to_the_regression_agree_and_are_that_of_the_textbook() -> None:
+def test_the_regression_is_that_of_the_textbook() -> None:
     generator = np.random.default_rng(1)
-    known, places, asked = (generator.normal(size=size) for size in ((30, 8), (30, 3), (5, 8)))
-    (wide,) = _regressed(known, places, asked, np.array([0.1]))
-    centred, goal = known - known.mean(0), places - places.mean(0)
-    slopes = np.linalg.solve(centred.T @ centred + 0.1 * 30 * np.eye(8), centred.T @ goal)
-    np.testing.assert_allclose(wide, places.mean(0) + (asked - known.mean(0)) @ slopes)
-    longer, further = (np.concatenate([one, np.zeros((len(one), 40))], axis=1) for one in (known, asked))
-    np.testing.assert_allclose(_regressed(longer, places, further, np.array([0.1]))[0], wide)
+    inputs, places = (generator.normal(size=size) for size in ((30, 8), (30, 3)))
+    centred, goal = inputs - inputs.mean(0), places - places.mean(0)
+    for penalty, slopes in zip((0.1, 3.0), _regression(inputs, places, np.array([0.1, 3.0])), strict=True):
+        wanted = np.linalg.solve(centred.T @ centred + penalty * 30 * np.eye(8), centred.T @ goal)
+        np.testing.assert_allclose(slopes, wanted)
 
 
-def test_a_thing_that_is_seldom_there_is_read_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_thing_that_is_seldom_there_is_read_where_it_is() -> None:
     generator = np.random.default_rng(2)
     inputs, fold = generator.normal(size=(200, 4)), np.arange(200) // 40
-    places = inputs[:, :3] * 2.0
-    gone = places.copy()
-    gone[::3] = np.nan
-    truth = places[:10].copy()
+    places = inputs[:, :3] * 2.0 + 5
+    places[::3] = np.nan
+    probe = _fitted(inputs, places, fold)
+    assert probe is not None
+    truth = inputs[:10, :3] * 2.0 + 5
     truth[4] = np.nan
-    found = _read(inputs, gone, fold, inputs[:10], truth)
-    assert found is not None
-    assert np.isnan(found[4]).all()
-    assert np.delete(found, 4, axis=0)[:, 1].max() < 1e-6 < np.delete(found, 4, axis=0)[:, 0].min()
-    gone[40:] = np.nan
-    assert _read(inputs, gone, fold, inputs[:10], truth) is None
-    monkeypatch.setattr(state_probes, "PENALTIES", np.array([1e9]))
-    mean = _read(inputs, places, fold, inputs[:10], truth)
-    assert mean is not None
-    np.testing.assert_allclose(mean[:4, 0], mean[:4, 1], rtol=1e-6)
+    whole, error = probe.parts(inputs[:10], truth).T
+    assert np.isnan([whole[4], error[4]]).all()
+    assert np.nanmax(error) < 1e-6 < np.nanmin(whole)
+    both = _summed([probe, None], inputs[:10], np.stack([truth, truth], axis=1))
+    np.testing.assert_array_equal(both, np.stack([whole, error], axis=1))
+    places[40:] = np.nan
+    assert _fitted(inputs, places, fold) is None
+
+
+def test_of_a_long_state_the_principal_components_are_probed(grid: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    mixing = np.random.default_rng(0).normal(size=(100, 300))
+
+    def everything(episode: int, places: Places) -> np.ndarray:
+        told = np.concatenate(places)
+        return told @ mixing[: len(told)]
+
+    monkeypatch.setattr(state_probes, "MOST_NUMBERS", 40)
+    assert _scores(Embedding(grid, everything), grid) == pytest.approx(dict.fromkeys(STATE_PROBED, 1.0), abs=0.01)
+    monkeypatch.setattr(state_probes, "MOST_NUMBERS", 1)
+    assert _scores(Embedding(grid, everything), grid)["object_place"] < 0.5
+
+
+def test_states_that_are_no_numbers_are_refused(grid: Dataset) -> None:
+    with pytest.raises(ModelContractBroken, match="the states of Embedding hold NaN"):
+        _scores(Embedding(grid, lambda episode, places: np.array([np.nan])), grid)

@@ -19,6 +19,7 @@
     label_use.py         labels that were used otherwise than is usual
     probes.py            what a latent action holds, by probes with a control beside each
     true_factors.py      what is true of the triplets that probes read
+    state_probes.py      where, as a linear probe reads a model's state, the agent and the objects are
     latent_ranking.py    whether a model predicts the right point of its own latent space
     explanation.py       what can be measured on video whose actions are not known
     gain.py              what the action sequence that a model prefers truly brings

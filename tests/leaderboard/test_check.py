@@ -361,13 +361,17 @@ def test_figures_that_came_later_may_be_missing_and_are_held_to_what_they_are(
     def found(entry: Entry) -> list[str]:
         figures = {name: Estimate(**figure) for name, figure in entry.content["figures"].items()}
         mine = {name: one for name, one in figures.items() if not name.startswith("control")}
+        later = {"probe_mlp[movers]": probe(0.001), "state_probe[agent_place]": probe(0.9)}
         check = Findings(entry=entry)
-        same_scores(
-            check, Scores(samples=pa.table({}), figures=mine | {"probe_mlp[movers]": probe(0.001)}, reference={})
-        )
+        same_scores(check, Scores(samples=pa.table({}), figures=mine | later, reference={}))
         return check.wrong
 
     assert found(sound) == []
-    for mean, holds in ((0.004, True), (0.4, False)):
-        stated = changed(figures={**sound.figures, "probe_mlp[movers]": probe(mean).to_json()})
+    for name, mean, holds in (
+        ("probe_mlp[movers]", 0.004, True),
+        ("probe_mlp[movers]", 0.4, False),
+        ("state_probe[agent_place]", 0.905, True),
+        ("state_probe[agent_place]", 0.5, False),
+    ):
+        stated = changed(figures={**sound.figures, name: probe(mean).to_json()})
         assert (found(stated) == []) == holds

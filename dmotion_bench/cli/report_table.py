@@ -208,6 +208,8 @@ def _is_shown(name: str) -> bool:
 
 
 def _words(name: str) -> str:
+    if name in WORDS:
+        return WORDS[name]
     if name.startswith("rollout_"):
         base, _, ahead = name.removeprefix("rollout_").rstrip("]").partition("[")
         return f"{WORDS.get(base, base)} {ahead} ahead"
@@ -220,14 +222,12 @@ def _words(name: str) -> str:
             else ""
         )
         return WORDS.get(base, base) + how
-    if name.startswith("state_probe"):
-        return WORDS.get(name, name)
     if name.endswith("]"):
         base, _, number = name.rstrip("]").partition("[")
         return f"{WORDS.get(base, base)}, {'codebook' if base.startswith('codebook_') else 'agent'} {number}"
     if name.endswith("_push"):
         return f"{_words(name.removesuffix('_push'))}, pushes"
-    return WORDS.get(name, name)
+    return name
 
 
 def _mse(report: Report) -> float:

@@ -74,13 +74,14 @@ def probe_states(
 
 
 def _embedded(
-    model: EmbeddingModel, triplets: TripletSet, batch_size: int, device: torch.device
+    model: ForwardModel[Any], triplets: TripletSet, batch_size: int, device: torch.device
 ) -> Iterator[Float32[np.ndarray, "b d"]]:
     """The embedding at the middle of each triplet, batch by batch."""
+    assert isinstance(model, EmbeddingModel), "others have no states to be probed"
     for first in range(0, len(triplets), batch_size):
         rows = np.arange(first, min(first + batch_size, len(triplets)))
         frames = torch.from_numpy(triplets.gather(rows)[:, :2]).to(device)
-        state = model.begin(to_model(frames[:, 0]), to_model(frames[:, 1]))  # type: ignore[attr-defined]
+        state = model.begin(to_model(frames[:, 0]), to_model(frames[:, 1]))
         embedded = model.embedding(state).flatten(1).float().cpu().numpy()
         if not np.isfinite(embedded).all():
             raise ModelContractBroken(

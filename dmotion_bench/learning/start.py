@@ -125,8 +125,16 @@ def _require_adaptable(model: str, supervision: Supervision, labels: LabelReques
 def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) -> Path:
     """A folder's name that says what sets the run apart, such as ``dmotion-grid_world-small-s0``.
 
-    A setting that is what the model takes anyway sets nothing apart.
+    A setting that is what the model takes anyway sets nothing apart; a run that it named before stays where it is.
     """
+    named, before = (
+        workspace.runs / _name(request, spec, settings)
+        for settings in (_unusual_settings(request, spec), request.settings)
+    )
+    return before if (before / RUN_MANIFEST).exists() else named
+
+
+def _name(request: TrainingRequest, spec: RunSpec, settings: Sequence[str]) -> str:
     kind = model_class(spec.model)
     parts = [spec.model]
     if spec.arch != kind.architectures[0]:
@@ -138,12 +146,12 @@ def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) 
         parts.append(spec.labels.replace("%", "pct"))
     if spec.protocol != "episode":
         parts.append(f"split_{spec.protocol}")
-    parts += [setting.replace("=", "_").replace("/", "_") for setting in _unusual_settings(request, spec)]
+    parts += [setting.replace("=", "_").replace("/", "_") for setting in settings]
     if request.threads is not None:
         parts.append(f"threads_{request.threads}")
     if request.stream:
         parts.append("stream")
-    return workspace.runs / "-".join([*parts, f"s{spec.seed}"])
+    return "-".join([*parts, f"s{spec.seed}"])
 
 
 def _unusual_settings(request: TrainingRequest, spec: RunSpec) -> list[str]:

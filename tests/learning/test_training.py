@@ -87,6 +87,16 @@ def test_a_setting_that_the_model_takes_anyway_has_no_folder_of_its_own(recorded
     assert (spec == usual) == name.endswith("small-s0")
 
 
+def test_a_run_that_was_named_by_such_a_setting_is_found_again(recorded, tmp_path) -> None:
+    request = TrainingRequest(model="dmotion", settings=("warp=false",))
+    spec = resolve(request, Dataset.open(recorded))
+    before = tmp_path / "runs" / "dmotion-walk-test-small-warp_false-s0"
+    before.mkdir(parents=True)
+    assert default_path(request, spec, Workspace(tmp_path)).name == "dmotion-walk-test-small-s0"
+    (before / "run.json").touch()
+    assert default_path(request, spec, Workspace(tmp_path)) == before
+
+
 @pytest.mark.slow
 def test_a_killed_run_ends_with_the_same_bits(recorded, trained, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import random
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from PIL import Image
 from storage.foreign import video
 
 from dmotion_bench.actions import Discrete
@@ -20,6 +22,7 @@ from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
 
 OPTIONS = ImportOptions(size=32)
+CAM_HIGH = "observations/images/cam_high"
 
 
 def robomimic(
@@ -131,6 +134,87 @@ def test_a_file_without_demonstrations_is_one(tmp_path: Path) -> None:
     )
 
 
+def packed(frames: np.ndarray, form: str, **options: Any) -> list[np.ndarray]:
+    """Each picture as the bytes of a file."""
+    files = []
+    for frame in frames:
+        Image.fromarray(frame).save(file := io.BytesIO(), form, **options)
+        files.append(np.frombuffer(file.getvalue(), np.uint8))
+    return files
+
+
+def filled_up(files: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of one length, as ALOHA's scripts write them: with zeros behind each file."""
+    longest = max(map(len, files))
+    return np.stack([np.pad(file, (0, longest - len(file))) for file in files])
+
+
+def aloha(path: Path, rows: Any, **packing: Any) -> Path:
+    """An episode as ALOHA's scripts write it; rows that are a list are of variable length."""
+    with h5py.File(path, "w") as file:
+        if isinstance(rows, list):
+            kept = file.create_dataset(CAM_HIGH, (len(rows),), h5py.vlen_dtype(np.uint8), **packing)
+            for number, row in enumerate(rows):
+                kept[number] = row
+        else:
+            file.create_dataset(CAM_HIGH, data=rows, **packing)
+        file.create_dataset("action", data=np.zeros((len(rows), 14)))
+        file.create_dataset("compress_len", data=np.zeros((1, len(rows))))
+    return path
+
+
+@pytest.mark.parametrize("packing", [{}, {"chunks": True, "compression": "gzip"}], ids=["plain", "gzip"])
+@pytest.mark.parametrize("varying", [False, True], ids=["filled up", "varying"])
+@pytest.mark.parametrize(("form", "options"), [("PNG", {}), ("WebP", {"lossless": True})])
+def test_packed_pictures(tmp_path: Path, packing: Any, varying: bool, form: str, options: Any) -> None:
+    frames = video(7)
+    files = packed(frames, form, **options)
+    path = aloha(tmp_path / "episode_0.hdf5", files if varying else filled_up(files), **packing)
+    dataset = imported(path)
+    np.testing.assert_array_equal(dataset.video(0), frames)
+    assert dataset.recipe.parameters["camera"] == CAM_HIGH
+
+
+def test_packed_jpeg_keeps_its_colours(tmp_path: Path) -> None:
+    frames = np.zeros((4, 32, 32, 3), np.uint8)
+    frames[..., 0] = 200
+    shown = imported(aloha(tmp_path / "episode_0.hdf5", filled_up(packed(frames, "JPEG")))).video(0)
+    np.testing.assert_allclose(shown, frames, atol=3)
+
+
+def test_damaged_packed_pictures(tmp_path: Path) -> None:
+    files = packed(video(5), "PNG")
+    several = [*files[:3], *packed(video(2, 24, 32), "PNG")]
+    refused(aloha(tmp_path / "a.hdf5", several), "mixes picture sizes: 32x32 pixels at first, 32x24 in '/observations")
+    cut = aloha(tmp_path / "b.hdf5", [*files[:3], files[3][:60], files[4]])
+    refused(cut, "b.hdf5' is damaged: picture 3 of '/observations/images/cam_high' is a damaged PNG file")
+    lost = aloha(tmp_path / "c.hdf5", filled_up([*files[:2], np.zeros(9, np.uint8), files[4]]))
+    refused(lost, "c.hdf5' is damaged: picture 2 of '/observations/images/cam_high' .* are no JPEG, PNG or WebP file")
+    bytes_alone = aloha(tmp_path / "d.hdf5", np.ones((5, 40), np.uint8))
+    refused(bytes_alone, "has no pictures .*are:\n  action 5 x 14 float64\n.*\n  observations/images/cam_high 5 x 40")
+
+
+def test_next_observations_are_no_second_camera(tmp_path: Path) -> None:
+    frames = video(8)
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": frames})
+    with h5py.File(file, "a") as opened:
+        opened["data/demo_0"].create_dataset("next_obs/agentview_image", data=np.zeros_like(frames))
+    report = import_recordings([file], tmp_path / "first", OPTIONS)
+    np.testing.assert_array_equal(Dataset.open(report.path).video(0), frames)
+    with h5py.File(file, "a") as opened:
+        opened["data/demo_0"].create_dataset("old_obs/agentview_image", data=np.zeros_like(frames))
+    both = "has 2 data sets 'agentview_image'; choose one:\n  --camera obs/agentview_image\n  --camera old_obs/agent"
+    refused(file, both, ImportOptions(camera="agentview_image"))
+
+
+def test_demonstrations_without_pictures_are_told(tmp_path: Path) -> None:
+    frames = video(8)
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": frames[:0], "demo_1": frames, "demo_2": frames[:0]})
+    report = import_recordings([file], tmp_path / "out", OPTIONS)
+    assert report.episodes == 1
+    assert f"2 of the 3 demonstrations in {str(file)!r} hold no picture." in report.advice
+
+
 def test_a_file_cannot_lead_to_another(tmp_path: Path) -> None:
     frames = video(4)
     robomimic(tmp_path / "secret.h5", {"demo_0": frames})
@@ -190,8 +274,12 @@ def test_a_cut_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_changed_byte_never_surprises(tmp_path: Path) -> None:
-    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(4), "demo_1": video(4)}, compression="gzip")
+@pytest.mark.parametrize("rows", ["pixels", "varying"])
+def test_a_changed_byte_never_surprises(tmp_path: Path, rows: str) -> None:
+    if rows == "pixels":
+        file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(4), "demo_1": video(4)}, compression="gzip")
+    else:
+        file = aloha(tmp_path / "a.hdf5", packed(video(6, 8, 8), "PNG"))
     whole = file.read_bytes()
     for seed in range(15):
         chance, content = random.Random(seed), bytearray(whole)

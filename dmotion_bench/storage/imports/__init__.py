@@ -5,7 +5,7 @@
 What libraries of C read is read in a process apart: ``confinement`` is this end of it, ``confined_reader`` the other,
 and ``wire`` what they say to each other.
 
-``mcap_records`` reads MCAP files without trust, ``cameras`` and ``commands`` decode their messages, ``pixels`` and
-``fitting`` make frames, ``timeline`` resamples, ``importing`` writes the data set, and ``advice`` says what would make
-a better one.
+``mcap_records`` reads MCAP files without trust, ``hdf5_contents`` and ``hdf5_pictures`` HDF5; ``cameras`` and
+``commands`` decode their messages, ``pixels`` and ``fitting`` make frames, ``timeline`` resamples, ``importing``
+writes the data set, and ``advice`` says what would make a better one.
 """

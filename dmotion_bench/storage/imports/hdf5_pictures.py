@@ -1,0 +1,125 @@
+"""The pictures of a data set in an HDF5 file: bytes of pixels, or a JPEG, PNG or WebP file in each row.
+
+robomimic stores pixels, n x height x width x channels. Robots that record to HDF5 often pack each picture: ALOHA in
+rows of bytes that are filled up with zeros, n x bytes; others in rows of variable length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final, TypeVar
+
+import h5py
+import numpy as np
+from jaxtyping import UInt8
+
+from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
+from dmotion_bench.storage.imports.hdf5_contents import ERRORS, fault, is_filled
+from dmotion_bench.storage.imports.limits import ImportLimits
+from dmotion_bench.storage.imports.pixels import size_of, to_rgb
+
+_T = TypeVar("_T")
+KINDS: Final = "n x height x width x 3, or a packed picture in each row"
+_STARTS: Final = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"RIFF")  # of JPEG, PNG, WebP
+
+
+class Pixels:
+    """Uncompressed pictures, in one, three or four channels.
+
+    Args:
+        dataset: Where ``holds`` is true.
+        limits: What the file may make us do.
+
+    Raises:
+        BadPicture: They are too large, too many, or not all there.
+    """
+
+    def __init__(self, dataset: h5py.Dataset, limits: ImportLimits) -> None:
+        self._dataset = dataset
+        height, width = self._size = dataset.shape[1:3]
+        if not 0 < height * width <= limits.pixels:
+            raise BadPicture(f"declares pictures of {width}x{height} pixels in {dataset.name!r}")
+
+    @staticmethod
+    def holds(dataset: h5py.Dataset) -> bool:
+        """Whether a data set has the shape of such pictures."""
+        return len(dataset.shape) == 4 and dataset.dtype == np.uint8 and dataset.shape[3] in (1, 3, 4)
+
+    def sizes(self) -> Iterator[tuple[int, int]]:
+        """Height and width, once: all pictures of an array have one size."""
+        yield self._size
+
+    def read(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
+        """One picture.
+
+        Raises:
+            BadPicture: It is damaged.
+        """
+        try:
+            picture = np.asarray(self._dataset[number])
+        except ERRORS as error:
+            raise BadPicture(f"is damaged: picture {number} of {self._dataset.name!r}: {str(error)[:120]}") from error
+        return np.ascontiguousarray(picture[..., [0, 0, 0]] if picture.shape[2] == 1 else picture[..., :3])
+
+
+class PackedPictures:
+    """A compressed picture in each row. Arguments and errors as of ``Pixels``."""
+
+    def __init__(self, dataset: h5py.Dataset, limits: ImportLimits) -> None:
+        self._dataset, self._limits = dataset, limits
+
+    @staticmethod
+    def holds(dataset: h5py.Dataset) -> bool:
+        """Whether the first row begins as a picture's file does."""
+        rows = len(dataset.shape) == 2 and dataset.dtype == np.uint8
+        varying = len(dataset.shape) == 1 and h5py.check_vlen_dtype(dataset.dtype) == np.uint8
+        if not (rows or varying) or not len(dataset):
+            return False
+        first = dataset[0, : len(max(_STARTS, key=len))] if rows else dataset[0]
+        return np.asarray(first, np.uint8).tobytes().startswith(_STARTS)
+
+    def sizes(self) -> Iterator[tuple[int, int]]:
+        """Height and width of each picture, by its head.
+
+        Raises:
+            BadPicture: One is damaged.
+        """
+        for number in range(len(self._dataset)):
+            yield self._unpacked(number, size_of)
+
+    def read(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
+        """One picture.
+
+        Raises:
+            BadPicture: It is damaged.
+        """
+        return self._unpacked(number, to_rgb)
+
+    def _unpacked(self, number: int, unpack: Callable[[CompressedPicture, ImportLimits], _T]) -> _T:
+        try:
+            data = np.asarray(self._dataset[number], np.uint8).tobytes()
+            return unpack(CompressedPicture(stamp_ns=0, format="packed", data=data), self._limits)
+        except (BadPicture, *ERRORS) as error:
+            raise BadPicture(f"is damaged: picture {number} of {self._dataset.name!r} {str(error)[:120]}") from error
+
+
+def holds_pictures(dataset: h5py.Dataset, limits: ImportLimits) -> bool:
+    """Whether a data set is a camera's; one that is not to be read counts by its shape alone."""
+    try:
+        return Pixels.holds(dataset) or (fault(dataset, limits) is None and PackedPictures.holds(dataset))
+    except ERRORS:
+        return False
+
+
+def pictures_of(dataset: h5py.Dataset, limits: ImportLimits) -> Pixels | PackedPictures:
+    """The pictures of a data set that ``holds_pictures``.
+
+    Raises:
+        BadPicture: They are too large, too many, or not all there.
+    """
+    pictures = Pixels(dataset, limits) if Pixels.holds(dataset) else PackedPictures(dataset, limits)
+    if len(dataset) > limits.frames:
+        raise BadPicture(f"declares more than the {limits.frames:,} pictures that can be imported")
+    if not is_filled(dataset):
+        raise BadPicture(f"declares {len(dataset):,} pictures in {dataset.name!r} and holds fewer")
+    return pictures

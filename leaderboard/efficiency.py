@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from dmotion_bench.scoring.statistics import expanded_tail
 from leaderboard.row import Row
@@ -111,7 +111,7 @@ def labels_needed(points: Sequence[CurvePoint], within: float = WITHIN, seed: in
     if len(counts) > 1:
         generator = np.random.default_rng(seed)
         together = len({tuple(point.seeds) for point in points}) == 1
-        drawn = [found(_drawn(totals, counts, together, generator)) for _ in range(RESAMPLES)]
+        drawn = [found(errors) for errors in _drawn(totals, counts, together, generator)]
         tail = expanded_tail(len(counts))
         low, high = (float(one) for one in np.quantile(drawn, [tail, 1 - tail]))
     needed = found(errors)
@@ -123,15 +123,19 @@ def _drawn(
     counts: Float[np.ndarray, " e"],
     together: bool,
     generator: np.random.Generator,
-) -> list[float]:
-    """The errors of a curve whose episodes and trainings are drawn anew; trainings together if they are the same."""
-    episodes = generator.integers(len(counts), size=len(counts))
-    shared: Int[np.ndarray, " s"] = generator.integers(len(totals[0]), size=len(totals[0]))
-    errors = []
-    for total in totals:
-        trainings = shared if together else generator.integers(len(total), size=len(total))
-        errors.append(float(total[trainings][:, episodes].mean(0).sum() / counts[episodes].sum()))
-    return errors
+) -> list[tuple[float, ...]]:
+    """The errors of curves whose episodes and trainings are drawn anew; trainings together if they are the same."""
+    episodes = np.empty((RESAMPLES, len(counts)), np.int64)
+    trainings = [np.empty((RESAMPLES, len(total)), np.int64) for total in totals]
+    for draw in range(RESAMPLES):
+        episodes[draw] = generator.integers(len(counts), size=len(counts))
+        shared = generator.integers(len(totals[0]), size=len(totals[0]))
+        for own in trainings:
+            own[draw] = shared if together else generator.integers(own.shape[1], size=own.shape[1])
+    frames = counts[episodes].sum(1)
+    drawn = zip(totals, trainings, strict=True)
+    errors = [total[own[:, :, None], episodes[:, None]].mean(1).sum(1) / frames for total, own in drawn]
+    return list(zip(*(one.tolist() for one in errors), strict=True))
 
 
 def label_curves(rows: Iterable[Row], figure: str) -> dict[tuple[str, str], list[Row]]:

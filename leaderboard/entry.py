@@ -24,7 +24,7 @@ from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import PublishedResult
 from dmotion_bench.scoring.report import CONTROL_OF_CODE, LABEL_USES, SCORING_OF_CODE, FigureJson, Version
 from dmotion_bench.specs import VERSION
-from leaderboard.json_schema import violations
+from leaderboard.json_schema import Schema
 
 FORMAT: Final = "dmbench-entry/1"
 OWN_FIELDS: Final = ("format", "kind", "by_episode", "control", "pictures")
@@ -35,10 +35,9 @@ HASH: Final = re.compile(r"[0-9a-f]{64}")
 
 
 @functools.cache
-def schema() -> dict[str, Any]:
+def schema() -> Schema:
     """The published schema."""
-    content: dict[str, Any] = json.loads(schema_text())
-    return content
+    return Schema(json.loads(schema_text()))
 
 
 def schema_text() -> str:
@@ -60,7 +59,7 @@ class Entry:
     content: Mapping[str, Any]
 
     def __post_init__(self) -> None:
-        found = violations(self.content, schema())
+        found = schema().violations(self.content)
         if not found and self.is_measured:
             found = [one for name, sums in self.by_episode.items() for one in _sums_violations(name, sums)]
             shared = (name for name, figures in self.content["reference"].items() if isinstance(figures, str))

@@ -15,7 +15,7 @@ import pytest
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import Report
-from leaderboard.entry import Entry, published_entry, schema
+from leaderboard.entry import Entry, published_entry, schema_text
 from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
 from leaderboard.paper import label_count
 
@@ -24,7 +24,7 @@ PUBLISHED = Path(__file__).parents[2] / "docs/leaderboard/entries"
 
 
 def test_the_schema_has_every_field_of_a_report() -> None:
-    measured = schema()["$defs"]["measured"]
+    measured = json.loads(schema_text())["$defs"]["measured"]
 
     assert {field.name for field in dataclasses.fields(Report)} <= set(measured["properties"])
     required = {*measured["required"], *measured["else"]["required"], *measured["if"]["required"]}
@@ -39,7 +39,7 @@ def test_patterns_are_of_the_whole_text() -> None:
             for inner in rule.values():
                 yield from patterns(inner)
 
-    assert all(pattern.startswith("^") and pattern.endswith("$") for pattern in patterns(schema()))
+    assert all(pattern.startswith("^") and pattern.endswith("$") for pattern in patterns(json.loads(schema_text())))
 
 
 def test_an_entry_is_its_report_and_reads_back(sound: Entry, scored_workspace: Any, tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_what_entries_share_stands_once_beside_them(sound: Entry, changed: Chang
     assert all(re.fullmatch("[0-9a-f]{64}", one) for one in true)
     stored = {name: json.loads(path.read_text())["reference"]["copy_last"] for name, path in paths.items()}
     assert stored[sound.name] == stored["other"] != stored["elsewhere"]
-    jsonschema.validate(json.loads(paths["other"].read_text()), schema())
+    jsonschema.validate(json.loads(paths["other"].read_text()), json.loads(schema_text()))
     assert {entry.name: entry for entry in read_entries(tmp_path)} == {
         entry.name: entry for entry in (sound, other, elsewhere)
     }

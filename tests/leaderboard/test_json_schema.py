@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from leaderboard.json_schema import violations
+from leaderboard.json_schema import Schema
 
 CASES: list[tuple[dict[str, Any], list[Any], list[Any]]] = [
     ({"type": "integer", "minimum": 0}, [0, 7], [-1, 1.5, "1", True, None]),
@@ -41,18 +41,18 @@ CASES: list[tuple[dict[str, Any], list[Any], list[Any]]] = [
 
 @pytest.mark.parametrize(("schema", "good", "bad"), CASES)
 def test_what_each_keyword_lets_pass(schema: dict[str, Any], good: list[Any], bad: list[Any]) -> None:
-    assert all(not violations(value, schema) for value in good)
-    assert all(violations(value, schema) for value in bad)
+    assert all(not Schema(schema).violations(value) for value in good)
+    assert all(Schema(schema).violations(value) for value in bad)
 
 
 def test_the_place_is_said() -> None:
     schema = {"properties": {"figures": {"additionalProperties": {"properties": {"mean": {"type": "number"}}}}}}
 
-    (said,) = violations({"figures": {"mse": {"mean": "low"}}}, schema)
+    (said,) = Schema(schema).violations({"figures": {"mse": {"mean": "low"}}})
 
     assert said == "figures.mse.mean is 'low', not of the type number"
 
 
 def test_an_unknown_keyword_is_not_passed_over() -> None:
     with pytest.raises(ValueError, match="uniqueItems"):
-        violations([1], {"uniqueItems": True})
+        Schema({"uniqueItems": True})

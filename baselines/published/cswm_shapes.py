@@ -192,7 +192,8 @@ def figures(model: ContrastiveWorldModel, data: Episodes) -> Figures:
     for step in range(1, max(HORIZONS) + 1):
         imagined = model.advance(imagined, data.actions[:, step - 1])
         if step in HORIZONS:
-            places = ranks(imagined[0].flatten(1).double(), states(step).flatten(1).double())
+            boards = torch.unique(data.cells[:, step].flatten(1), dim=0, return_inverse=True)[1]
+            places = ranks(imagined[0].flatten(1).double(), states(step).flatten(1).double(), boards)
             ranked[step] = (float((places == 1).double().mean()), float(places.reciprocal().mean()))
         if step == 1:
             for state, last, true in zip(torch.chunk(imagined[0], pieces), pictures(0), pictures(1), strict=True):

@@ -5,20 +5,23 @@ A rollout ahead in that space is held against the true states of all rollouts af
 - ``hit_at_1``: 1 if its own true state is the nearest, else 0. The mean is H@1.
 - ``reciprocal_rank``: 1 / the place of its own true state among all. The mean is MRR.
 
-One that is as near as the own counts in the prediction's favour. No decoder has a part in this, so a model whose
+One that is just as near counts half a place, unless its picture is the same. So a state that is the same for all
+pictures has no hit, and a board that is reached twice does no harm. No decoder has a part in this, so a model whose
 pictures are bad can be seen to know what comes, and the other way round.
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
@@ -47,11 +50,16 @@ class Ranks:
 def rank_rollouts(
     model: ForwardModel[Any], held_out: HeldOut, *, horizon: int, batch_size: int, device: torch.device
 ) -> Ranks | None:
-    """Roll out in the model's own space; None for a model that has none."""
+    """Roll out in the model's own space; None for a model that has none.
+
+    Raises:
+        ModelContractBroken: A state holds NaN or infinity.
+    """
     if not isinstance(model, EmbeddingModel):
         return None
     imagined: list[Tensor] = []
     true: list[Tensor] = []
+    shown: list[Int64[np.ndarray, "b t"]] = []
     for batch in held_out.rollouts(horizon, batch_size):
         frames = torch.from_numpy(np.concatenate([batch.previous[:, None], batch.current[:, None], batch.future], 1))
         actions = as_tensor(batch.actions, device)
@@ -60,24 +68,47 @@ def rank_rollouts(
         steps, after = [], []
         for step in range(horizon):
             state = model.advance(state, actions[:, step])
-            steps.append(model.embedding(state).flatten(1).double().cpu())
-            after.append(model.embedding(model.begin(images[step + 1], images[step + 2])).flatten(1).double().cpu())
+            steps.append(_embedded(model, state))
+            after.append(_embedded(model, model.begin(images[step + 1], images[step + 2])))
         imagined.append(torch.stack(steps, 1))
         true.append(torch.stack(after, 1))
+        shown.append(np.array([[_identity(frame) for frame in frames] for frames in batch.future], np.int64))
     if not imagined:
         return Ranks(hit_at_1=np.zeros((0, horizon), np.float32), reciprocal_rank=np.zeros((0, horizon), np.float32))
-    ahead = zip(torch.cat(imagined).unbind(1), torch.cat(true).unbind(1), strict=True)
-    rank = torch.stack([ranks(predicted, truth) for predicted, truth in ahead], 1)
+    pictures = torch.from_numpy(np.concatenate(shown))
+    ahead = zip(torch.cat(imagined).unbind(1), torch.cat(true).unbind(1), pictures.unbind(1), strict=True)
+    rank = torch.stack([ranks(*one) for one in ahead], 1)
     return Ranks(hit_at_1=(rank == 1).float().numpy(), reciprocal_rank=rank.float().reciprocal().numpy())
 
 
-def ranks(predicted: Float[Tensor, "n d"], true: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+def ranks(
+    predicted: Float[Tensor, "n d"], true: Float[Tensor, "n d"], pictures: Int64[Tensor, " n"]
+) -> Float[Tensor, " n"]:
     """The place of each own true state among all, by the distance from the prediction: 1 is the nearest.
 
     Some rows at a time: the distances of all rollouts from each other may not fit into memory.
+
+    Args:
+        predicted, true: States; of one row the true one is what the predicted one should be.
+        pictures: Of each true state a number that is the same for the same picture.
     """
     found = []
     for first in range(0, len(predicted), ROWS_AT_ONCE):
-        distance = torch.cdist(predicted[first : first + ROWS_AT_ONCE], true, compute_mode=_EXACT)
-        found.append(1 + (distance < distance.diagonal(first)[:, None]).sum(1).double())
+        rows = slice(first, first + ROWS_AT_ONCE)
+        distance = torch.cdist(predicted[rows], true, compute_mode=_EXACT)
+        own = distance.diagonal(first)[:, None]
+        tied = (distance == own) & (pictures[rows, None] != pictures)
+        found.append(1 + (distance < own).sum(1).double() + tied.sum(1).double() / 2)
     return torch.cat(found) if found else predicted.new_zeros(0, dtype=torch.float64)
+
+
+def _embedded(model: EmbeddingModel, state: Any) -> Float64[Tensor, "b d"]:
+    embedded = model.embedding(state).flatten(1).double().cpu()
+    if not bool(torch.isfinite(embedded).all()):
+        raise ModelContractBroken(f"the states of {type(model).__name__} hold NaN or infinity; its training diverged.")
+    return embedded
+
+
+def _identity(frame: UInt8[np.ndarray, "h w 3"]) -> int:
+    """The same number for the same picture."""
+    return int.from_bytes(hashlib.blake2b(frame.tobytes(), digest_size=8).digest(), "big", signed=True)

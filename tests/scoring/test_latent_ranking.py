@@ -13,6 +13,7 @@ from known_model import Known, NoConfig
 from torch import Tensor
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.scoring import latent_ranking
 from dmotion_bench.scoring.latent_ranking import rank_rollouts, ranks
@@ -34,6 +35,15 @@ class KnowingOracle(Oracle):
         return state[1]
 
 
+class Collapsed(Known):
+    """Has one state for all pictures."""
+
+    state = 0.5
+
+    def embedding(self, state: tuple[Tensor, Tensor]) -> Tensor:
+        return torch.full((len(state[1]), 3), self.state)
+
+
 class KnowingNothing(Known):
     """Stays where it was; the first rollout's place is as good as another."""
 
@@ -46,13 +56,17 @@ class KnowingNothing(Known):
 def test_ranks_are_those_of_brute_force(seed: int, count: int) -> None:
     generator = np.random.default_rng(seed)
     predicted, true = generator.integers(-2, 3, (2, count, 4)).astype(np.float64)  # whole numbers: many ties
+    pictures = generator.integers(0, 3, count)
     expected = []
     for row in range(count):
         distances = [((predicted[row] - true[other]) ** 2).sum() for other in range(count)]
-        expected.append(1 + sum(distance < distances[row] for distance in distances))
+        nearer = sum(distance < distances[row] for distance in distances)
+        others = [distance for distance, one in zip(distances, pictures, strict=True) if one != pictures[row]]
+        expected.append(1 + nearer + others.count(distances[row]) / 2)
     for at_once in (1, 5, 1024):  # the blocks of rows do not matter
         with patch.object(latent_ranking, "ROWS_AT_ONCE", at_once):
-            np.testing.assert_array_equal(ranks(torch.from_numpy(predicted), torch.from_numpy(true)), expected)
+            found = ranks(*(torch.from_numpy(one) for one in (predicted, true, pictures)))
+            np.testing.assert_array_equal(found, expected)
 
 
 def test_who_knows_what_comes_ranks_first_and_who_does_not_does_not(grid: Dataset) -> None:
@@ -71,6 +85,20 @@ def test_who_knows_what_comes_ranks_first_and_who_does_not_does_not(grid: Datase
     other = rank_rollouts(nothing, held_out, horizon=4, batch_size=64, device=CPU)
     assert other is not None
     np.testing.assert_array_equal(other.reciprocal_rank, still.reciprocal_rank)
+
+
+def test_a_state_that_is_the_same_for_all_pictures_has_no_hit(grid: Dataset) -> None:
+    held_out = HeldOut(grid, "test")
+    model = Collapsed(NoConfig(), ModelInputs(height=128, width=128, actions=Discrete.numbered(4)))
+    found = rank_rollouts(model, held_out, horizon=4, batch_size=5, device=CPU)
+    assert found is not None
+    assert found.hit_at_1.max() == 0
+    assert found.reciprocal_rank.max() < 0.5
+
+    for broken in (float("nan"), float("inf")):
+        model.state = broken
+        with pytest.raises(ModelContractBroken, match="the states of Collapsed hold NaN or infinity"):
+            rank_rollouts(model, held_out, horizon=4, batch_size=5, device=CPU)
 
 
 def test_a_model_without_a_space_of_its_own_has_no_rank(grid: Dataset) -> None:

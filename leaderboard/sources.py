@@ -16,7 +16,8 @@ from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.label_use import label_use
 from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import read_report
-from dmotion_bench.scoring.transfer import training_of, transferable
+from dmotion_bench.scoring.transfer import training_is_here, training_of, transferable
+from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.check import cache_damages
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, shard_path
@@ -116,6 +117,11 @@ def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:
     split = check.entry.content["settings"]["split"]
     if dataset.fingerprint == run.spec.fingerprint or split not in SPLIT_NAMES:
         return dataset
+    if not training_is_here(run) and dataset.recipe.environment != IMPORTED:
+        check.missing.append(
+            f"data set of the training: only {str(run.dataset_path)!r} says which episodes are new to the run, and it "
+            "is not there or has changed; record it again, or fetch it with '--from PLACE'"
+        )
     try:
         return transferable(run, dataset, split, check.entry.column)
     except RunMismatch as error:

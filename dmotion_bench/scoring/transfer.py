@@ -6,8 +6,8 @@ what the run was trained on; of two data sets of one name the second has the beg
 A report of validation episodes lies below that of the test, in ``validation/``.
 
 It must be the same environment: the same actions and pictures of the same size. And the episodes must be new to the
-run: two recordings with the same seed begin their episodes alike, and where nothing that can be seen varies, one may
-hold as a test what the other holds as training.
+run: two recordings with the same seed begin their episodes alike, and one may hold as a test what the other holds as
+training. The seeds of the training are in its data set; where that is gone, the report says that nobody looked.
 
 An import names no environment, so any import of frames of the same size fits whose actions have the same names. It may
 list them in another order: scoring numbers them as the training did. The bounds of continuous actions are the smallest
@@ -98,7 +98,7 @@ def transferable(run: Run, dataset: Dataset, split: SplitName, column: str | Non
         known, how = copied_episodes(own, trained.tolist(), dataset, asked), "show the same as"
         instead = "import recordings that the training did not have."
     else:
-        known, how = _known_before(own, trained.tolist(), dataset, asked), "have the seed and the first picture of"
+        known, how = _known_before(own, trained.tolist(), dataset, asked), "have the seed of"
         instead = "record the data set with another '--seed'."
     if known:
         whose = split if column is None else "task"
@@ -172,6 +172,11 @@ def _same_numbers(mine: Continuous, theirs: Continuous) -> bool:
     return (mine.names, mine.units) == (theirs.names, theirs.units)
 
 
+def training_is_here(run: Run) -> bool:
+    """Whether the data set that the run was trained on is there, which alone says which episodes are new to it."""
+    return _own_dataset(run) is not None
+
+
 def training_of(run: Run, dataset: Dataset) -> dict[str, Any] | None:
     """What a run was trained on, as its report on another data set says it; None on its own data set."""
     if dataset.fingerprint == run.spec.fingerprint:
@@ -195,6 +200,8 @@ def transfer_remark(run: Run, dataset: Dataset) -> str:
         )
     if own is not None and own.spec.step_ns != dataset.spec.step_ns:
         said += f"; a step of it takes {dataset.spec.step_ns / 1e9:g} s, of the training {own.spec.step_ns / 1e9:g} s"
+    if own is None:
+        said += "; whether its episodes are new to the run was not looked at: the data of the training are not here"
     return said
 
 
@@ -220,15 +227,9 @@ def _own_dataset(run: Run) -> Dataset | None:
 
 
 def _known_before(own: Dataset, trained: Sequence[int], dataset: Dataset, asked: Sequence[int]) -> list[int]:
-    """The episodes with the seed and first image of one that the run was trained or validated on.
+    """The episodes with the seed of one that the run was trained or validated on.
 
-    Two versions of an environment may draw the same episode otherwise, so between them the seed alone decides.
+    The seed decides where things stand, whatever else differs: light, camera or version only draw it otherwise.
     """
-    redrawn = own.recipe.version != dataset.recipe.version
-    seen = {own.rows[episode].seed: episode for episode in trained}
-    pairs = [(episode, seen.get(dataset.rows[episode].seed)) for episode in asked]
-    return [
-        episode
-        for episode, same in pairs
-        if same is not None and (redrawn or np.array_equal(dataset.video(episode)[0], own.video(same)[0]))
-    ]
+    seen = {own.rows[episode].seed for episode in trained}
+    return [episode for episode in asked if dataset.rows[episode].seed in seen]

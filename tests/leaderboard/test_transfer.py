@@ -190,6 +190,15 @@ def test_without_the_data_of_the_training_an_entry_on_an_import_is_not_checked(
     assert verdict.findings == ()
 
 
+def test_without_the_data_of_the_training_nobody_knows_which_episodes_are_new(
+    workspace: Workspace, transferred: Entry
+) -> None:
+    shutil.rmtree(workspace.data / "grid_world-tiny")
+    verdict = check_entry(transferred, workspace, QUICK)
+    assert [one.partition(" '")[0] for one in verdict.missing] == ["data set of the training: only"]
+    assert verdict.findings == ()
+
+
 def test_an_entry_on_a_copy_of_the_training_does_not_hold(
     workspace: Workspace, on_import: Entry, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -137,6 +137,33 @@ def test_another_version_of_an_episode_is_no_new_episode(make_run: MakeRun, grid
     assert report.trained_on == grid.name
 
 
+def test_a_trained_layout_in_another_light_is_no_new_episode(
+    make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the first picture looks like."""
+    longer = write_dataset(tmp_path / "data/longer", episodes=60)
+    run = make_run(tmp_path / "run")
+    as_it_is = Dataset.video
+
+    def darker(self: Dataset, episode: int) -> np.ndarray:
+        frames = as_it_is(self, episode)
+        return frames // 2 if self.name == "longer" else frames
+
+    monkeypatch.setattr(Dataset, "video", darker)
+    with pytest.raises(RunMismatch, match=r"of the 6 test episodes .* have the seed of"):
+        _score(run, longer)
+
+
+def test_without_the_training_s_data_the_report_says_that_nobody_looked(
+    make_run: MakeRun, other: Dataset, tmp_path: Path
+) -> None:
+    run = make_run(tmp_path / "run")
+    manifest = json.loads((run.path / "run.json").read_text())
+    (run.path / "run.json").write_text(json.dumps(manifest | {"dataset_path": str(tmp_path / "gone")}))
+    report = _score(Run.open(run.path), other)
+    assert "whether its episodes are new to the run was not looked at" in report.remarks["trained_on"]
+
+
 def test_the_same_seed_with_the_same_split_holds_out_the_same(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
     shorter = write_dataset(tmp_path / "data/shorter", frames=10)
     np.testing.assert_array_equal(shorter.split("test"), grid.split("test"))

@@ -7,7 +7,8 @@ budgets were measured: of a board it counts those that most of its models have. 
 enough, the figure is that budget, and says *at most*.
 
 The interval is from a bootstrap: in each draw episodes are drawn anew, the same ones for all budgets, and so are
-trainings where there are several; the figure is found anew on each drawn curve.
+trainings where there are several; the figure is found anew on each drawn curve. What drawn trainings differ from the
+mean of all, as a factor, is widened for their small number (``statistics.widening``).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from dmotion_bench.scoring.statistics import expanded_tail
+from dmotion_bench.scoring.statistics import expanded_tail, widening
 from leaderboard.row import Row
 
 WITHIN: Final = 0.1
@@ -133,8 +134,12 @@ def _drawn(
         for own in trainings:
             own[draw] = shared if together else generator.integers(own.shape[1], size=own.shape[1])
     frames = counts[episodes].sum(1)
-    drawn = zip(totals, trainings, strict=True)
-    errors = [total[own[:, :, None], episodes[:, None]].mean(1).sum(1) / frames for total, own in drawn]
+    errors = []
+    for total, own in zip(totals, trainings, strict=True):
+        of_each = total[:, episodes].sum(-1) / frames
+        drawn, middle = np.take_along_axis(of_each.T, own, axis=1).mean(1), of_each.mean(0)
+        ratio = np.divide(drawn, middle, out=np.ones_like(drawn), where=middle > 0)
+        errors.append(middle * ratio ** widening(total, counts))
     return list(zip(*(one.tolist() for one in errors), strict=True))
 
 

@@ -166,15 +166,28 @@ def over_trainings(
         if trainings > 1:
             generator = np.random.default_rng([seed, episodes, trainings])
             share = generator.multinomial(trainings, np.full(trainings, 1 / trainings), size=resamples) / trainings
-            widened = math.sqrt(trainings / (trainings - 1)) * stdtrit(trainings - 1, (1 + LEVEL) / 2)
-            widened *= math.sqrt(_between(sums, counts) / spread) if (spread := float(each.var(ddof=1))) else 0.0
-            middle = middle + widened / ndtri((1 + LEVEL) / 2) * ((share * means).sum(axis=1) - middle)
+            middle = middle + widening(sums, counts) * ((share * means).sum(axis=1) - middle)
         tail = expanded_tail(episodes)
         low, high = (float(one) for one in np.quantile(middle, [tail, 1 - tail]))
         if (sums >= 0).all():
             low = max(low, 0.0)
     per_episode = sums.mean(axis=0) / counts
     return Estimate(mean=float(each.mean()), std=float(per_episode.std()), low=low, high=high, n=int(counts.sum()))
+
+
+def widening(sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"]) -> float:
+    """By what the distance of drawn trainings' mean from that of all is multiplied; 1 for a single training.
+
+    Above 1 since they are few, below where what they differ by is mostly chance: see ``over_trainings``, also for the
+    arguments.
+    """
+    trainings = len(sums)
+    if trainings < 2:
+        return 1.0
+    spread = float((sums.sum(axis=1) / counts.sum()).var(ddof=1))
+    quantile = float(stdtrit(trainings - 1, (1 + LEVEL) / 2) / ndtri((1 + LEVEL) / 2))
+    true = math.sqrt(_between(sums, counts) / spread) if spread else 0.0
+    return math.sqrt(trainings / (trainings - 1)) * quantile * true
 
 
 def standard_error(

@@ -12,7 +12,7 @@ import pytest
 from leaderboard.board import make_boards
 from leaderboard.board_tables import board_section
 from leaderboard.curves import assign_styles, charts
-from leaderboard.efficiency import CurvePoint, crossing, labels_needed
+from leaderboard.efficiency import WITHIN, CurvePoint, crossing, labels_needed
 from leaderboard.entry import Entry
 from leaderboard.markdown_numbers import TO
 from leaderboard.page import make_page
@@ -215,3 +215,26 @@ def test_the_page_folds_the_points_of_curves_away_and_keeps_every_entry(budgeted
     for entry in (*points, *rest):
         assert f'href="#{entry.slug}"' in page
         assert f'id="{entry.slug}"' in page
+
+
+@pytest.mark.parametrize("same", [True, False], ids=["the same trainings", "others for each budget"])
+def test_the_interval_covers_the_truth_with_three_trainings(same: bool) -> None:
+    generator = np.random.default_rng(1)
+    labels, errors = (16, 64, 256, 1024), (2.0, 1.5, 1.12, 1.0)
+    truth, episodes, trials = crossing(labels, errors, (1 + WITHIN) * errors[-1]), 60, 60
+
+    def point(place: int, level: np.ndarray, factors: np.ndarray) -> CurvePoint:
+        drawn = [level * errors[place] * factor * (1 + 0.05 * generator.normal(size=episodes)) for factor in factors]
+        sums = [{"episode": [*range(episodes)], "n": [30] * episodes, "sum": one.tolist()} for one in drawn]
+        seeds = [0, 1, 2] if same else [10 * place + number for number in range(3)]
+        return CurvePoint(labels=labels[place], is_all=place == len(labels) - 1, sums=sums, seeds=seeds)
+
+    covered = 0
+    for _ in range(trials):
+        level, factors = 30 * generator.gamma(4.0, 0.25, episodes), 1 + 0.1 * generator.normal(size=(4, 3))
+        found = labels_needed([point(place, level, factors[0 if same else place]) for place in range(len(labels))])
+        assert found is not None
+        assert found.low is not None
+        assert found.high is not None
+        covered += found.low <= truth <= found.high
+    assert covered >= 0.9 * trials

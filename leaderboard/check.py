@@ -7,7 +7,7 @@ In this order:
 1. the run of this workspace whose weights have the entry's hash, and what it says of itself (``sources.py``);
 2. the data set that has the entry's fingerprint: every file's hash, and the frame cache against the video;
 3. the run's stored samples: their hash; the figures and the sums by episode, computed from them (``rescored.py``);
-4. control: the actions repeated in the simulator, and some of them planned anew (``control.py``);
+4. control: the actions repeated in the simulator, and those of some tasks planned anew (``control.py``);
 5. the weights' own hash, and the held-out episodes scored anew: sample by sample, then figure by figure;
 6. the pictures, predicted anew.
 
@@ -18,8 +18,9 @@ packages were installed. That takes training again; a run is reproducible from i
 from __future__ import annotations
 
 import contextlib
+import secrets
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Final
 
@@ -52,6 +53,7 @@ from leaderboard.rescored import against_samples, same_pictures, same_samples, s
 from leaderboard.sources import against_run, as_read, find_dataset, find_run
 from leaderboard.verdict import Findings, Verdict, short
 
+LEAST_RESAMPLES: Final = 100  # of very few draws an interval is as narrow as one likes
 MOST_RESAMPLES: Final = 100_000
 _SHARED: Final = SharedSamples(on_disk=False)  # what is checked is computed here
 """Of the present process: it computes them once for all entries of a data set that it checks."""
@@ -64,10 +66,13 @@ class CheckSettings:
     Attributes:
         score: Whether to score anew; without, figures are held against the stored samples only.
         differing: Share of the samples that may differ, for another kind of processor.
+        draw: Seed by which the control tasks that are planned anew are drawn; by default whoever checks draws it, so
+            that no author knows it.
     """
 
     score: bool = True
     differing: float = 0.0
+    draw: int = field(default_factory=lambda: secrets.randbits(32))
 
 
 def check_entry(
@@ -123,7 +128,16 @@ def check_entry(
                 _score_anew(check, run, read, samples, asked, settings, how, shared)
             else:
                 check.remarks.append("not scored anew")
-            check_control(check, run, read, samples, anew=settings.score, differing=settings.differing, how=how)
+            check_control(
+                check,
+                run,
+                read,
+                samples,
+                anew=settings.score,
+                differing=settings.differing,
+                draw=settings.draw,
+                how=how,
+            )
     except (UnknownName, PackageNotInstalled) as error:
         check.missing.append(f"code: {error}")
     except DmbenchError as error:
@@ -195,6 +209,7 @@ def check_paths(
     *,
     quick: bool = False,
     differing: float = 0.0,
+    draw: int | None = None,
     on_progress: Progress = silent,
     executor: Executor | None = None,
     progress: Path | None = None,
@@ -206,7 +221,7 @@ def check_paths(
         paths: Of files, folders or runs.
         workspace: Where runs and data sets are.
         quick: Score nothing anew.
-        differing: See ``CheckSettings``.
+        differing, draw: See ``CheckSettings``.
         on_progress: Told how far the scoring is, where it is done in this process.
         executor: Checks entries beside each other, with the same verdicts; all its machines see the same paths.
         progress: A folder in which its jobs say how far they are (``job_progress.watching``); None: nowhere.
@@ -216,6 +231,7 @@ def check_paths(
         UnknownName: A path stands for nothing.
     """
     settings = CheckSettings(score=not quick, differing=differing)
+    settings = settings if draw is None else replace(settings, draw=draw)
     meant = [one for given in paths for one in _meant(given, workspace)]
     jobs = [
         CheckJob(
@@ -275,7 +291,7 @@ def _settings(check: Findings) -> ScoreSettings | None:
         "split": given["split"] in SPLIT_NAMES,
         "protocol": given["protocol"] in ("episode", "paper"),
         "precision": given["precision"] in ("float32", "bf16"),
-        "resamples": type(given.get("resamples")) is int and 1 <= given["resamples"] <= MOST_RESAMPLES,
+        "resamples": type(given.get("resamples")) is int and LEAST_RESAMPLES <= given["resamples"] <= MOST_RESAMPLES,
         "metrics": isinstance(given["metrics"], list),
     }
     wrong = [

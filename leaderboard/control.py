@@ -2,8 +2,10 @@
 
 An entry holds the actions of whoever planned, task by task (``actions_of``). The simulator is exact: the same actions
 from the same start give the same places, so the distances follow from the actions without any model, and the figures
-from the distances. That the model chose these actions, and nobody else, shows where it is asked again: the first
-steps of one group of tasks are planned anew from the weights, each from where the entry's own actions have led.
+from the distances. That the model chose these actions, and nobody else, shows where it is asked again: one group of
+tasks, which whoever checks draws, is planned anew from the weights, from the first step to the last, each step from
+where the entry's own actions have led. An author who let somebody else act in a part of the tasks is found by that
+share of the checks.
 References that take seconds are scored anew as a whole.
 """
 
@@ -20,8 +22,8 @@ from jaxtyping import UInt8
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import HasScript
 from dmotion_bench.learning.run import Run
-from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent, known_actions
-from dmotion_bench.planning.columns import COLUMNS
+from dmotion_bench.planning.agents import NO_ACTION, Agent, Decision, SimulatorAgent, known_actions
+from dmotion_bench.planning.columns import COLUMNS, TASKS, is_test
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
 from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
@@ -40,9 +42,6 @@ FIGURES: Final = "control_"
 
 NOTHING: Final = "none"
 """In place of a continuous action where none was taken."""
-
-PLANNED: Final = 3
-"""Steps of a group of tasks that are planned anew."""
 
 MOST_STEPS: Final = 1000
 MOST_GROUP: Final = 64
@@ -83,6 +82,11 @@ def _read(text: str, spec: ActionSpec) -> int | list[float] | None:
     return numbers if spec.fault(np.array([numbers])) is None else None
 
 
+def _is_none(action: int | list[float] | None) -> bool:
+    """Whether an action that was read says that none was taken."""
+    return action == NO_ACTION if isinstance(action, int) else action is not None and bool(np.isnan(action).any())
+
+
 def check_control(
     check: Findings,
     run: Run,
@@ -91,6 +95,7 @@ def check_control(
     *,
     anew: bool,
     differing: float,
+    draw: int,
     how: Execution,
 ) -> None:
     """Compare everything that an entry says about control with the simulator and, if asked, with its model.
@@ -102,6 +107,7 @@ def check_control(
         samples: Those of the run's report, if they are there.
         anew: Whether to plan, and to score the quick references, anew.
         differing: Share of the actions that may be planned otherwise, on another kind of processor.
+        draw: Seed by which the tasks that are planned anew are drawn.
         how: Device and progress.
 
     Raises:
@@ -121,6 +127,8 @@ def check_control(
             "run again with 'dmbench score' and build the entry anew"
         )
         return
+    if scoring.column is not None and is_test(dataset):
+        _expect_frozen(check, scoring)
     problems = load_problems(dataset, scoring.tasks)
     if check.entry.planned_by == CONTROL_VERSION and content.get("planning"):
         said = present_planning(content["planning"])
@@ -135,7 +143,7 @@ def check_control(
         result = _control(repeater, problems, dataset, scoring, how, f"control by {name}, again")
         found[name] = control_samples(name, result)
         if name == MODEL and anew and check.entry.planned_by == CONTROL_VERSION:
-            _plan_anew(check, run, dataset, problems, scoring, actions, differing, how)
+            _plan_anew(check, run, dataset, problems, scoring, actions, differing, draw, how)
     if anew:
         found |= {name: _reference(name, dataset, scoring, how) for name in _quick(dataset)}
     else:
@@ -178,6 +186,17 @@ def _scoring(check: Findings) -> ControlScoring | None:
     return ControlScoring.from_json(given)
 
 
+def _expect_frozen(check: Findings, scoring: ControlScoring) -> None:
+    """Whether a column planned on the protocol's tasks with the protocol's settings."""
+    frozen = ControlScoring(column=scoring.column)
+    for name in ("steps", "seed", "group"):
+        own, wanted = getattr(scoring, name), getattr(frozen, name)
+        if own != wanted:
+            check.wrong.append(f"settings.{FIGURES}{name} is {own}; the column {scoring.column!r} has {wanted}")
+    if scoring.tasks is not None and scoring.tasks < TASKS:
+        check.wrong.append(f"settings.{FIGURES}tasks is {scoring.tasks}; the table is of all {TASKS} test tasks")
+
+
 def _are_settings(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(one, str) for one in value)
 
@@ -196,6 +215,11 @@ def _actions(
         check.wrong.append(f"control of {name}: the actions are those of other tasks than the first {len(problems)}")
         return None
     actions = {task: [_read(one, spec) for one in taken] for task, taken in said.items()}
+    if name == MODEL and any(_is_none(one) for taken in actions.values() for one in taken):
+        check.wrong.append(
+            "control: a task of the model has a step without an action; a planner takes one at each step"
+        )
+        return None
     if any(len(taken) != steps or None in taken for taken in actions.values()):
         of = f"of {len(spec)}" if isinstance(spec, Discrete) else f"within {spec}"
         check.wrong.append(f"control of {name}: a task has not {steps} actions {of}")
@@ -246,23 +270,25 @@ def _plan_anew(
     scoring: ControlScoring,
     actions: Mapping[int, Taken],
     differing: float,
+    draw: int,
     how: Execution,
 ) -> None:
-    """Plan the first actions of one group again; the weights' hash decides which group, so nobody can choose it."""
+    """Plan one group of tasks again; the draw decides which, so no author knows it beforehand."""
     groups = range(0, len(problems), scoring.group)
-    first = groups[int(check.entry.content["weights"][:8], 16) % len(groups)]
+    first = groups[np.random.default_rng([draw, int(check.entry.content["weights"][:8], 16)]).integers(len(groups))]
     group = problems[first : first + scoring.group]
     model = agent_of(run.model.laid_out(), dataset, scoring, how.device)
     witness = _Repeater(actions, known_actions(dataset.spec), model)
-    few = ControlScoring(steps=min(PLANNED, scoring.steps), seed=scoring.seed, group=scoring.group)
-    _control(witness, group, dataset, few, how, "control, planned anew")
+    _control(witness, group, dataset, scoring, how, "control, planned anew")
+    tasks = ", ".join(str(problem.number) for problem in group)
+    check.remarks.append(f"control: {witness.asked} actions of the tasks {tasks} were planned anew (--draw {draw})")
     if len(witness.otherwise) > differing * witness.asked:
         check.wrong.append(
             f"control: {len(witness.otherwise)} of {witness.asked} actions are not the model's: "
             + "; ".join(witness.otherwise[:SHOWN])
         )
     elif witness.otherwise:
-        check.remarks.append(f"control: {len(witness.otherwise)} of {witness.asked} actions were planned otherwise")
+        check.remarks.append(f"control: {len(witness.otherwise)} of {witness.asked} were planned otherwise")
 
 
 class _Repeater(SimulatorAgent):

@@ -16,7 +16,15 @@ from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import SAMPLES_FILE
-from dmotion_bench.scoring.samples import FIGURE_COLUMNS, GAIN, GAIN_COLUMNS, column, read_samples
+from dmotion_bench.scoring.samples import (
+    FIGURE_COLUMNS,
+    GAIN,
+    GAIN_COLUMNS,
+    LATER_LISTS,
+    RANK_COLUMNS,
+    column,
+    read_samples,
+)
 from dmotion_bench.scoring.score import Scores
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.storage.shard import file_facts
@@ -30,6 +38,9 @@ ROUNDING: Final = 1e-3
 
 SAMPLE_ROUNDING: Final = 1e-2
 """Relative and absolute; between two scorings of one sample."""
+
+LATER_DIFFERING: Final = 0.01
+"""Share of the rows of ``LATER_LISTS`` that may differ: probes are fitted, and small networks round differently."""
 
 PICTURE_ROUNDING: Final = 3  # pixel values
 LATER: Final = ("probe_", "codebook_", "state_probe")
@@ -90,7 +101,9 @@ def same_scores(check: Findings, scores: Scores) -> None:
             ours, theirs = (
                 {name: one for name, one in all_of.items() if _came(name) == later} for all_of in (mine, others)
             )
-            if theirs or later is None:  # entries from before there were such figures have none
+            if later is not None and ours and not theirs:
+                check.remarks.append(f"{where}: the entry has none of the figures {later}..., which came later")
+            if theirs or later is None:
                 absolute = SAMPLE_ROUNDING if later else 0.0  # scores of probes are near zero where they read nothing
                 check.expect_figures(
                     f"{where}, scored anew", theirs, ours, ROUNDING, means_only=True, absolute=absolute
@@ -106,7 +119,7 @@ def _came(figure: str) -> str | None:
 def same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing: float) -> None:
     """Compare the samples row by row; a given share may differ, because processors round differently."""
     predictors = np.unique(np.concatenate([column(table, "predictor") for table in (stored, scored)]).astype(str))
-    wrong = list[str]()
+    wrong, later, known = list[str](), 0, 0
     for predictor in predictors.tolist():
         for metric in ("prediction", "rollout", GAIN):
             one, other = (_part(table, predictor, metric) for table in (stored, scored))
@@ -117,6 +130,10 @@ def same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing:
             check.samples += len(one)
             rows = keys[_apart(one, other)].tolist()
             wrong += [f"{metric} of {predictor}, episode {episode}, step {step}" for episode, step, _ in rows]
+            apart, compared = _later_apart(one, other)
+            later, known = later + apart, known + compared
+    if later > max(differing, LATER_DIFFERING) * known:
+        check.wrong.append(f"samples: {later} of {known} of what probes and codes came to differ from the new scoring")
     if wrong:
         told = f"{len(wrong)} of {check.samples} differ from the new scoring"
         if len(wrong) > differing * check.samples:
@@ -135,17 +152,40 @@ def _part(table: pa.Table, predictor: str, metric: str) -> pa.Table:
 def _apart(stored: pa.Table, scored: pa.Table) -> Bool[np.ndarray, " n"]:
     """Which rows differ by more than rounding."""
     wrong: Bool[np.ndarray, " n"] = np.zeros(len(stored), np.bool_)
-    for name in (*FIGURE_COLUMNS, *GAIN_COLUMNS, "action", "pushed"):
-        wrong |= _far(*(column(table, name).astype(np.float64) for table in (stored, scored)))
+    for name in (*FIGURE_COLUMNS, *GAIN_COLUMNS, *RANK_COLUMNS, "action", "pushed"):
+        left, right = (column(table, name).astype(np.float64) for table in (stored, scored))
+        wrong |= _far(left, right)
     for name in ("distance", "found", "found_truth", "motion", "command"):
-        sizes, others = (
-            pc.fill_null(pc.list_value_length(table[name]), 0).to_numpy().astype(np.int64) for table in (stored, scored)
-        )
-        wrong |= sizes != others
-        if np.array_equal(sizes, others):
-            left, right = (_flat(table, name) for table in (stored, scored))
-            wrong[np.repeat(np.arange(len(sizes)), sizes)[_far(left, right)]] = True
+        wrong |= _lists_apart(stored, scored, name, SAMPLE_ROUNDING)
     return wrong
+
+
+def _later_apart(stored: pa.Table, scored: pa.Table) -> tuple[int, int]:
+    """Of the columns that came later, and that are stored: how many rows differ, and how many were compared.
+
+    What is rounding is told by the size of a column's values, since squared distances may be tiny.
+    """
+    apart = known = 0
+    for name in LATER_LISTS:
+        if not len(_flat(stored, name)):
+            continue
+        values = np.abs(_flat(scored, name))
+        size = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+        apart += int(_lists_apart(stored, scored, name, SAMPLE_ROUNDING * size).sum())
+        known += len(stored)
+    return apart, known
+
+
+def _lists_apart(stored: pa.Table, scored: pa.Table, name: str, absolute: float) -> Bool[np.ndarray, " n"]:
+    """The rows whose lists differ, in their lengths or by more than rounding."""
+    sizes, others = (
+        pc.fill_null(pc.list_value_length(table[name]), 0).to_numpy().astype(np.int64) for table in (stored, scored)
+    )
+    apart: Bool[np.ndarray, " n"] = sizes != others
+    if not apart.any():
+        left, right = (_flat(table, name) for table in (stored, scored))
+        apart[np.repeat(np.arange(len(sizes)), sizes)[_far(left, right, absolute)]] = True
+    return apart
 
 
 def _flat(table: pa.Table, name: str) -> Any:
@@ -153,8 +193,8 @@ def _flat(table: pa.Table, name: str) -> Any:
     return values.astype(np.float64)
 
 
-def _far(left: Any, right: Any) -> Bool[np.ndarray, " n"]:
-    far: Bool[np.ndarray, " n"] = ~np.isclose(left, right, rtol=SAMPLE_ROUNDING, atol=SAMPLE_ROUNDING, equal_nan=True)
+def _far(left: Any, right: Any, absolute: float = SAMPLE_ROUNDING) -> Bool[np.ndarray, " n"]:
+    far: Bool[np.ndarray, " n"] = ~np.isclose(left, right, rtol=SAMPLE_ROUNDING, atol=absolute, equal_nan=True)
     return far
 
 

@@ -83,6 +83,15 @@ def check(
         float,
         typer.Option(min=0.0, max=1.0, help="Share of samples that may differ, because processors round differently."),
     ] = 0.0,
+    draw: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Draws the control tasks that are planned anew, as an earlier check did. Default: drawn now, so that "
+            "nobody knew them.",
+            show_default=False,
+        ),
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -126,7 +135,7 @@ def check(
         )
     if executor is not None:
         require_one_of("executor", executor, EXECUTORS)
-    asked = paths or [built]
+    asked, how = paths or [built], {"quick": quick, "differing": differing, "draw": draw}
     if place is not None:
         _fetch(asked, place)
     with progress_bar() as bar:
@@ -136,11 +145,9 @@ def check(
             def show(what: str, done: int, total: int) -> None:
                 bar.update(task, completed=done, total=total, status=what)
 
-            verdicts = _part("check")(asked, workspace, quick=quick, differing=differing, on_progress=show)
+            verdicts = _part("check")(asked, workspace, **how, on_progress=show)
         else:
-            verdicts = _checked_side_by_side(
-                asked, workspace, executor or "local", workers, bar, task, quick=quick, differing=differing
-            )
+            verdicts = _checked_side_by_side(asked, workspace, executor or "local", workers, bar, task, **how)
     if as_json:
         print_json({"verdicts": [verdict.to_json() for verdict in verdicts]})
     else:

@@ -145,7 +145,9 @@ _PROBE_COLUMNS: Final = (
     "codes",
     "codebook_sizes",
 )
-_LISTS: Final = ("distance", "found", "found_truth", "motion", "command", *_EACH_COLUMNS, *_PROBE_COLUMNS)
+LATER_LISTS: Final = (*_EACH_COLUMNS, *_PROBE_COLUMNS)
+"""Columns of lists that reports of this version of scoring may lack: they came later."""
+_LISTS: Final = ("distance", "found", "found_truth", "motion", "command", *LATER_LISTS)
 _LEFT_OUT: Final = (
     "command",
     "motion_probe_error",

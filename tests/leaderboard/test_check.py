@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pytest
 import torch
@@ -17,6 +18,7 @@ from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.run import Conditions, Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import write_report
+from dmotion_bench.scoring.samples import SCHEMA, read_samples
 from dmotion_bench.scoring.score import Scores, score_run
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.statistics import Estimate
@@ -27,7 +29,7 @@ from leaderboard.entry import Entry, published_entry
 from leaderboard.entry_file import write_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, to_png
-from leaderboard.rescored import same_scores
+from leaderboard.rescored import same_samples, same_scores
 from leaderboard.verdict import Findings
 
 from .conftest import SETTINGS
@@ -132,7 +134,7 @@ def test_what_is_not_here_makes_an_entry_neither_sound_nor_wrong(
         ("dataset", {"version": 3}, "dataset.version: the entry says 3, it is 2"),
         ("samples", {"sha256": "0" * 64}, "samples.sha256: "),
         ("samples", {"rows": 3}, "samples.rows: "),
-        ("settings", {"resamples": 3}, "figures, from the samples: "),
+        ("settings", {"resamples": 3}, "settings.resamples is 3"),
         ("settings", {"resamples": 10**12}, "settings.resamples is"),
         ("settings", {"protocol": "paper"}, "settings.protocol: "),
         ("settings", {"split": "training"}, "settings.split is"),
@@ -196,6 +198,28 @@ def test_a_single_forged_sample_is_found_by_scoring_anew(
     assert check_entry(forged, workspace, QUICK).holds  # all agrees: hash, figures, sums
     findings = check_entry(forged, workspace, shared=shared).findings
     assert any("1 of" in finding and f"{metric} of model" in finding for finding in findings), findings
+
+
+def test_forged_probes_are_found_by_scoring_anew(workspace: Workspace, sound: Entry) -> None:
+    """The means may stand, and only what the interval is made of be smoothed."""
+    rows = read_samples(workspace.runs / RUN / "report" / "samples.parquet").to_pylist()
+    generator = np.random.default_rng(0)
+    for row in rows:
+        if (row["metric"], row["predictor"]) == ("prediction", "model"):
+            row["state_probe_object_place"] = (1e-3 * generator.random(2)).tolist()
+    scored = pa.Table.from_pylist(rows, SCHEMA)
+
+    def found(change: Callable[[list[float]], list[float] | None]) -> list[str]:
+        stored = [row | {"state_probe_object_place": change(row["state_probe_object_place"] or [])} for row in rows]
+        check = Findings(entry=sound)
+        same_samples(check, pa.Table.from_pylist(stored, SCHEMA), scored, 0.0)
+        return check.wrong
+
+    assert found(lambda own: own) == []
+    assert found(lambda own: [one * 1.001 for one in own]) == []
+    assert found(lambda own: None) == []  # from before there were such probes
+    (said,) = found(lambda own: [5e-4 for _ in own])
+    assert "of what probes and codes came to differ from the new scoring" in said
 
 
 def test_samples_that_were_dropped_are_found(workspace: Workspace, shared: SharedSamples) -> None:

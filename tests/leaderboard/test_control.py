@@ -15,6 +15,7 @@ import pytest
 from known_model import Known, write_run
 
 from dmotion_bench.learning.run import Run
+from dmotion_bench.planning.columns import tasks_hash
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, score_reference
 from dmotion_bench.scoring.earlier_planning import earlier_planning
@@ -27,6 +28,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry
+from leaderboard.control import actions_of
 from leaderboard.entry import Entry
 
 pytestmark = pytest.mark.slow
@@ -289,6 +291,60 @@ def test_another_player_than_the_model_is_found_by_planning_anew(copied: Workspa
     strict, lenient = (check_entry(forged, copied, CheckSettings(differing=share)) for share in (0.0, 1.0))
     assert any("actions are not the model's: task" in finding for finding in strict.findings)
     assert any("planned otherwise" in remark for remark in lenient.remarks)
+
+
+def test_help_in_the_last_steps_is_found(copied: Workspace) -> None:
+    """The model's own actions at first, the oracle's or none afterwards."""
+
+    def help_out(rows: Rows) -> None:
+        for task in range(3):
+            helped = zip(_moments(rows, "model", task)[3:], _moments(rows, "random", task)[3:], strict=True)
+            for mine, other in helped:
+                mine["action"] = (other["action"] + 1) % 4
+
+    content = _content(entry_of_run(copied.runs / RUN))
+    _forged(copied, help_out)
+    samples = pq.read_table(copied.runs / RUN / "report" / "samples.parquet")
+    forged = Entry(content | {"control": content["control"] | {"model": actions_of(samples)["model"]}})
+
+    assert any("are not the model's" in one for one in check_entry(forged, copied).findings)
+
+
+def test_whoever_checks_draws_the_tasks_that_are_planned_anew(controlled: Workspace, entry: Entry) -> None:
+    def planned(draw: int) -> str:
+        remarks = check_entry(entry, controlled, CheckSettings(draw=draw)).remarks
+        (told,) = (remark for remark in remarks if "planned anew" in remark)
+        return told
+
+    assert planned(3) == planned(3)
+    assert {planned(draw).partition(" (")[0] for draw in range(6)} == {
+        "control: 10 actions of the tasks 0, 1 were planned anew",
+        "control: 5 actions of the tasks 2 were planned anew",
+    }
+    assert CheckSettings().draw != CheckSettings().draw
+
+
+def test_a_model_takes_an_action_at_each_step(controlled: Workspace, entry: Entry) -> None:
+    content = _content(entry)
+    content["control"]["model"][1]["actions"] = "0 1 -1 2 3"
+    findings = check_entry(Entry(content), controlled, QUICK).findings
+    assert any("a task of the model has a step without an action" in one for one in findings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"), [({"seed": 7}, "seed is 7"), ({"steps": 4}, "steps is 4"), ({"tasks": 2}, "tasks is 2")]
+)
+def test_a_column_has_the_protocol_s_settings_on_its_tasks(
+    controlled: Workspace, entry: Entry, monkeypatch: pytest.MonkeyPatch, settings: dict[str, Any], said: str
+) -> None:
+    content = _content(entry)
+    column = {"column": "generic", "planner": "icem", "planner_set": ["cost_at=last"]} | settings
+    content["settings"] |= {f"control_{name}": value for name, value in column.items()}
+    tasks = tasks_hash(Dataset.open(controlled.data / "pushed-tiny"))
+
+    assert not any(said in one for one in check_entry(Entry(content), controlled, QUICK).findings)
+    monkeypatch.setattr("dmotion_bench.planning.columns.TEST_TASKS", {"grid_world@2": tasks})
+    assert any(said in one for one in check_entry(Entry(content), controlled, QUICK).findings)
 
 
 def test_a_run_without_control_has_no_actions(controlled: Workspace, copied: Workspace) -> None:

@@ -4,8 +4,9 @@ Runs that differ in nothing but their seed are one row. Its value is the mean ov
 is the range over the seeds, or, of a single seed, the 95% interval over the test episodes. Who is better is not read
 from these: each row is compared with the best by the paired difference over the episodes (``comparison.py``).
 
-Control is as good as the planner, so only what one version of it planned is averaged and compared: that of this
-dmbench, or, where nothing of it is there, the one that planned most. Rows that have none of it keep another's, marked.
+Control is as good as the planner, so only what one planner did in the same tasks is averaged and compared: of those of
+this dmbench's version, or, where nothing of it is there, of all, the one that planned most. Rows that have none of it
+keep another's, marked. Rollouts and the gain captured that were measured with other settings than most are left out.
 """
 
 from __future__ import annotations
@@ -19,14 +20,13 @@ from typing import Any, Final, TypeVar
 
 from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.registry import environment_title
-from dmotion_bench.scoring.report import Version
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.agreement import Agreement, agreements
 from leaderboard.column_table import ColumnTable, column_table
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.efficiency import beside_curves, label_curves
-from leaderboard.entry import Entry
+from leaderboard.entry import Entry, Planner
 from leaderboard.row import Row
 from leaderboard.run_names import settings_of, unusual_settings, without_seed
 from leaderboard.value import values_of
@@ -133,7 +133,7 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
     environment, _, dataset, fingerprint, split, protocol = _board_key(every[0])
     entries = [entry for entry in every if entry.column is None]
     control = column_table([entry for entry in every if entry.column is not None], REFERENCE_WORDS)
-    planner = _planner_of(entries)
+    planner, usual = _planner_of(entries), _usual_settings(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     twins: dict[tuple[str, ...], int] = defaultdict(int)
     for entry in entries:
@@ -141,9 +141,9 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         one = (*key, str(entry.content["seed"]))
         groups[*key, str(twins[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
         twins[one] += 1
-    measured = _told_apart([_measured_row(own, planner) for own in groups.values()])
+    measured = _told_apart([_measured_row(own, planner, usual) for own in groups.values()])
     comparable = published if entries and entries[0].actions == "discrete" else ()
-    rows = [*_ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, planner)]
+    rows = [*_ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, planner, usual)]
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
     return Board(
         environment=environment,
@@ -164,24 +164,34 @@ def _plain_variant(row: Row) -> str:
     return ", ".join(part for part in row.variant.split(", ") if not part.startswith("trained on "))
 
 
-def _planner_of(entries: Iterable[Entry]) -> Version | None:
-    """The version of control that a board compares, of those that its entries have; None without control."""
-    versions = Counter(entry.planned_by for entry in entries if entry.planned_by is not None)
-    if CONTROL_VERSION in versions:
-        return CONTROL_VERSION
-    return max(sorted(versions, key=str), key=versions.__getitem__, default=None)
+def _planner_of(entries: Iterable[Entry]) -> Planner | None:
+    """The planner whose control a board compares, of those that its entries have; None without control."""
+    planners = Counter(entry.planner for entry in entries if entry.planner is not None)
+    present = [one for one in planners if one.version == CONTROL_VERSION] or [*planners]
+    return max(sorted(present, key=str), key=planners.__getitem__, default=None)
+
+
+def _usual_settings(entries: Iterable[Entry]) -> dict[str, str]:
+    """Of each figure the settings that most entries measured it with, where other settings than a board's decide it."""
+    found: dict[str, Counter[str]] = defaultdict(Counter)
+    for entry in entries:
+        for figure in entry.figures:
+            found[figure][entry.decisive(figure)] += 1
+    return {figure: max(sorted(counts), key=counts.__getitem__) for figure, counts in found.items()}
 
 
 def _row_key(entry: Entry) -> tuple[str, ...]:
     content = entry.content
     own = entry.trained_on or ""
-    return entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own, without_seed(entry)
+    settings = unusual_settings(entry)
+    told = entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own
+    return *told, without_seed(entry) if settings is None else settings, str(content["settings"]["precision"])
 
 
-def _measured_row(entries: Sequence[Entry], planner: Version | None) -> Row:
+def _measured_row(entries: Sequence[Entry], planner: Planner | None, usual: Mapping[str, str]) -> Row:
     first = entries[0]
-    mine = planner if any(entry.planned_by == planner for entry in entries) else _planner_of(entries)
-    arch, own = first.content["arch"], first.trained_on
+    mine = planner if any(entry.planner == planner for entry in entries) else _planner_of(entries)
+    arch, own, precision = first.content["arch"], first.trained_on, first.content["settings"]["precision"]
     return Row(
         kind="measured",
         name=first.model,
@@ -190,26 +200,30 @@ def _measured_row(entries: Sequence[Entry], planner: Version | None) -> Row:
             [f"{arch} architecture"] * (arch != "compact")
             + [first.label_use] * bool(first.label_use)
             + [f"trained on {own}"] * (own is not None)
+            + [f"predicted in {precision}"] * (precision != "float32")
         ),
         elsewhere=own is not None,
         labels=first.labels,
         label_count=first.label_count,
         entries=tuple(sorted(entries, key=lambda entry: (entry.content["seed"], entry.slug))),
         figures=values_of(
-            [_compared(entry.figures, entry, mine) for entry in entries],
-            [_compared(entry.by_episode, entry, mine) for entry in entries],
+            [_compared(entry.figures, entry, mine, usual) for entry in entries],
+            [_compared(entry.by_episode, entry, mine, usual) for entry in entries],
         ),
-        planned_by=mine,
+        planner=mine,
         planned_otherwise=mine not in (planner, None),
     )
 
 
-def _compared(figures: Mapping[str, _T], entry: Entry, planner: Version | None) -> dict[str, _T]:
-    """The figures of an entry, without control figures of another version."""
+def _compared(
+    figures: Mapping[str, _T], entry: Entry, planner: Planner | None, usual: Mapping[str, str]
+) -> dict[str, _T]:
+    """The figures of an entry, without those of another planner, and those measured with unusual settings."""
     return {
         name: figure
         for name, figure in figures.items()
-        if entry.planned_by == planner or not name.startswith(CONTROLLED)
+        if (entry.planner == planner or not name.startswith(CONTROLLED))
+        and usual.get(name, "") in ("", entry.decisive(name))
     }
 
 
@@ -259,29 +273,27 @@ def _published_row(entry: Entry) -> Row:
     )
 
 
-def _reference_rows(entries: Sequence[Entry], planner: Version | None) -> list[Row]:
-    """The rows of the references; entries of the same board and version of control have the same figures for them.
+def _reference_rows(entries: Sequence[Entry], planner: Planner | None, usual: Mapping[str, str]) -> list[Row]:
+    """The rows of the references; entries of the same board and planner have the same figures for them.
 
     Of them the oracle alone plans; where nothing is known of it with the board's planner, another's is marked.
     """
     found: dict[str, dict[str, Any]] = defaultdict(dict)
-    own_first = sorted(entries, key=lambda entry: entry.planned_by != planner)
-    oracle = next(
-        (entry.planned_by for entry in own_first if _planned(entry.content["reference"].get(ORACLE))), planner
-    )
+    own_first = sorted(entries, key=lambda entry: entry.planner != planner)
+    oracle = next((entry.planner for entry in own_first if _planned(entry.content["reference"].get(ORACLE))), planner)
     for entry in own_first:
         for name, figures in entry.content["reference"].items():
             if name == "paper":
                 continue
-            for figure, value in figures.items():
-                if name != ORACLE or entry.planned_by == oracle or not figure.startswith(CONTROLLED):
-                    found[name].setdefault(figure, value)
+            mine = oracle if name == ORACLE else entry.planner
+            for figure, value in _compared(figures, entry, mine, usual).items():
+                found[name].setdefault(figure, value)
     return [
         Row(
             kind="reference",
             name=REFERENCE_WORDS.get(name, name),
             figures=values_of([figures]),
-            planned_by=oracle if name == ORACLE else None,
+            planner=oracle if name == ORACLE else None,
             planned_otherwise=name == ORACLE and oracle != planner,
         )
         for name, figures in found.items()
@@ -296,7 +308,8 @@ def _planned(figures: Mapping[str, Any] | None) -> bool:
 
 def _ranked(rows: list[Row]) -> list[Row]:
     """The measured rows, each with its paired difference from the best, and whether it leads in control."""
-    controlled = sorted((int(found[1]), name) for name in _all_figures(rows) if (found := _CONTROL.fullmatch(name)))
+    names = _all_figures(row for row in rows if not row.planned_otherwise)
+    controlled = sorted((int(found[1]), name) for name in names if (found := _CONTROL.fullmatch(name)))
     if controlled:
         rows = _leading(rows, controlled[-1][1])
     ranked = [row for row in rows if RANKED_BY in row.figures]
@@ -328,15 +341,15 @@ def _leading(rows: list[Row], figure: str) -> list[Row]:
 
 
 def _difference(row: Row, best: Row, figure: str) -> Estimate | None:
-    """The paired difference of a row from the best; None if their control figures are of different versions."""
+    """The paired difference of a row from the best; None if their control figures are of different planners."""
     controlled = figure.startswith(CONTROLLED)
-    if figure not in row.figures or (controlled and row.planned_by != best.planned_by):
+    if figure not in row.figures or (controlled and row.planner != best.planner):
         return None
     sums = [
         [
             entry.by_episode[figure]
             for entry in one.entries
-            if figure in entry.by_episode and (not controlled or entry.planned_by == one.planned_by)
+            if figure in entry.by_episode and (not controlled or entry.planner == one.planner)
         ]
         for one in (row, best)
     ]

@@ -169,7 +169,8 @@ def _control(board: Board) -> list[str]:
 
 def _last_distance(rows: Sequence[Row]) -> str | None:
     """The distance at the end of control, by its fixed name; None where there is none."""
-    names = {name for row in rows for name in row.figures if name.startswith(CONTROLLED)}
+    compared = [row for row in rows if not row.planned_otherwise] or rows
+    names = {name for row in compared for name in row.figures if name.startswith(CONTROLLED)}
     return next((one.figure for one in control_columns(names) if "distance" in one.figure), None)
 
 
@@ -205,9 +206,9 @@ def trainings(row: Row, name: str) -> str:
 def tuned(board: Board, row: Row, name: str) -> str:
     """Whether a row's planner was tuned on the tasks that a figure is about; empty if the row has no planner."""
     tasks = row.figures[name].samples
-    if row.planned_by is None or not tasks or not name.startswith(CONTROLLED):
+    if row.planner is None or not tasks or not name.startswith(CONTROLLED):
         return ""
-    share = tuned_share(row.planned_by, board.fingerprint, tasks)
+    share = tuned_share(row.planner.version, board.fingerprint, tasks)
     if share is None:
         return "not known"
     return "no" if not share else "yes" if share == 1 else f"{share:.0%}"

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from dmotion_bench.planning.columns import COLUMNS
+from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.figures import SUCCESS
 from dmotion_bench.scoring.statistics import (
     Estimate,
@@ -113,13 +114,19 @@ class ColumnTable:
 def column_table(entries: Sequence[Entry], words: Mapping[str, str]) -> ColumnTable | None:
     """The table of some entries, all planned by columns on the same tasks; None where nothing is comparable.
 
+    Where some entries are over fewer steps or tasks than others, as in a trial, they are left out, and so are those
+    with another seed than a column has.
+
     Args:
         entries: Those of one data set.
         words: What references are called.
     """
-    steps = max((_last(entry) for entry in entries), default=0)
+    known = [entry for entry in entries if entry.column in COLUMNS and _is_frozen(entry)]
+    steps = max((_last(entry) for entry in known), default=0)
     figure = f"control_distance[{steps}]"
-    known = [entry for entry in entries if entry.column in COLUMNS and figure in entry.figures]
+    known = [entry for entry in known if figure in entry.figures]
+    most = max((_tasks(entry, figure) for entry in known), default=0)
+    known = [entry for entry in known if _tasks(entry, figure) == most]
     if not known:
         return None
     groups: dict[RowKey, dict[str, list[Entry]]] = defaultdict(lambda: defaultdict(list))
@@ -135,6 +142,16 @@ def column_table(entries: Sequence[Entry], words: Mapping[str, str]) -> ColumnTa
         steps=steps,
         detectable={name: found for name in columns if (found := _detectable(rows, name)) is not None},
     )
+
+
+def _is_frozen(entry: Entry) -> bool:
+    """Whether an entry's control has the seed of every column, and not too many steps."""
+    frozen = ControlScoring()
+    return entry.content["settings"].get("control_seed", 0) == frozen.seed and 0 < _last(entry) <= frozen.steps
+
+
+def _tasks(entry: Entry, figure: str) -> int:
+    return int(entry.figures[figure]["n"] or 0)
 
 
 def _last(entry: Entry) -> int:

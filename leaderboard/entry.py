@@ -18,9 +18,10 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.scoring.earlier_planning import present_settings
 from dmotion_bench.scoring.references import PublishedResult
 from dmotion_bench.scoring.report import CONTROL_OF_CODE, LABEL_USES, SCORING_OF_CODE, FigureJson, Version
 from dmotion_bench.specs import VERSION
@@ -30,8 +31,24 @@ FORMAT: Final = "dmbench-entry/1"
 OWN_FIELDS: Final = ("format", "kind", "by_episode", "control", "pictures")
 """Of a measured entry; all others are those of the run's report."""
 
+_DECIDE_CONTROL: Final = ("planner", "planner_set", "objective", "objective_set", "tasks", "steps", "seed")
+_DECIDE: Final = {"rollout_": ("horizon",), "planning_gain": ("gain_",)}
+"""The settings, by how their names begin, that decide the figures whose names begin so."""
+
 SHOWN_VIOLATIONS: Final = 3
 HASH: Final = re.compile(r"[0-9a-f]{64}")
+
+
+class Planner(NamedTuple):
+    """By what control is told apart: only what one planner did is averaged and compared.
+
+    Attributes:
+        version: Of control.
+        settings: The solver, the objective where one was named, the tasks, their steps and the seed, as a text.
+    """
+
+    version: Version
+    settings: str
 
 
 @functools.cache
@@ -143,6 +160,24 @@ class Entry:
         code = settings.get("control_code")
         version: Version | None = settings.get("control_version") if code is None else CONTROL_OF_CODE.get(code, code)
         return version
+
+    @property
+    def planner(self) -> Planner | None:
+        """What besides the model decides its figures of control; None where control was not scored."""
+        version = self.planned_by
+        if version is None:
+            return None
+        settings = present_settings(self.content["settings"])
+        decisive = [settings.get(f"control_{name}") for name in _DECIDE_CONTROL]
+        return Planner(version, json.dumps(decisive, default=str))
+
+    def decisive(self, figure: str) -> str:
+        """The settings that decide a figure beside those that a board has in common, as a text to compare."""
+        settings = self.content["settings"]
+        for prefix, names in _DECIDE.items():
+            if figure.startswith(prefix):
+                return json.dumps({name: value for name, value in settings.items() if name.startswith(names)})
+        return ""
 
     @property
     def column(self) -> str | None:

@@ -93,7 +93,7 @@ def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
     }
     note = (
         "Error of the predicted next frame on the test episodes, with its 95% interval over them; of several trainings "
-        "the mean. Bold: the best on its data set, or tied with the best."
+        "the mean. Bold: the best on its data set, or tied with the best, as trained here."
     )
     return _table(columns, places, note)
 

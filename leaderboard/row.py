@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from dmotion_bench.scoring.report import Version
 from dmotion_bench.scoring.statistics import Estimate
-from leaderboard.entry import Entry
+from leaderboard.entry import Entry, Planner
 from leaderboard.value import Value
 
 RowKind = Literal["measured", "published", "reference"]
@@ -33,7 +32,7 @@ class Row:
         is_best: Whether it is the one the others are compared with.
         elsewhere: Whether it was trained on another data set than the board's.
         leads: Other figures in which it is the best, or statistically tied with the best.
-        planned_by: The version of control behind its figures of control; None where it has none.
+        planner: The planner behind its figures of control; None where it has none.
         planned_otherwise: Whether that is another one than the board's.
     """
 
@@ -49,7 +48,7 @@ class Row:
     is_best: bool = False
     elsewhere: bool = False
     leads: frozenset[str] = frozenset()
-    planned_by: Version | None = None
+    planner: Planner | None = None
     planned_otherwise: bool = False
 
     @property

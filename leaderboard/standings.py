@@ -15,8 +15,8 @@ from leaderboard.value import Value
 
 SHOWN_SEPARATELY = "as published"
 OTHER_PLANNER_NOTE = (
-    f" Where it says '{OTHER_PLANNER}', another version of the planner chose the actions: what they led to holds, but "
-    "it is not compared with the others."
+    f" Where it says '{OTHER_PLANNER}', the actions are those of other settings or another version: what they "
+    "led to holds, but it is not compared with the others."
 )
 
 

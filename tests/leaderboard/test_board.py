@@ -347,6 +347,42 @@ def test_what_different_planners_did_is_neither_averaged_nor_compared(
     assert table.count("another planner") == 2  # of the row, and in the note
 
 
+@pytest.mark.parametrize("other", [{"planner": "cem"}, {"objective": "tabletop"}, {"tasks": 7}, {"seed": 17}])
+def test_other_settings_are_another_planner(planned: Callable[..., Entry], other: dict[str, Any]) -> None:
+    def of(name: str, distance: float, training: int, settings: dict[str, Any]) -> Entry:
+        content = dict(planned(name, distance, 1, seed=training).content)
+        own = {f"control_{key}": value for key, value in ({"planner": "icem", "seed": 0} | settings).items()}
+        return Entry(content | {"settings": content["settings"] | own})
+
+    usual_ones = [of("both", 0.9, 0, {}), of("usual", 0.8, 0, {}), of("usual", 0.8, 1, {})]
+    (board,) = make_boards([*usual_ones, of("both", 0.3, 1, other), of("other", 0.1, 0, other)])
+
+    both, usual, apart = (_row(board, name) for name in ("both", "usual", "other"))
+    assert both.figures["control_distance[100]"].mean == 0.9
+    assert usual.leads == {"control_distance[100]"}
+    assert (apart.leads, apart.planned_otherwise) == (set(), True)
+
+
+@pytest.mark.parametrize(
+    ("figure", "settings"), [("planning_gain", {"gain_seed": 9}), ("rollout_mse[1]", {"horizon": 1})]
+)
+def test_a_figure_measured_with_unusual_settings_is_left_out(
+    changed: Callable[..., Entry], figure: str, settings: dict[str, Any]
+) -> None:
+    def of(name: str, mean: float, **other: Any) -> Entry:
+        content = dict(changed(run=name, model=name).content)
+        figures = dict(content["figures"]) | {figure: dict(content["figures"]["mse"]) | {"mean": mean}}
+        return Entry(content | {"figures": figures, "settings": content["settings"] | {"gain_seed": 0} | other})
+
+    (board,) = make_boards([of("a", 0.5), of("b", 0.6), of("c", 0.9, **settings)])
+
+    assert {row.name: figure in row.figures for row in board.rows if row.kind == "measured"} == {
+        "a": True,
+        "b": True,
+        "c": False,
+    }
+
+
 def test_an_oracle_of_another_planner_is_marked(planned: Callable[..., Entry], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("leaderboard.board.CONTROL_VERSION", 7)
     present = planned("new", 0.5, 7)

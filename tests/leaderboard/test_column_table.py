@@ -188,6 +188,27 @@ def test_a_training_on_other_tasks_is_not_averaged(
     assert board.control.rows[0].cells["generic"].left.mean == pytest.approx(left["dmotion", 0].mean())
 
 
+def test_a_trial_with_other_settings_is_not_in_the_table(
+    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    """Planned with another seed, over a few tasks, or over more steps than a column has."""
+    honest = [controlled(model, own, seed=seed) for (model, seed), own in left.items()]
+    best = np.zeros(len(EPISODES))
+    lucky = controlled("lucky", best)
+    lucky = Entry(dict(lucky.content) | {"settings": lucky.content["settings"] | {"control_seed": 17}})
+    sums = {"control_distance[2]": {"episode": EPISODES[:7], "n": [1] * 7, "sum": [0.0] * 7}}
+    few = controlled("few", best[:7], by_episode=sums)
+    long = controlled("long", best)
+    farther = {"control_distance[101]": _figure(0.0, len(best)), "control_distance[2]": _figure(0.0, len(best))}
+    long = Entry(dict(long.content) | {"figures": dict(long.content["figures"]) | farther})
+
+    (board,) = make_boards([*honest, lucky, few, long])
+
+    assert board.control is not None
+    assert [row.name for row in board.control.rows if row.entries] == ["dmotion", "ed-cnn"]
+    assert board.control.steps == 2
+
+
 def test_control_of_the_earlier_protocol_stands_apart(
     controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
 ) -> None:

@@ -37,9 +37,9 @@ class Parts:
         return Built(page=out / "index.html", measured=2, published=22, left_out={"a": "it is not scored"})
 
     def check(
-        self, paths: list[Path], workspace: Any, *, quick: bool, differing: float, on_progress: Any
+        self, paths: list[Path], workspace: Any, *, quick: bool, differing: float, draw: int | None, on_progress: Any
     ) -> list[Verdict]:
-        self.asked.append((paths, quick, differing))
+        self.asked.append((paths, quick, differing, draw))
         return [
             Verdict(entry="good", findings=(), remarks=("old",), figures=5, samples=70),
             Verdict(entry="bad", findings=("mse.mean is said to be 1 and is 2",)),
@@ -101,7 +101,7 @@ def test_check_tells_what_does_not_hold_and_fails(run: Callable[..., Result], pa
     (tmp_path / "reports/leaderboard/entries").mkdir(parents=True)
     result = run("check")
 
-    assert parts.asked == [([tmp_path / "reports/leaderboard/entries"], False, 0.0)]
+    assert parts.asked == [([tmp_path / "reports/leaderboard/entries"], False, 0.0, None)]
     assert "holds          good (5 figures, 70 samples)" in result.stdout
     assert "DOES NOT HOLD  bad" in result.stdout
     assert "    mse.mean is said to be 1 and is 2" in result.stdout
@@ -111,9 +111,9 @@ def test_check_tells_what_does_not_hold_and_fails(run: Callable[..., Result], pa
 
 
 def test_check_is_silent_about_sound_entries(run: Callable[..., Result], parts: Parts) -> None:
-    result = run("check", "e.json", "--quick", "--differing", "0.01", "--json")
+    result = run("check", "e.json", "--quick", "--differing", "0.01", "--draw", "3", "--json")
 
-    assert parts.asked == [([Path("e.json")], True, 0.01)]
+    assert parts.asked == [([Path("e.json")], True, 0.01, 3)]
     assert result.exit_code == 0
     (verdict,) = json.loads(result.stdout)["verdicts"]
     sound = {"holds": True, "entry": "good", "findings": [], "missing": [], "remarks": ["old"]}

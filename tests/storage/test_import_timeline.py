@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import math
+from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmotion_bench.errors import RecordingImportError
-from dmotion_bench.storage.imports.timeline import Piece, cut, interval_ns, irregularity, length_for, resample
+from dmotion_bench.storage.imports.commands import ContinuousCommands, DiscreteCommands
+from dmotion_bench.storage.imports.imported_actions import step_actions
+from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.recording import steady_times
+from dmotion_bench.storage.imports.timeline import (
+    ROUNDED_NS,
+    Piece,
+    cut,
+    interval_ns,
+    irregularity,
+    length_for,
+    resample,
+)
 
 ANY_TIMES = st.lists(st.integers(0, 20_000_000_000), min_size=1, max_size=60).map(lambda ts: np.array(sorted(ts)))
 
@@ -22,7 +37,7 @@ def frames_of(times: np.ndarray, hz: float, max_gap_s: float | None = None) -> l
 @given(times=ANY_TIMES, hz=st.sampled_from([1.0, 7.0, 10.0, 30.0]), gap=st.none() | st.floats(0.05, 3))
 @settings(deadline=None, derandomize=True, max_examples=200)
 def test_each_tick_shows_the_latest_frame(times: np.ndarray, hz: float, gap: float | None) -> None:
-    slack = int(min(interval_ns(times) / 4, 0.5e9 / hz))
+    slack = int(min(interval_ns(times) / 4, 0.5e9 / hz)) + ROUNDED_NS
     pieces = resample(times, hz=hz, max_gap_s=gap, most=10**6)
     for piece in pieces:
         assert np.abs(np.diff(piece.t_ns) - 1e9 / hz).max(initial=0) <= 1
@@ -43,6 +58,34 @@ def test_jitter_neither_repeats_nor_drops() -> None:
 def test_thirty_hertz_read_at_ten_is_every_third() -> None:
     for interval in (33_333_333, 33_333_334):
         assert frames_of(np.arange(301) * interval, 10)[0][:100] == list(range(0, 300, 3))
+
+
+STEADY = pytest.mark.parametrize(
+    ("rate", "hz"), [(30, 15), (60, 30), (60, 15), (30, 24), (60, 48), (80, 30), (59.94, 29.97), (30, 7.5), (50, 20)]
+)
+
+
+@STEADY
+def test_a_frame_at_the_edge_is_on_the_same_side_at_every_tick(rate: float, hz: float) -> None:
+    (piece,) = resample(steady_times(200, rate, Path("a")), hz=hz, max_gap_s=None, most=10**6)
+    exact = (Fraction(k) * Fraction(str(rate)) / Fraction(str(hz)) for k in range(len(piece)))
+    assert piece.frames.tolist() == [min(math.floor(tick + Fraction(1, 4)), 199) for tick in exact]
+
+
+@STEADY
+@pytest.mark.parametrize("rounded_to_ns", [1, 1000])
+def test_a_command_halfway_counts_for_the_same_step_everywhere(rate: float, hz: float, rounded_to_ns: int) -> None:
+    """The command of a step is the last one up to its middle, as computed without rounding."""
+    times = (np.rint(steady_times(200, rate, Path("a")) / rounded_to_ns) * rounded_to_ns).astype(np.int64)
+    (piece,) = resample(times, hz=hz, max_gap_s=None, most=10**6)
+    ratio = Fraction(str(rate)) / Fraction(str(hz))
+    expected = [math.floor(ratio * Fraction(2 * step + 1, 2)) for step in range(len(piece) - 1)]
+
+    names = [str(number) for number in range(200)]
+    discrete = DiscreteCommands(times_ns=times, names=names)
+    assert step_actions(piece, discrete, tuple(names), ImportOptions()).tolist() == expected
+    continuous = ContinuousCommands(times_ns=times, values=np.arange(200.0)[:, None], names=("v",))
+    assert step_actions(piece, continuous, (), ImportOptions())[:, 0].tolist() == expected
 
 
 def test_a_slower_camera_is_repeated() -> None:

@@ -5,7 +5,8 @@ An action is a choice out of a few: an integer, a truth value or a word, as ``st
 joint positions) become continuous actions where somebody names their fields; see ``continuous_commands``.
 
 A command holds until the next one. The action of frame i is the command in force halfway between frames i and
-i + 1: so it counts whether the robot's program logs it just before the picture or just after.
+i + 1: so it counts whether the robot's program logs it just before the picture or just after. A command that comes
+exactly halfway is in force already, however its time was rounded.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, guarded, ros_decoder, well_known
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
+from dmotion_bench.storage.imports.timeline import ROUNDED_NS
 
 FIELDS: Final = ("action", "data", "value")
 LONGEST: Final = 100  # characters of an action's name
@@ -158,7 +160,7 @@ def ordered_names(recordings: Sequence[DiscreteCommands], most: int) -> tuple[st
 
 def in_force(commands: Commands, t_ns: Int64[np.ndarray, " t"]) -> Int64[np.ndarray, " t-1"]:
     """The number of the command in force halfway between each two ticks, -1 before the first command."""
-    halfway = t_ns[:-1] + np.diff(t_ns) // 2
+    halfway = t_ns[:-1] + np.diff(t_ns) // 2 + ROUNDED_NS
     latest: Int64[np.ndarray, " t-1"] = np.searchsorted(commands.times_ns, halfway, side="right").astype(np.int64) - 1
     return latest
 

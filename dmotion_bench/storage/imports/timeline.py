@@ -20,6 +20,7 @@ from dmotion_bench.errors import RecordingImportError
 GAP_INTERVALS = 2.5  # of the camera
 GAP_TICKS = 1.5  # of the new clock: a shorter gap repeats a frame once at most
 MOST_TICKS = 20.0  # of the new clock: a longer gap is no gap of a slow camera, it would be 20 times the same frame
+ROUNDED_NS = 2_000  # times this close are one: most rates have no whole interval, and some recorders keep microseconds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +105,7 @@ def resample(times_ns: Int64[np.ndarray, " n"], *, hz: float, max_gap_s: float |
                 "import with a lower '--hz', or fewer files at a time."
             )
         t_ns = stretch[0] + np.rint(np.arange(ticks) * tick).astype(np.int64)
-        shown = np.searchsorted(stretch, t_ns + int(slack), side="right") - 1
+        shown = np.searchsorted(stretch, t_ns + int(slack) + ROUNDED_NS, side="right") - 1
         pieces.append(Piece(frames=start + shown.astype(np.int64), t_ns=t_ns))
         start = int(end)
     return pieces

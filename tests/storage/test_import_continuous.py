@@ -26,10 +26,13 @@ from dmotion_bench.errors import InvalidSetting, RecordingImportError
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import export_lerobot
-from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce, reduced
+from dmotion_bench.storage.imports.commands import in_force
+from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce, from_rows, reduced
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.recording import steady_times
+from dmotion_bench.storage.imports.timeline import Piece, resample
 
 TWIST = ImportOptions(size=32, actions="/cmd_vel", action_fields=("linear.x", "angular.z"))
 AWKWARD = [0.1, -0.0, 1 / 3, -5e-324, 1.7976931348623157e300, 123456789.000001]
@@ -188,14 +191,48 @@ def test_protobuf_fields(tmp_path: Path) -> None:
     ],
 )
 def test_several_commands_become_one_action(reduce: Reduce, expected: list[list[float]]) -> None:
-    """Frames at 0, 100 ... 400; a step's commands begin a quarter before its frame."""
-    times = np.array([-20, 10, 60, 80, 120, 174, 180], np.int64)
+    """Frames at 0, 1 ... 4 s; a step's commands begin a quarter before its frame."""
+    times = np.array([-20, 10, 60, 80, 120, 174, 180], np.int64) * 10**7
     commands = ContinuousCommands(times_ns=times, values=np.array([[1.0], [2], [3], [4], [5], [6], [8]]), names=("v",))
-    t_ns = np.arange(5) * 100
-    halfway = np.searchsorted(times, t_ns[:-1] + 50, side="right") - 1
+    piece = Piece(frames=np.arange(5), t_ns=np.arange(5) * 10**9)
+    halfway = np.searchsorted(times, piece.t_ns[:-1] + 5 * 10**8, side="right") - 1
     if reduce is Reduce.LAST:
         expected = [[2.0], [5.0], [8.0], [8.0]]
-    np.testing.assert_array_equal(reduced(commands, halfway, t_ns, reduce), expected)
+    np.testing.assert_array_equal(reduced(commands, halfway, piece, reduce), expected)
+
+
+@pytest.mark.parametrize(("rate", "hz"), [(60.0, 15.0), (30.0, 7.5), (20.0, 5.0), (60.0, 20.0), (30.0, 10.0)])
+@pytest.mark.parametrize("one_less", [False, True])
+def test_rows_of_pictures_count_from_their_picture_on(tmp_path: Path, rate: float, hz: float, one_less: bool) -> None:
+    """Through the process that reads the file: each step has the rows of its frame and of those up to the next."""
+    ratio, count = round(rate / hz), 8 * round(rate / hz) + 1
+    rows = np.random.default_rng(0).normal(size=(count - one_less, 2))
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(count)}, actions={"demo_0": rows}, control_freq=rate)
+    for reduce, reduction in ((Reduce.SUM, np.add.reduce), (Reduce.MEAN, np.mean)):
+        options = ImportOptions(size=32, hz=hz, actions="actions", action_reduce=reduce)
+        dataset = imported(file, tmp_path / reduce, options)
+        np.testing.assert_array_equal(dataset.video(0), video(count)[::ratio])
+        expected = [reduction(rows[step * ratio : (step + 1) * ratio], axis=0) for step in range(8)]
+        np.testing.assert_allclose(dataset.states(0).actions, expected, rtol=1e-12)
+
+
+def test_rows_of_pictures_go_with_the_pictures_that_are_shown() -> None:
+    """50 pictures a second at 40 ticks: the frames skip picture 3, so the step before it has two rows."""
+    times = steady_times(11, 50, Path("a"))
+    (piece,) = resample(times, hz=40, max_gap_s=None, most=100)
+    assert piece.frames.tolist() == [0, 1, 2, 4, 5, 6, 7, 9, 10]
+    rows = from_rows(2.0 ** np.arange(11), times, "action", most=100)
+    actions = reduced(rows, in_force(rows, piece.t_ns), piece, Reduce.SUM)[:, 0]
+    assert actions.tolist() == [1, 2, 4 + 8, 16, 32, 64, 128 + 256, 512]
+
+
+@pytest.mark.parametrize("early_ns", [0, 50_000_000])
+def test_a_command_a_quarter_early_counts_for_the_same_step_everywhere(early_ns: int) -> None:
+    times = steady_times(241, 60, Path("a"))
+    (piece,) = resample(times, hz=15, max_gap_s=None, most=10**6)
+    commands = ContinuousCommands(times_ns=times - early_ns, values=np.ones((241, 1)), names=("v",))
+    sums = reduced(commands, in_force(commands, piece.t_ns), piece, Reduce.SUM)[:, 0]
+    assert set(sums[1:-1].tolist()) == {4.0}
 
 
 def test_a_sum_of_displacements_is_the_whole_way(tmp_path: Path) -> None:

@@ -232,7 +232,12 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
 def _packed_commands(given: Commands) -> tuple[dict[str, Any], list[Int64[np.ndarray, " n"]]]:
     """Their head, and the whole numbers that stand for them; numbers with fractions are sent bit by bit."""
     if isinstance(given, ContinuousCommands):
-        head = {"count": len(given.values), "fields": list(given.names), "stated": actions_to_json(given.stated)}
+        head = {
+            "count": len(given.values),
+            "fields": list(given.names),
+            "stated": actions_to_json(given.stated),
+            "of_pictures": given.of_pictures,
+        }
         return head, [given.times_ns, np.ascontiguousarray(given.values, "<f8").view("<i8").reshape(-1)]
     known = {name: number for number, name in enumerate(dict.fromkeys(given.names))}
     which = np.array([known[name] for name in given.names], np.int64)
@@ -262,6 +267,7 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
                 values=values,
                 names=tuple(given["fields"]),
                 stated=stated if isinstance(stated, Continuous) else None,
+                of_pictures=given["of_pictures"],
             )
         elif given is not None:
             given_at, which = array(given["count"]), array(given["count"])

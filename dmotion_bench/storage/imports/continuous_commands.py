@@ -16,6 +16,7 @@ from jaxtyping import Float, Int64, Shaped
 
 from dmotion_bench.actions import MOST_NUMBERS, Continuous
 from dmotion_bench.errors import InvalidSetting, RecordingImportError
+from dmotion_bench.storage.imports.timeline import ROUNDED_NS, Piece
 from dmotion_bench.wording import shown
 
 LONGEST: Final = 100  # characters of a number's name
@@ -41,33 +42,47 @@ class ContinuousCommands:
         values: All finite, in the recording's units.
         names: Of the numbers of a command.
         stated: Bounds and units, where the recording says them.
+        of_pictures: Whether command i was stored together with picture i, so that none can be early or late.
     """
 
     times_ns: Int64[np.ndarray, " n"]
     values: Float[np.ndarray, "n a"]
     names: tuple[str, ...]
     stated: Continuous | None = None
+    of_pictures: bool = False
+
+
+def first_commands(commands: ContinuousCommands, piece: Piece) -> Int64[np.ndarray, " t"]:
+    """The number of the first command that counts for the step after each tick; the step ends where the next begins.
+
+    A command that was stored with a picture counts from that picture on. Any other may come a quarter of a step early.
+    """
+    if commands.of_pictures:
+        with_picture: Int64[np.ndarray, " t"] = np.minimum(piece.frames, len(commands.times_ns))
+        return with_picture
+    early = np.diff(piece.t_ns) // FORGIVEN + ROUNDED_NS
+    begin = np.append(piece.t_ns[:-1] - early, piece.t_ns[-1] - early[-1:])
+    first: Int64[np.ndarray, " t"] = np.searchsorted(commands.times_ns, begin, side="left").astype(np.int64)
+    return first
 
 
 def reduced(
-    commands: ContinuousCommands, latest: Int64[np.ndarray, " s"], t_ns: Int64[np.ndarray, " t"], how: Reduce
+    commands: ContinuousCommands, latest: Int64[np.ndarray, " s"], piece: Piece, how: Reduce
 ) -> Float[np.ndarray, "s a"]:
-    """The action of each step between two ticks.
+    """The action of each step between two ticks; ``first_commands`` says which commands the mean and the sum are of.
 
-    For the mean and the sum, a step's commands are those from a quarter of a step before its frame to a quarter of a
-    step before the next frame. A single command is taken as it is, to the bit.
+    A single command is taken as it is, to the bit.
 
     Args:
         commands: Of the recording.
         latest: The number of the command in force halfway through each step.
-        t_ns: The ticks, one more than steps.
+        piece: The ticks, one more than steps.
         how: What several commands become.
     """
     held: Float[np.ndarray, "s a"] = commands.values[latest]
     if how is Reduce.LAST:
         return held
-    early = np.diff(t_ns) // FORGIVEN
-    edges = np.searchsorted(commands.times_ns, np.append(t_ns[:-1] - early, t_ns[-1] - early[-1:]), side="left")
+    edges = first_commands(commands, piece)
     first, counts = edges[:-1], np.diff(edges)
     actions: Float[np.ndarray, "s a"] = held.copy() if how is Reduce.MEAN else np.zeros_like(held)
     some = counts > 0
@@ -179,7 +194,7 @@ def from_rows(
     if stated is not None:
         low, high = (tuple(bound[place] for place in wanted) for bound in (stated.low, stated.high))
         stated = Continuous(names=chosen, low=low, high=high, units=tuple(stated.units[place] for place in wanted))
-    return ContinuousCommands(times_ns=times_ns, values=exact[:, wanted], names=chosen, stated=stated)
+    return ContinuousCommands(times_ns=times_ns, values=exact[:, wanted], names=chosen, stated=stated, of_pictures=True)
 
 
 def _column(columns: Sequence[str], field: str) -> int:

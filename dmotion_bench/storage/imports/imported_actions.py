@@ -108,6 +108,6 @@ def check_pace(recording: Named, commands: Commands, pieces: Sequence[Piece], op
 def step_actions(piece: Piece, commands: Commands, names: tuple[str, ...], options: ImportOptions) -> Actions:
     """The action of each step of an episode: its number, or its vector."""
     if isinstance(commands, ContinuousCommands):
-        return reduced(commands, in_force(commands, piece.t_ns), piece.t_ns, options.action_reduce)
+        return reduced(commands, in_force(commands, piece.t_ns), piece, options.action_reduce)
     numbers = {name: number for number, name in enumerate(names)}
     return np.array([numbers[commands.names[index]] for index in in_force(commands, piece.t_ns)], np.int64)

@@ -257,10 +257,14 @@ def test_a_cut_file_is_named(exported: ExportReport, tmp_path: Path, file: str, 
 def test_a_video_shorter_than_its_table(source: Dataset, exported: ExportReport, tmp_path: Path) -> None:
     copy = damaged(exported, tmp_path)
     table = parquet.read_table(copy / "meta/episodes/chunk-000/file-000.parquet")
-    place = table.column_names.index("length")
-    longer = table.set_column(place, "length", pa.array([6, 7, 6, 50]))
-    parquet.write_table(longer, copy / "meta/episodes/chunk-000/file-000.parquet")
-    refused(copy, tmp_path, "lacks frame 24, which its data set lists")
+    for column, values, match in (
+        (f"videos/{CAMERA}/from_timestamp", [0, 0.6, 1.3, 2.0], "lacks a picture at 2.400 s, which its data set lists"),
+        (f"videos/{CAMERA}/from_timestamp", [0, 0.6, 1.3, 20], "lacks a picture at 20.000 s, which its data set lists"),
+        ("length", [6, 7, 6, 50], "lacks rows of episode 3"),
+    ):
+        changed = table.set_column(table.column_names.index(column), column, pa.array(values))
+        parquet.write_table(changed, copy / "meta/episodes/chunk-000/file-000.parquet")
+        refused(copy, tmp_path, match)
 
 
 def test_an_episode_that_is_listed_twice_is_refused(exported: ExportReport, tmp_path: Path) -> None:

@@ -297,7 +297,8 @@ class _Export:
             inside = [number for number, one in enumerate(placed) if one.file == file]
             count = sum(placed[number].length for number in inside)
             with VideoFile(self._video(file), pixels=spec.height * spec.width) as video:
-                decoded = video.frames_at(range(count), float(self._fps))
+                rate = float(self._fps)
+                decoded = video.frames_at([number / rate for number in range(count)], within=0.5 / rate)
                 for number in inside:
                     self._progress("measuring the loss", number, len(placed))
                     for frame in self._dataset.video(number):

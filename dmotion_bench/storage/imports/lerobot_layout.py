@@ -38,14 +38,14 @@ class Placed:
     Attributes:
         data: The file of its numbers.
         video: The file of its pictures, None where they are no video.
-        first: The number of its first picture in that file.
+        start_s: When it begins in that file [s].
     """
 
     number: int
     frames: int
     data: Path
     video: Path | None
-    first: int = 0
+    start_s: float = 0.0
 
 
 class LeRobotLayout:
@@ -219,7 +219,7 @@ class LeRobotLayout:
                     frames=frames,
                     data=self._inside("data/chunk-{:03d}/file-{:03d}.parquet".format(*place)),
                     video=self._inside(f"{video}/chunk-{place[2]:03d}/file-{place[3]:03d}.mp4") if with_video else None,
-                    first=round(start_s * self.fps),
+                    start_s=float(start_s),
                 )
 
     def _episodes_v2(self, camera: str, with_video: bool) -> Iterator[Placed]:

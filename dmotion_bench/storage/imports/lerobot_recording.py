@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Int64, UInt8
+from jaxtyping import Float, Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
@@ -17,13 +17,14 @@ from dmotion_bench.storage.imports.continuous_commands import BadCommands, Conti
 from dmotion_bench.storage.imports.lerobot_layout import ACTION_NAMES, LeRobotLayout, Placed
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
-from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
+from dmotion_bench.storage.imports.recording import Segment, Survey
 from dmotion_bench.storage.video.file import VideoFile
 
 FLOATS: Final = ("float16", "float32", "float64")
 ROWS: Final = 16  # of a table with pictures that are held at a time
 TIMES: Final = "timestamp"
-MOST_OFF: Final = 0.05  # share by which the interval of time stamps may differ from that of the frames a second
+MOST_OFF: Final = 0.05  # of an interval of a picture: so far may a time stamp be off
+CENTURY_S: Final = 2**31  # less than one: times are kept in 64 bits
 
 
 class LeRobotRecording:
@@ -62,6 +63,7 @@ class LeRobotRecording:
         self._stated = self._layout.stated_actions(actions or "") if self._continuous else None
         self._vocabulary = [] if self._continuous else self._known_actions()
         self._placed: list[Placed] = []
+        self._taken: list[Float[np.ndarray, " n"]] = []  # when, in intervals of a picture, for each episode
         self._size = (0, 0)
         self._numbers: tuple[Path, Any] | None = None  # the table of numbers that was read last
 
@@ -80,6 +82,7 @@ class LeRobotRecording:
             RecordingImportError: As the files deserve it.
         """
         self._placed = self._layout.episodes(self._camera)
+        self._taken = []
         sizes: dict[Path, tuple[int, int]] = {}
         segments, count = [], 0
         for number, placed in enumerate(self._placed):
@@ -88,9 +91,9 @@ class LeRobotRecording:
             elif placed.video not in sizes:
                 with VideoFile(placed.video, pixels=self._limits.pixels) as video:
                     sizes[placed.video] = (video.height, video.width)
-            if self._actions is not None or number == 0:
-                self._check_pace(placed)
-            times = steady_times(placed.frames, self._layout.fps, self.path)
+            taken = self._when_taken(placed)
+            self._taken.append(taken)
+            times = np.rint((taken - taken[0]) * (1e9 / self._layout.fps)).astype(np.int64)
             segments.append(Segment(times_ns=times, commands=self._commands(placed, times)))
             count += placed.frames
             progress(count)
@@ -106,7 +109,8 @@ class LeRobotRecording:
             yield from self._from_table(placed, wanted.tolist())
             return
         with VideoFile(placed.video, pixels=self._limits.pixels) as video:
-            yield from video.frames_at((wanted + placed.first).tolist(), self._layout.fps)
+            seconds = placed.start_s + self._taken[segment][wanted] / self._layout.fps
+            yield from video.frames_at(seconds.tolist(), within=0.5 / self._layout.fps)
 
     def _picture_size(self, placed: Placed) -> tuple[int, int]:
         (picture,) = self._stored(placed, [0])
@@ -183,18 +187,32 @@ class LeRobotRecording:
         rows: list[int] = inside.tolist()
         return rows
 
-    def _check_pace(self, placed: Placed) -> None:
-        """Compare the time stamps of an episode's frames, where there are any, with the frames a second."""
+    def _when_taken(self, placed: Placed) -> Float[np.ndarray, " n"]:
+        """When each picture of an episode was taken, in intervals of a picture: by the time stamps, if there are any.
+
+        A time stamp that is as good as a whole interval is one: 32 bits keep few digits, and edges should not move.
+
+        Raises:
+            RecordingImportError: The time stamps cannot be.
+        """
+        fps, taken = self._layout.fps, np.arange(placed.frames, dtype=np.float64)
         table = self._table(placed)
-        if TIMES not in table.column_names or placed.frames < 2:
-            return
-        stamps = table.column(TIMES).take(self._rows(placed)).to_numpy(zero_copy_only=False).astype(np.float64)
-        interval = float(np.median(np.diff(stamps)))
-        if not abs(interval * self._layout.fps - 1) <= MOST_OFF:
-            raise self._layout.bad(
-                f"says that it has {self._layout.fps:g} frames a second, but the time stamps of episode "
-                f"{placed.number} are {interval:.3g} s apart"
-            )
+        if TIMES in table.column_names:
+            stamps = table.column(TIMES).take(self._rows(placed)).to_numpy(zero_copy_only=False).astype(np.float64)
+            interval = float(np.median(np.diff(stamps))) if placed.frames > 1 else 1 / fps
+            if not abs(interval * fps - 1) <= MOST_OFF:
+                raise self._layout.bad(
+                    f"says that it has {fps:g} frames a second, but the time stamps of episode {placed.number} are "
+                    f"{interval:.3g} s apart"
+                )
+            back = np.flatnonzero(~(np.diff(stamps) > 0))
+            if len(back):
+                raise self._layout.bad(f"goes back in time at frame {back[0] + 1} of episode {placed.number}")
+            whole = np.rint(stamps * fps)
+            taken = whole if np.abs(stamps * fps - whole).max() <= MOST_OFF else stamps * fps
+        if not np.abs(taken / fps).max() < CENTURY_S:
+            raise self._layout.bad(f"has pictures in episode {placed.number} at times that cannot be")
+        return taken
 
     def _table(self, placed: Placed) -> Any:
         """The numbers of an episode's frames; episodes stand side by side in few files."""

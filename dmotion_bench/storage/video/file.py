@@ -8,6 +8,7 @@ off without a word. Times come from the file; AVI has none, only an order and a 
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -34,6 +35,7 @@ CONTAINERS: Final = {"mp4": "mov", "mkv": "matroska", "avi": "avi"}
 _BOXES: Final = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot", b"styp")
 _EBML, _SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"
 _LATEST: Final = 2**63 - 1
+_ROUNDED_NS: Final = 1_000  # times this close are one: most rates have no whole interval
 
 
 def container_of(start: bytes) -> str | None:
@@ -110,31 +112,36 @@ class VideoFile:
             yield first
         yield from self._coming
 
-    def frames_at(self, numbers: Sequence[int], rate: float) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        """Some pictures of a file whose i-th one stands at i / rate.
+    def frames_at(self, seconds: Sequence[float], within: float) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        """The pictures that are nearest to some times.
 
         Args:
-            numbers: Which, strictly ascending.
-            rate: Pictures a second.
+            seconds: The times in the file, ascending [s]. Exactly between two pictures the earlier one counts.
+            within: So far from a time its picture may be [s].
 
         Raises:
             RecordingImportError: The file is damaged or lacks one.
         """
-        waiting = list(reversed(numbers))
+        waiting = [round(time * 1e9) for time in reversed(seconds)]
         if not waiting:
             return
         if waiting[-1]:
-            self._seek(waiting[-1] / rate)
-        for t_ns, frame in self.frames():
-            number = -1 if t_ns is None else round(t_ns * rate / 1e9)
-            if number > waiting[-1]:
-                break
-            if number == waiting[-1]:
-                yield self.rgb(frame)
+            self._seek(waiting[-1] / 1e9)
+        before: tuple[int, VideoFrame] | None = None
+        for t_ns, frame in itertools.chain(self.frames(), [(_LATEST, None)]):
+            if t_ns is None:
+                continue
+            while waiting and t_ns + _ROUNDED_NS >= waiting[-1]:
+                early, late = _LATEST if before is None else waiting[-1] - before[0], abs(t_ns - waiting[-1])
+                nearest = before[1] if before is not None and early <= late + _ROUNDED_NS else frame
+                if nearest is None or min(early, late) > within * 1e9 + _ROUNDED_NS:
+                    raise self._bad(f"lacks a picture at {waiting[-1] / 1e9:.3f} s, which its data set lists")
+                yield self.rgb(nearest)
                 waiting.pop()
-                if not waiting:
-                    return
-        raise self._bad(f"lacks frame {waiting[-1]}, which its data set lists")
+            if not waiting:
+                return
+            assert frame is not None
+            before = t_ns, frame
 
     def rgb(self, frame: VideoFrame) -> UInt8[np.ndarray, "h w 3"]:
         """A picture's pixels.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,10 @@ import pytest
 from storage.foreign import compressed, video
 from storage.foreign_video import moving, video_file
 
-from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.errors import RecipeMismatch, RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.imports import importing
+from dmotion_bench.storage.imports.confinement import ConfinedRecording
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording
 from dmotion_bench.storage.imports.limits import ImportLimits
@@ -269,6 +273,55 @@ def test_time_stamps_of_another_rate_are_refused(tmp_path: Path, interval: float
     folder = v3(tmp_path / "set", video(sum(LENGTHS)))
     with_times(folder, interval)
     refused(folder, rf"says that it has 10 frames a second, but .* of episode 0 are {interval:.3g} s apart")
+
+
+def corrected(folder: Path) -> None:
+    """Change which stretch belongs to which episode."""
+    if (folder / "meta/episodes.jsonl").is_file():
+        lines = (folder / "meta/episodes.jsonl").read_text().splitlines()[:2]
+        (folder / "meta/episodes.jsonl").write_text("\n".join(lines))
+        return
+    file = folder / "meta/episodes/chunk-000/file-000.parquet"
+    parquet.write_table(parquet.read_table(file).slice(0, 2), file)
+
+
+@pytest.mark.parametrize("made", [lambda folder: v3(folder, video(15)), lambda folder: v21(folder, video(15), "image")])
+def test_a_corrected_list_of_episodes_is_another_recording(tmp_path: Path, made: Callable[[Path], Path]) -> None:
+    folder = made(tmp_path / "set")
+    first = import_recordings([folder], tmp_path / "out", OPTIONS)
+    assert import_recordings([folder], tmp_path / "out", OPTIONS) == first
+    corrected(folder)
+    with pytest.raises(RecipeMismatch, match="an import of 'set' with other contents: the files have changed since"):
+        import_recordings([folder], tmp_path / "out", OPTIONS)
+    assert import_recordings([folder], tmp_path / "again", OPTIONS).episodes == 2
+
+
+def test_an_import_by_an_earlier_version_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hash left the list of episodes out; the episodes themselves are the same."""
+    folder = v3(tmp_path / "set", video(15))
+    recording = LeRobotRecording(folder, camera=None, actions=None, limits=ImportLimits())
+    earlier = hashlib.sha256()
+    for name in ("data/chunk-000/file-000.parquet", "meta/info.json"):
+        earlier.update(hashlib.sha256((folder / name).read_bytes()).digest())
+    assert recording.sha256() != earlier.hexdigest()
+    with monkeypatch.context() as before:
+        before.setattr(ConfinedRecording, "sha256", lambda self: earlier.hexdigest())
+        import_recordings([folder], tmp_path / "out", OPTIONS)
+    said = "an earlier version of dmbench has imported them, .* list of episodes; name another folder with '--out DIR'"
+    with pytest.raises(RecipeMismatch, match=said):
+        import_recordings([folder], tmp_path / "out", OPTIONS)
+    assert len(Dataset.open(tmp_path / "out")) == 3
+    with pytest.raises(RecipeMismatch, match="holds a data set of other recordings or options"):
+        import_recordings([folder], tmp_path / "out", ImportOptions(size=16))
+
+
+def test_an_import_that_this_version_makes_otherwise_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = v3(tmp_path / "set", video(15))
+    with monkeypatch.context() as before:
+        before.setattr(importing, "cut", lambda pieces, **lengths: pieces[:1] if len(pieces[0]) != 4 else [])
+        import_recordings([folder], tmp_path / "out", OPTIONS)
+    with pytest.raises(RecipeMismatch, match="what an earlier version of dmbench has made of these recordings"):
+        import_recordings([folder], tmp_path / "out", OPTIONS)
 
 
 def test_two_actions_of_one_name_are_refused(tmp_path: Path) -> None:

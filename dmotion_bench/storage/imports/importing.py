@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -42,6 +42,9 @@ from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
 
 UNFINISHED: Final = ".importing"
+FILE: Final = "file_"
+HASH: Final = "sha256_"
+"""What the recipe calls the name and the hash of a recording, each with the recording's number."""
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
 
@@ -166,9 +169,27 @@ def require_same(standing: Manifest, plan: ImportPlan, out: Path) -> None:
     """
     if (standing.recipe, standing.spec) != (plan.recipe, plan.spec):
         raise RecipeMismatch(
-            f"{str(out)!r} holds a data set of other recordings or options; name another folder with '--out DIR', "
-            "or delete it first."
+            f"{str(out)!r} holds {_other(standing.recipe, plan.recipe)}; name another folder with '--out DIR', or "
+            "delete it first."
         )
+
+
+def _other(standing: DatasetRecipe, wanted: DatasetRecipe) -> str:
+    """Why a data set is not the one that is wanted, to follow "holds"."""
+    known = standing.parameters
+    hashes = {key: value for key, value in wanted.parameters.items() if key.startswith(HASH) and key in known}
+    if replace(standing, episodes=wanted.episodes, parameters={**known, **hashes}) != wanted:
+        return "a data set of other recordings or options"
+    changed = [str(known[f"{FILE}{key.removeprefix(HASH)}"]) for key in hashes if hashes[key] != known[key]]
+    if not changed:
+        return (
+            "what an earlier version of dmbench has made of these recordings, and this one makes something else of them"
+        )
+    more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+    return (
+        f"an import of {changed[0]!r}{more} with other contents: the files have changed since, or an earlier version "
+        "of dmbench has imported them, which did not compare a LeRobot data set's list of episodes"
+    )
 
 
 def _survey(recording: Recording, number: int, count: int, progress: Progress) -> Survey:
@@ -201,7 +222,7 @@ def _require_different(recordings: Sequence[Named], recipe: DatasetRecipe) -> No
     """Check that no recording is there twice: one copy could be trained on, and the other be a test."""
     first: dict[Scalar, int] = {}
     for number, recording in enumerate(recordings):
-        same = first.setdefault(recipe.parameters[f"sha256_{number}"], number)
+        same = first.setdefault(recipe.parameters[f"{HASH}{number}"], number)
         if same != number:
             raise RecordingImportError(
                 f"{str(recordings[same].path)!r} and {str(recording.path)!r} are the same recording; leave one out."
@@ -259,8 +280,8 @@ def _recipe(
     if options.source_hz is not None:
         parameters["source_hz"] = options.source_hz
     for number, recording in enumerate(recordings):
-        parameters[f"file_{number}"] = recording.path.name
-        parameters[f"sha256_{number}"] = recording.sha256()
+        parameters[f"{FILE}{number}"] = recording.path.name
+        parameters[f"{HASH}{number}"] = recording.sha256()
     return DatasetRecipe(
         environment=IMPORTED,
         parameters=parameters,

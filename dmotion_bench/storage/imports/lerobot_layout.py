@@ -9,6 +9,7 @@ paths that ``info.json`` carries are not used: no path from a file is trusted.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -23,6 +24,7 @@ from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 
 INFO: Final = Path("meta") / "info.json"
 EPISODES_V2: Final = Path("meta") / "episodes.jsonl"
+EPISODES_V3: Final = "meta/episodes/*/*.parquet"
 ACTION_NAMES: Final = "dmbench_actions"
 """Where ``data export`` leaves the actions' names within the feature, beside LeRobot's own keys."""
 ROWS_AT_ONCE: Final = 4096
@@ -160,7 +162,9 @@ class LeRobotLayout:
         pictures = f"videos/{camera}/*/*.mp4" if self.kind(camera) == "video" else f"images/{camera}/*/*"
         if self.is_v2 and self.kind(camera) == "video":
             pictures = f"videos/*/{camera}/*.mp4"
-        return sorted([self.path / INFO, *self.path.glob("data/*/*.parquet"), *self.path.glob(pictures)])
+        episodes = EPISODES_V2.as_posix() if self.is_v2 else EPISODES_V3
+        found = [self.path.glob(pattern) for pattern in (episodes, "data/*/*.parquet", pictures)]
+        return sorted([self.path / INFO, *itertools.chain(*found)])
 
     def picture_file(self, camera: str, episode: int, frame: int) -> Path:
         """A picture that lies beside the tables.
@@ -207,7 +211,7 @@ class LeRobotLayout:
         columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
         if with_video:
             columns += [f"{video}/chunk_index", f"{video}/file_index", f"{video}/from_timestamp"]
-        for file in sorted(self.path.glob("meta/episodes/*/*.parquet")):
+        for file in sorted(self.path.glob(EPISODES_V3)):
             for number, frames, *place in _rows(self.table(file, columns), columns):
                 start_s = place.pop() if with_video else 0.0
                 if not isinstance(start_s, int | float) or not math.isfinite(start_s) or not 0 <= start_s < 2**31:

@@ -438,6 +438,32 @@ def test_fewer_commands_than_frames(tmp_path: Path) -> None:
     refused(once, "has 1 commands on '/cmd_vel' for 19 steps")
 
 
+@pytest.mark.parametrize("reduce", list(Reduce))
+def test_steps_without_a_command_of_their_own_are_counted(tmp_path: Path, reduce: Reduce) -> None:
+    """Commands at 50 Hz for 3 of 6 seconds: more than there are steps, and none for the second half."""
+    given = [(START + n * 20_000_000, twist(n + 1.0, 0.5)) for n in range(150)]
+    file = bag(tmp_path / "bag", "geometry_msgs/msg/Twist", given, 60)
+    options = dataclasses.replace(TWIST, action_reduce=reduce)
+    report = import_recordings([file], tmp_path / "out", options)
+    (actions,) = [Dataset.open(report.path).states(number).actions[:, 0] for number in range(report.episodes)]
+    without = actions == 0 if reduce is Reduce.SUM else np.diff(actions) == 0
+    assert without.sum() == 28
+    what = "their sum is zero" if reduce is Reduce.SUM else "they repeat an earlier one"
+    assert f"28 of 59 steps have no command of their own on '/cmd_vel': {what}." in report.advice[-1]
+
+    cut_in_parts = dataclasses.replace(options, frames_per_episode=20)
+    parts = import_recordings([file], tmp_path / "parts", cut_in_parts)
+    assert "27 of 57 steps have no command of their own" in parts.advice[-1]  # one is between two parts
+
+
+@pytest.mark.parametrize("delay_ns", [-5_000_000, 0, 5_000_000])
+@pytest.mark.parametrize("reduce", list(Reduce))
+def test_a_command_a_step_is_no_reason_for_advice(tmp_path: Path, delay_ns: int, reduce: Reduce) -> None:
+    file = twists(tmp_path / "bag", np.arange(30.0).tolist(), delay_ns)
+    report = import_recordings([file], tmp_path / "out", dataclasses.replace(TWIST, action_reduce=reduce))
+    assert not any("of their own" in sentence for sentence in report.advice)
+
+
 def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     with pytest.raises(InvalidSetting, match="no actions are asked for; name their topic or feature with '--actions'"):
         ImportOptions(action_fields=("linear.x",))

@@ -18,6 +18,7 @@ from dmotion_bench.storage.imports.continuous_commands import (
     Reduce,
     bounded,
     commands_within,
+    first_commands,
     reduced,
 )
 from dmotion_bench.storage.imports.options import ImportOptions
@@ -103,6 +104,33 @@ def check_pace(recording: Named, commands: Commands, pieces: Sequence[Piece], op
         f"{options.hz:g} Hz; continuous actions need one for each step. {slow_down} the video alone by leaving "
         "'--actions' out."
     )
+
+
+def pace_advice(given: Sequence[tuple[Piece, Commands | None]], options: ImportOptions) -> tuple[str, ...]:
+    """A sentence about steps for which no continuous command came, where they are more than may be lost.
+
+    Args:
+        given: The episodes, each with the commands of its recording.
+        options: How they are imported.
+    """
+    continuous = [(piece, commands) for piece, commands in given if isinstance(commands, ContinuousCommands)]
+    steps = sum(len(piece) - 1 for piece, _ in continuous)
+    without = sum(_without_command(piece, commands, options.action_reduce) for piece, commands in continuous)
+    if without <= steps // LOST:
+        return ()
+    instead = "their sum is zero" if options.action_reduce is Reduce.SUM else "they repeat an earlier one"
+    return (
+        f"{without:,} of {steps:,} steps have no command of their own on {options.actions!r}: {instead}. If commands "
+        "come slower than frames, lower '--hz'; if they pause, cut the pauses out of the recordings.",
+    )
+
+
+def _without_command(piece: Piece, commands: ContinuousCommands, how: Reduce) -> int:
+    """For how many steps no command came: none between their middle and the one before, or none to reduce."""
+    if how is Reduce.LAST:
+        step_before = piece.t_ns - np.diff(piece.t_ns)[0]
+        return int((in_force(commands, piece.t_ns) == in_force(commands, step_before)).sum())
+    return int((np.diff(first_commands(commands, piece)) == 0).sum())
 
 
 def step_actions(piece: Piece, commands: Commands, names: tuple[str, ...], options: ImportOptions) -> Actions:

@@ -29,6 +29,7 @@ from dmotion_bench.storage.imports.imported_actions import (
     commanded,
     discrete_names,
     given_commands,
+    pace_advice,
     step_actions,
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
@@ -156,8 +157,14 @@ def plan_import(recordings: Sequence[Named], surveys: Sequence[Survey], options:
         step_ns=round(1e9 / options.hz),
     )
     told = advice(surveys, [one for found in pieces for one in found], len(planned), options)
+    given = [(one.piece, surveys[one.recording].segments[one.segment].commands) for one in planned]
     return ImportPlan(
-        recipe=recipe, spec=spec, episodes=planned, surveys=surveys, left_out=left_out, advice=tuple(told)
+        recipe=recipe,
+        spec=spec,
+        episodes=planned,
+        surveys=surveys,
+        left_out=left_out,
+        advice=(*told, *pace_advice(given, options)),
     )
 
 

@@ -236,6 +236,14 @@ def test_what_is_not_there(tmp_path: Path) -> None:
     refused(tmp_path / "empty", tmp_path, "holds no recording: no MCAP .* no pictures .* no LeRobot data set")
 
 
+def test_a_data_set_of_dmbench_is_no_recording(good: Path, tmp_path: Path) -> None:
+    dataset = tmp_path / "own set"
+    import_recordings([good], dataset, SMALL)
+    refused(
+        dataset, tmp_path, r"is a data set of dmbench already; train on it with .dmbench train MODEL --data .*own set"
+    )
+
+
 @given(cut=st.floats(0, 1))
 @settings(deadline=None, derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_file_cut_anywhere_is_refused(good: Path, tmp_path_factory: pytest.TempPathFactory, cut: float) -> None:

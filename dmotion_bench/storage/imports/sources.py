@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -17,6 +18,8 @@ from dmotion_bench.storage.imports.natural_order import natural
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.picture_folder import PICTURES, PictureFolder, episode_folders
 from dmotion_bench.storage.imports.recording import Clock, Recording
+from dmotion_bench.wording import command
+from dmotion_bench.workspace import DATASET_MANIFEST
 
 
 class Kind(StrEnum):
@@ -45,6 +48,7 @@ SUFFIXES: Final = {
 }
 """What is looked for in a folder. A file that is named itself may be called anything: its first bytes decide."""
 KNOWN: Final = "MCAP (.mcap, .mcap.zst), video (.mp4 .mov .mkv .webm .avi), HDF5 (.hdf5 .h5)"
+_OWN_FORMAT: Final = re.compile(rb'"format"\s*:\s*"dmbench/')
 _CONVERT: Final = "convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'"
 
 
@@ -199,6 +203,11 @@ def _of_mcap(options: ImportOptions) -> _McapArguments:
 
 def _in_folder(folder: Path, camera: str | None) -> list[Source]:
     """The recordings in a folder, and in the folders in it."""
+    if is_dataset(folder):
+        raise RecordingImportError(
+            f"{str(folder)!r} is a data set of dmbench already; train on it with "
+            f"{command('dmbench train MODEL --data', folder)}."
+        )
     if (folder / INFO).is_file():
         return [Source(path=folder, kind=Kind.LEROBOT)]
     entries = sorted(
@@ -208,7 +217,7 @@ def _in_folder(folder: Path, camera: str | None) -> list[Source]:
     for inner in [] if found else [one for one in entries if one.is_dir()]:
         if (inner / INFO).is_file():
             found.append(Source(path=inner, kind=Kind.LEROBOT))
-        else:
+        elif not is_dataset(inner):
             files = sorted((one for one in inner.iterdir() if one.is_file()), key=lambda one: natural(one.name))
             found += [Source(path=one, kind=kind) for one in files if (kind := _suffix_kind(one))]
     if not found and episode_folders(folder, camera):
@@ -219,6 +228,15 @@ def _in_folder(folder: Path, camera: str | None) -> list[Source]:
             f"{str(folder)!r} holds recordings of several kinds ({', '.join(sorted(kinds))}); name the ones you mean."
         )
     return found
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder holds a data set of dmbench, by the beginning of its manifest."""
+    try:
+        with (folder / DATASET_MANIFEST).open("rb") as file:
+            return _OWN_FORMAT.search(file.read(4096)) is not None
+    except OSError:
+        return False
 
 
 def _suffix_kind(file: Path) -> Kind | None:

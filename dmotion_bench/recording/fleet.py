@@ -38,7 +38,7 @@ from dmotion_bench.storage.imports.importing import (
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Recording
-from dmotion_bench.storage.imports.sources import Source, open_recording, require_once, sources_in
+from dmotion_bench.storage.imports.sources import Source, find, open_recording
 from dmotion_bench.storage.shard import Footage, ShardReceipt, shard_range, write_shard
 from dmotion_bench.storage.staging import staged, sweep
 from dmotion_bench.storage.writer import DatasetWriter
@@ -201,10 +201,14 @@ def import_fleet(
     standing, executor = standing_in(out), executor or SerialExecutor()
     unreadable: dict[int, int] = {}
     skipped: dict[Path, RecordingImportError] = {}
-    found = looked_through(_found(paths, options, skip_damaged, skipped), options, executor, progress, jobs)
+    named = find([path.absolute() for path in paths], options.camera)
+    if not skip_damaged:
+        named.require_sound()
+    skipped |= named.faults
+    found = looked_through(named.sources, options, executor, progress, jobs)
     while True:
         sound = _sound(found, skip_damaged, skipped)
-        plan = plan_import(sound, [one.survey for one in sound if one.survey is not None], options)
+        plan = plan_import(sound, [one.survey for one in sound if one.survey is not None], options, named)
         if standing is not None:
             require_same(standing, plan, out)
             break
@@ -218,21 +222,6 @@ def import_fleet(
         found = [one for number, one in enumerate(sound) if number not in faults]
     told = tuple((str(path), str(error)) for path, error in sorted(skipped.items()))
     return plan.report(out, unreadable=sum(unreadable.values()), skipped=told)
-
-
-def _found(
-    paths: Sequence[Path], options: ImportOptions, skip: bool, skipped: dict[Path, RecordingImportError]
-) -> list[Source]:
-    found: list[Source] = []
-    for path in paths:
-        try:
-            found += sources_in([path.absolute()], options.camera)
-        except RecordingImportError as error:
-            if not skip:
-                raise
-            skipped[path] = error
-    require_once(found)
-    return found
 
 
 def _sound(found: Sequence[Surveyed], skip: bool, skipped: dict[Path, RecordingImportError]) -> list[Surveyed]:

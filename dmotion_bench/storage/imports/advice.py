@@ -15,16 +15,24 @@ from dmotion_bench.storage.split import FEWEST_EPISODES
 SLOWEST_HZ = 0.01  # that '--hz' takes
 
 
-def no_episode(surveys: Sequence[Survey], options: ImportOptions) -> RecordingImportError:
-    """The error for recordings out of which no episode comes, with what helps in their case."""
+def no_episode(surveys: Sequence[Survey], options: ImportOptions, told: Sequence[str] = ()) -> RecordingImportError:
+    """The error for recordings out of which no episode comes, with what helps in their case.
+
+    Args:
+        surveys: Of the recordings.
+        options: How they were to be imported.
+        told: Sentences about what was not imported.
+    """
     pictures = sum(survey.pictures for survey in surveys)
     return RecordingImportError(
         f"no episode of at least {options.min_frames} frames comes out of {pictures:,} pictures at {options.hz:g} Hz: "
-        f"{_reason(surveys, options)}"
+        f"{' '.join([_reason(surveys, options), *told])}"
     )
 
 
-def advice(surveys: Sequence[Survey], pieces: list[Piece], episodes: int, options: ImportOptions) -> tuple[str, ...]:
+def advice(
+    surveys: Sequence[Survey], pieces: list[Piece], episodes: int, options: ImportOptions, told: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Sentences about what would make a better data set of the same recordings.
 
     Args:
@@ -32,8 +40,9 @@ def advice(surveys: Sequence[Survey], pieces: list[Piece], episodes: int, option
         pieces: Their stretches without a gap.
         episodes: How many there are in the data set.
         options: How it was imported.
+        told: Sentences about what was not imported.
     """
-    sentences = list(dict.fromkeys(hint for survey in surveys for hint in survey.hints))
+    sentences = [*told, *dict.fromkeys(hint for survey in surveys for hint in survey.hints)]
     if episodes < FEWEST_EPISODES:
         length = length_for(
             pieces, episodes=FEWEST_EPISODES, shortest=options.min_frames, most=options.frames_per_episode

@@ -34,7 +34,7 @@ from dmotion_bench.storage.imports.imported_actions import (
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Named, Recording, Survey
-from dmotion_bench.storage.imports.sources import open_recording, sources_in
+from dmotion_bench.storage.imports.sources import Found, find, open_recording
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
@@ -79,10 +79,11 @@ def import_recordings(
     sweep(out, UNFINISHED)
     standing = standing_in(out)
     with Confinement(options) as confinement:
-        found = sources_in(paths, options.camera)
-        recordings = [open_recording(source, options, confinement) for source in found]
-        surveys = [_survey(recording, number, len(found), progress) for number, recording in enumerate(recordings)]
-        plan = plan_import(recordings, surveys, options)
+        found = find(paths, options.camera)
+        found.require_sound()
+        recordings = [open_recording(source, options, confinement) for source in found.sources]
+        surveys = [_survey(one, number, len(recordings), progress) for number, one in enumerate(recordings)]
+        plan = plan_import(recordings, surveys, options, found)
         if standing is None:
             _write(out, plan, recordings, options, progress)
         else:
@@ -133,8 +134,16 @@ class ImportPlan:
         )
 
 
-def plan_import(recordings: Sequence[Named], surveys: Sequence[Survey], options: ImportOptions) -> ImportPlan:
+def plan_import(
+    recordings: Sequence[Named], surveys: Sequence[Survey], options: ImportOptions, found: Found
+) -> ImportPlan:
     """What becomes of recordings.
+
+    Args:
+        recordings: Those that are imported.
+        surveys: Of them.
+        options: How.
+        found: What they were chosen from.
 
     Raises:
         RecordingImportError: They do not go together, or there is no episode in them.
@@ -143,8 +152,12 @@ def plan_import(recordings: Sequence[Named], surveys: Sequence[Survey], options:
     names = discrete_names(surveys, options)
     pieces = _pieces(surveys, options)
     planned, left_out = _plan(recordings, surveys, pieces, names, options)
+    heard = {plan.recording for plan in planned}
+    for number, recording in enumerate(recordings):
+        if number not in heard and recording.path in found.doubts:
+            raise RecordingImportError(found.doubts[recording.path])
     if not planned:
-        raise no_episode(surveys, options)
+        raise no_episode(surveys, options, found.told)
     recipe = _recipe(recordings, surveys, planned, options)
     _require_different(recordings, recipe)
     spec = EnvSpec(
@@ -156,7 +169,7 @@ def plan_import(recordings: Sequence[Named], surveys: Sequence[Survey], options:
         width=options.size,
         step_ns=round(1e9 / options.hz),
     )
-    told = advice(surveys, [one for found in pieces for one in found], len(planned), options)
+    told = advice(surveys, [one for some in pieces for one in some], len(planned), options, found.told)
     given = [(one.piece, surveys[one.recording].segments[one.segment].commands) for one in planned]
     return ImportPlan(
         recipe=recipe,

@@ -25,21 +25,43 @@ _HEAD: Final = 1 << 20  # of a picture's file: its size stands there, if not beh
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """The pictures that lie in a folder, in natural order; hidden files are none."""
-    files = [file for file in folder.iterdir() if file.suffix.lower() in PICTURES and not file.name.startswith(".")]
-    return sorted((file for file in files if file.is_file()), key=lambda file: natural(file.name))
+    """The pictures that lie in a folder, in natural order; hidden files are none.
+
+    A link that leads nowhere is one: a picture is missing there, and reading it says so.
+    """
+    files = [file for file in folder.iterdir() if _is_called_a_picture(file) and (file.is_file() or file.is_symlink())]
+    return sorted((file for file in files if not file.is_dir()), key=lambda file: natural(file.name))
 
 
 def episode_folders(path: Path, camera: str | None) -> list[Path]:
     """The folders whose pictures are an episode each: the folder itself, those in it, or a camera's in those."""
-    if pictures_in(path):
+    if _has_pictures(path):
         return [path]
     inside = [folder for folder in path.iterdir() if folder.is_dir() and not folder.name.startswith(".")]
     inside.sort(key=lambda folder: natural(folder.name))
     if camera is not None:
         below = [folder / camera for folder in inside if Path(camera).name == camera]
-        inside = [folder for folder in below if folder.is_dir()] or [one for one in inside if one.name == camera]
-    return [folder for folder in inside if pictures_in(folder)]
+        inside = [folder for folder in below if _is_folder(folder)] or [one for one in inside if one.name == camera]
+    return [folder for folder in inside if _has_pictures(folder)]
+
+
+def _is_called_a_picture(file: Path) -> bool:
+    return file.suffix.lower() in PICTURES and not file.name.startswith(".")
+
+
+def _has_pictures(folder: Path) -> bool:
+    """Whether a folder holds a picture; one that cannot be read does not, as far as anybody knows."""
+    try:
+        return any(_is_called_a_picture(file) and file.is_file() for file in folder.iterdir())
+    except OSError:
+        return False
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 class PictureFolder:

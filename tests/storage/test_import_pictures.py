@@ -73,6 +73,25 @@ def test_a_camera_is_a_folder_in_each_episode(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.concatenate([dataset.video(0), dataset.video(1)]), frames[8:])
 
 
+@pytest.mark.parametrize("episode", ["run", "run/ep0"])
+def test_a_camera_s_folder_comes_before_the_pictures_beside_it(tmp_path: Path, episode: str) -> None:
+    frames = video(12)
+    fill(tmp_path / episode, frames[:4])
+    fill(tmp_path / episode / "wrist", frames[4:8])
+    if episode != "run":
+        (tmp_path / "run/overview.png").write_bytes(compressed(frames[0], "png"))
+    report, dataset = imported(tmp_path / "run", replace(OPTIONS, camera="wrist"))
+    np.testing.assert_array_equal(dataset.video(0), frames[4:8])
+    assert ("not imported: overview.png." in report.advice[0]) == (episode != "run")
+
+
+def test_pictures_of_the_folder_itself_need_no_camera(tmp_path: Path) -> None:
+    frames = video(4)
+    fill(tmp_path / "front", frames)
+    _, dataset = imported(tmp_path / "front", replace(OPTIONS, camera="front"))
+    np.testing.assert_array_equal(dataset.video(0), frames)
+
+
 def test_the_rate_of_the_pictures_can_be_told(tmp_path: Path) -> None:
     frames = video(30)
     report, dataset = imported(fill(tmp_path / "run", frames), ImportOptions(size=32, source_hz=30))

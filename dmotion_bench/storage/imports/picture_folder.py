@@ -34,15 +34,20 @@ def pictures_in(folder: Path) -> list[Path]:
 
 
 def episode_folders(path: Path, camera: str | None) -> list[Path]:
-    """The folders whose pictures are an episode each: the folder itself, those in it, or a camera's in those."""
-    if _has_pictures(path):
+    """The folders whose pictures are an episode each: the folder itself, those in it, or a camera's in those.
+
+    Pictures in the folder itself come first, unless they lie beside a camera's folder that was asked for.
+    """
+    is_own = _has_pictures(path)
+    if is_own and camera is None:
         return [path]
     inside = [folder for folder in path.iterdir() if folder.is_dir() and not folder.name.startswith(".")]
     inside.sort(key=lambda folder: natural(folder.name))
     if camera is not None:
         below = [folder / camera for folder in inside if Path(camera).name == camera]
         inside = [folder for folder in below if _is_folder(folder)] or [one for one in inside if one.name == camera]
-    return [folder for folder in inside if _has_pictures(folder)]
+    found = [folder for folder in inside if _has_pictures(folder)]
+    return [path] if is_own and not found else found
 
 
 def _is_called_a_picture(file: Path) -> bool:

@@ -49,6 +49,14 @@ def test_the_second_picture_comes_before_the_tenth(tmp_path: Path) -> None:
     assert (report.source_frames, report.source_hz, report.repeated) == (12, 10, 0)
 
 
+def test_pictures_that_are_named_by_their_time_are_in_its_order(tmp_path: Path) -> None:
+    frames = video(3)
+    (tmp_path / "run").mkdir()
+    for time, frame in zip((1_700_000_000.0001, 1_700_000_000.1, 1_700_000_000.1234567), frames, strict=True):
+        (tmp_path / "run" / f"{time}.png").write_bytes(compressed(frame, "png"))
+    np.testing.assert_array_equal(imported(tmp_path / "run")[1].video(0), frames)
+
+
 def test_each_folder_is_an_episode(tmp_path: Path) -> None:
     frames = video(15)
     fill(tmp_path / "runs/episode10", frames[:4])

@@ -16,7 +16,7 @@ from jaxtyping import Int64, UInt8
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
 from dmotion_bench.storage.imports.limits import ImportLimits
-from dmotion_bench.storage.imports.natural_order import natural
+from dmotion_bench.storage.imports.natural_order import in_natural_order
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
 
@@ -30,7 +30,7 @@ def pictures_in(folder: Path) -> list[Path]:
     A link that leads nowhere is one: a picture is missing there, and reading it says so.
     """
     files = [file for file in folder.iterdir() if _is_called_a_picture(file) and (file.is_file() or file.is_symlink())]
-    return sorted((file for file in files if not file.is_dir()), key=lambda file: natural(file.name))
+    return in_natural_order((file for file in files if not file.is_dir()), may_be_times=True)
 
 
 def episode_folders(path: Path, camera: str | None) -> list[Path]:
@@ -41,8 +41,8 @@ def episode_folders(path: Path, camera: str | None) -> list[Path]:
     is_own = _has_pictures(path)
     if is_own and camera is None:
         return [path]
-    inside = [folder for folder in path.iterdir() if folder.is_dir() and not folder.name.startswith(".")]
-    inside.sort(key=lambda folder: natural(folder.name))
+    folders = (folder for folder in path.iterdir() if folder.is_dir() and not folder.name.startswith("."))
+    inside = in_natural_order(folders)
     if camera is not None:
         below = [folder / camera for folder in inside if Path(camera).name == camera]
         inside = [folder for folder in below if _is_folder(folder)] or [one for one in inside if one.name == camera]

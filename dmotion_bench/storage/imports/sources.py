@@ -13,7 +13,7 @@ from dmotion_bench.storage.imports.confinement import Confinement
 from dmotion_bench.storage.imports.lerobot_layout import INFO
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_recording import McapRecording
-from dmotion_bench.storage.imports.natural_order import natural
+from dmotion_bench.storage.imports.natural_order import in_natural_order
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.passed_over import PassedOver, Taken, is_dataset, passed_over, real_paths
 from dmotion_bench.storage.imports.picture_folder import PICTURES, PictureFolder, episode_folders
@@ -294,16 +294,14 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
         )
     if (folder / INFO).is_file():
         return [Source(path=folder, kind=Kind.LEROBOT)]
-    entries = sorted(
-        (one for one in folder.iterdir() if not one.name.startswith(".")), key=lambda one: natural(one.name)
-    )
+    entries = in_natural_order(one for one in folder.iterdir() if not one.name.startswith("."))
     found = [Source(path=one, kind=kind) for one in entries if one.is_file() and (kind := _suffix_kind(one))]
     for inner in [] if found else [one for one in entries if one.is_dir()]:
         try:
             if (inner / INFO).is_file():
                 found.append(Source(path=inner, kind=Kind.LEROBOT))
             elif not is_dataset(inner):
-                files = sorted((one for one in inner.iterdir() if one.is_file()), key=lambda one: natural(one.name))
+                files = in_natural_order(one for one in inner.iterdir() if one.is_file())
                 found += [Source(path=one, kind=kind) for one in files if (kind := _suffix_kind(one))]
         except OSError as error:
             faults[inner] = _unreadable(inner, error)

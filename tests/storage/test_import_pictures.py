@@ -141,6 +141,38 @@ def test_pictures_of_several_sizes(tmp_path: Path) -> None:
     refused(folder, r"several sizes: 32x32 pixels in .*img0.png', 32x24 in .*img7.png'")
 
 
+def deep(folder: Path, name: str = "{}.png", count: int = 4) -> Path:
+    """A folder with pictures of 16 bits, whose upper 8 bits are 3, 4 ..."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in range(count):
+        Image.fromarray(np.full((32, 32), 256 * (3 + number) + 77, np.uint16)).save(folder / name.format(number))
+    return folder
+
+
+def test_depth_beside_pictures_is_refused(tmp_path: Path) -> None:
+    frames = video(4)
+    fill(tmp_path / "set/rgb", frames)
+    deep(tmp_path / "set/depth")
+    refused(tmp_path / "set", r"mixes pictures with what may be depth: '.*depth/0.png' .*choose with '--camera rgb'")
+    with pytest.raises(
+        RecordingImportError, match=r"16 bits a pixel, as depth is stored, and those in '.*rgb' are not"
+    ):
+        import_recordings([tmp_path / "set/depth", tmp_path / "set/rgb"], tmp_path / "out", OPTIONS)
+    _, dataset = imported(tmp_path / "set", replace(OPTIONS, camera="rgb"))
+    np.testing.assert_array_equal(dataset.video(0), frames)
+
+
+def test_depth_among_pictures_is_refused(tmp_path: Path) -> None:
+    folder = fill(tmp_path / "set", video(4), name="{}_rgb.png")
+    deep(folder, "{}_depth.png")
+    refused(folder, "mixes pictures with what may be depth: .* put the pictures that you mean into a folder of their")
+
+
+def test_grey_pictures_of_16_bits_alone_keep_their_upper_8(tmp_path: Path) -> None:
+    _, dataset = imported(deep(tmp_path / "set"))
+    assert dataset.video(0)[:, 0, 0, 0].tolist() == [3, 4, 5, 6]
+
+
 def test_a_damaged_picture(tmp_path: Path) -> None:
     frames = video(6)
     folder = fill(tmp_path / "run", frames)

@@ -17,6 +17,7 @@ from dmotion_bench.storage.imports.pixels import demosaic, size_of, to_rgb
 LIMITS = ImportLimits()
 PATTERNS = ["rggb", "bggr", "gbrg", "grbg"]
 GREEN = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
+SIXTEEN_BITS = compressed(np.full((4, 4), 256 * 9 + 77, np.uint16), "png")
 OTHER = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
 
 
@@ -67,6 +68,11 @@ def test_yuv_keeps_colours(encoding: str, places: tuple[int, ...]) -> None:
     assert np.abs(got.astype(float) - colours[:, None]).max() <= 2
 
 
+def test_a_png_file_of_mono16_keeps_its_upper_8_bits() -> None:
+    picture = CompressedPicture(stamp_ns=0, format="mono16; png compressed ", data=SIXTEEN_BITS)
+    assert np.unique(to_rgb(picture, LIMITS)).tolist() == [9]
+
+
 def test_mono16_of_either_byte_order() -> None:
     values = np.arange(16, dtype=np.uint16).reshape(4, 4) * 4000
     for order, big in (("<u2", False), (">u2", True)):
@@ -87,6 +93,8 @@ def test_mono16_of_either_byte_order() -> None:
         (raw("bayer_rggb8", b"\0" * 4, 1, 4), "too few for its 2x2 pattern"),
         (CompressedPicture(stamp_ns=0, format="jpeg", data=b"no picture"), "are no JPEG, PNG or WebP file"),
         (CompressedPicture(stamp_ns=0, format="16UC1; compressedDepth", data=b""), "depth is no picture"),
+        (CompressedPicture(stamp_ns=0, format="16UC1; png compressed ", data=SIXTEEN_BITS), "depth is no picture"),
+        (CompressedPicture(stamp_ns=0, format="32FC1; tiff compressed", data=SIXTEEN_BITS), "depth is no picture"),
     ],
 )
 def test_a_bad_picture_is_named_before_it_is_unpacked(picture: RawPicture, reason: str) -> None:

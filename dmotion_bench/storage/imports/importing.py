@@ -149,6 +149,7 @@ def plan_import(
         RecordingImportError: They do not go together, or there is no episode in them.
     """
     _check_sizes(recordings, surveys)
+    _check_depth(recordings, surveys)
     names = discrete_names(surveys, options)
     pieces = _pieces(surveys, options)
     planned, left_out = _plan(recordings, surveys, pieces, names, options)
@@ -236,6 +237,17 @@ def _check_sizes(recordings: Sequence[Named], surveys: Sequence[Survey]) -> None
                 f"{str(recordings[0].path)!r}, {survey.width}x{survey.height} in {str(recording.path)!r}; "
                 "import them into data sets of their own."
             )
+
+
+def _check_depth(recordings: Sequence[Named], surveys: Sequence[Survey]) -> None:
+    """Check that pictures which may be depth are not mixed with others; alone they may be of a 16-bit camera."""
+    deep = [recording for recording, survey in zip(recordings, surveys, strict=True) if survey.is_deep]
+    others = [recording for recording, survey in zip(recordings, surveys, strict=True) if not survey.is_deep]
+    if deep and others:
+        raise RecordingImportError(
+            f"the pictures in {str(deep[0].path)!r} are grey with 16 bits a pixel, as depth is stored, and those in "
+            f"{str(others[0].path)!r} are not; depth is no picture: leave one out."
+        )
 
 
 def _require_different(recordings: Sequence[Named], recipe: DatasetRecipe) -> None:

@@ -17,7 +17,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.natural_order import in_natural_order
-from dmotion_bench.storage.imports.pixels import size_of, to_rgb
+from dmotion_bench.storage.imports.pixels import Shape, shape_of, to_rgb
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
 
 PICTURES: Final = (".jpeg", ".jpg", ".png", ".webp")
@@ -101,20 +101,17 @@ class PictureFolder:
         """Look at the size of every picture.
 
         Raises:
-            RecordingImportError: They are of several sizes, too many, or no pictures.
+            RecordingImportError: They are of several sizes or kinds, too many, or no pictures.
         """
-        first: tuple[Path, tuple[int, int]] | None = None
+        first: tuple[Path, Shape] | None = None
         segments, count = [], 0
         for folder in self._folders:
             files = pictures_in(folder)
             for file in files:
-                size = self._size(file, first[1] if first is not None and self._salvage else None)
-                first = first or (file, size)
-                if size != first[1]:
-                    raise RecordingImportError(
-                        f"the pictures in {str(self.path)!r} have several sizes: {first[1][1]}x{first[1][0]} pixels in "
-                        f"{str(first[0])!r}, {size[1]}x{size[0]} in {str(file)!r}; import them one size at a time."
-                    )
+                shape = self._shape(file, first[1] if first is not None and self._salvage else None)
+                first = first or (file, shape)
+                if shape != first[1]:
+                    raise self._mixed(*first, file, shape)
                 count += 1
                 progress(count)
             if count > self._limits.frames:
@@ -122,7 +119,14 @@ class PictureFolder:
             segments.append(Segment(times_ns=steady_times(len(files), self._source_hz, self.path)))
         if first is None:
             raise RecordingImportError(f"{str(self.path)!r} holds no pictures ({', '.join(PICTURES)}).")
-        return Survey(camera=self._camera or "pictures", height=first[1][0], width=first[1][1], segments=segments)
+        shape = first[1]
+        return Survey(
+            camera=self._camera or "pictures",
+            height=shape.height,
+            width=shape.width,
+            segments=segments,
+            is_deep=shape.is_deep,
+        )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Unpack some of an episode's pictures."""
@@ -145,13 +149,31 @@ class PictureFolder:
         for folder in self._folders:
             yield from pictures_in(folder)
 
-    def _size(self, file: Path, otherwise: tuple[int, int] | None) -> tuple[int, int]:
-        """Height and width; ``otherwise`` for a picture that is damaged, unless that is None."""
+    def _mixed(self, one: Path, shape: Shape, other: Path, others_shape: Shape) -> RecordingImportError:
+        """The error for two pictures that do not go together."""
+        if shape.is_deep == others_shape.is_deep:
+            return RecordingImportError(
+                f"the pictures in {str(self.path)!r} have several sizes: {shape.width}x{shape.height} pixels in "
+                f"{str(one)!r}, {others_shape.width}x{others_shape.height} in {str(other)!r}; import them one size at "
+                "a time."
+            )
+        deep, picture = (one, other) if shape.is_deep else (other, one)
+        way_out = "put the pictures that you mean into a folder of their own."
+        if deep.parent != picture.parent:
+            chosen = f"choose with '--camera {picture.parent.name}', or " if self._camera is None else ""
+            way_out = f"{chosen}name the folders that you mean."
+        return RecordingImportError(
+            f"{str(self.path)!r} mixes pictures with what may be depth: {str(deep)!r} is grey with 16 bits a pixel, "
+            f"{str(picture)!r} is not. Depth is no picture; {way_out}"
+        )
+
+    def _shape(self, file: Path, otherwise: Shape | None) -> Shape:
+        """What its head says; ``otherwise`` for a picture that is damaged, unless that is None."""
         try:
             try:
-                return size_of(self._read(file, _HEAD), self._limits)
+                return shape_of(self._read(file, _HEAD), self._limits)
             except BadPicture:
-                return size_of(self._read(file, None), self._limits)
+                return shape_of(self._read(file, None), self._limits)
         except BadPicture as error:
             if otherwise is not None:
                 return otherwise

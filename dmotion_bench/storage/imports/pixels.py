@@ -7,10 +7,13 @@ file that says how the camera was held is turned upright.
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from io import BytesIO
+from typing import Final
 
 import numpy as np
 from jaxtyping import Integer, UInt8
@@ -87,6 +90,8 @@ UNPACK: dict[str, tuple[int, Callable[[Rows], RGB]]] = {
 """Bytes a pixel, and what turns rows of bytes into RGB."""
 
 ENCODINGS = sorted([*UNPACK, *BAYER, "mono16"])
+_DEPTH: Final = re.compile(r"(16[USF]|32[SF]|64F)C\d+")
+"""OpenCV's names of pixels that are no brightness; image_transport puts them first in the format of a PNG file."""
 PICTURE_FILES = ("JPEG", "PNG", "WEBP")
 _UPRIGHT = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -100,6 +105,33 @@ _UPRIGHT = {
 """What turns a picture upright, by EXIF's number of how the camera was held."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """What a picture's head says.
+
+    Attributes:
+        height, width: Of it, upright [px].
+        is_deep: Whether it is grey with 16 bits a pixel, as depth is stored.
+    """
+
+    height: int
+    width: int
+    is_deep: bool = False
+
+
+def shape_of(picture: CompressedPicture, limits: ImportLimits) -> Shape:
+    """What a compressed picture's head says.
+
+    Raises:
+        BadPicture: As ``size_of``.
+    """
+    with _opened(picture, limits) as image:
+        height, width = image.height, image.width
+        if _orientation(image) >= 5:
+            height, width = width, height
+        return Shape(height=height, width=width, is_deep=_is_deep(image))
+
+
 def size_of(picture: Picture, limits: ImportLimits) -> tuple[int, int]:
     """Height and width, after all was checked that can be without unpacking.
 
@@ -109,8 +141,8 @@ def size_of(picture: Picture, limits: ImportLimits) -> tuple[int, int]:
     if isinstance(picture, VideoPacket):
         raise BadPicture(f"is a packet of {picture.codec} among pictures")
     if isinstance(picture, CompressedPicture):
-        with _opened(picture, limits) as image:
-            return (image.width, image.height) if _orientation(image) >= 5 else (image.height, image.width)
+        shape = shape_of(picture, limits)
+        return shape.height, shape.width
     height, width = picture.height, picture.width
     _check_size(height, width, limits)
     row = width * _bytes_a_pixel(picture.encoding)
@@ -172,7 +204,7 @@ def _check_size(height: int, width: int, limits: ImportLimits) -> None:
 
 def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
     """The compressed file with its head read, its pixels not yet."""
-    if "compresseddepth" in picture.format.lower():
+    if "compresseddepth" in picture.format.lower() or _DEPTH.fullmatch(picture.format.partition(";")[0].strip()):
         raise BadPicture(f"has the format {picture.format[:60]!r}: depth is no picture")
     try:
         with warnings.catch_warnings():
@@ -186,6 +218,10 @@ def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
         ) from error
     _check_size(image.height, image.width, limits)
     return image
+
+
+def _is_deep(image: Image.Image) -> bool:
+    return image.mode.startswith("I;16")
 
 
 def _orientation(image: Image.Image) -> int:
@@ -210,7 +246,7 @@ def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
                 turn = _UPRIGHT.get(_orientation(image))
                 if turn is not None:
                     return np.array(image.convert("RGB").transpose(turn))
-                if image.mode.startswith("I;16"):
+                if _is_deep(image):
                     return _gray((np.asarray(image) >> 8).astype(np.uint8))
                 return np.array(image.convert("RGB"))
         except (OSError, ValueError, SyntaxError, Warning) as error:

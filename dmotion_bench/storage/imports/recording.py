@@ -44,6 +44,7 @@ class Survey:
         height, width: Of every picture [px].
         segments: At least one, each with at least one frame.
         hints: Sentences about a better way to import the recording, for whoever asked for this one.
+        is_deep: Whether the pictures are files in grey with 16 bits a pixel, as depth is stored.
     """
 
     camera: str
@@ -51,6 +52,7 @@ class Survey:
     width: int
     segments: Sequence[Segment]
     hints: Sequence[str] = ()
+    is_deep: bool = False
 
     @property
     def pictures(self) -> int:

@@ -38,7 +38,8 @@ from dmotion_bench.storage.imports.importing import (
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Recording
-from dmotion_bench.storage.imports.sources import Source, find, open_recording
+from dmotion_bench.storage.imports.search import find
+from dmotion_bench.storage.imports.sources import Source, open_recording
 from dmotion_bench.storage.shard import Footage, ShardReceipt, shard_range, write_shard
 from dmotion_bench.storage.staging import staged, sweep
 from dmotion_bench.storage.writer import DatasetWriter

@@ -112,7 +112,8 @@ def _read(folder: Path) -> Pictures:
     from dmotion_bench.storage.imports.fitting import Fit, fitted
     from dmotion_bench.storage.imports.limits import ImportLimits
     from dmotion_bench.storage.imports.options import ImportOptions
-    from dmotion_bench.storage.imports.sources import open_recording, sources_in
+    from dmotion_bench.storage.imports.search import sources_in
+    from dmotion_bench.storage.imports.sources import open_recording
 
     options = ImportOptions(size=SIZE, limits=ImportLimits(frames=1_000_000))
     clips = []

@@ -31,7 +31,8 @@ from dmotion_bench.storage.imports.confinement import Confinement
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Recording
-from dmotion_bench.storage.imports.sources import Kind, Source, sources_in
+from dmotion_bench.storage.imports.search import sources_in
+from dmotion_bench.storage.imports.sources import Kind, Source
 from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
 
 OPTIONS = ImportOptions(size=16, frames_per_episode=5)

@@ -34,7 +34,8 @@ from dmotion_bench.storage.imports.imported_actions import (
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Named, Recording, Survey
-from dmotion_bench.storage.imports.sources import Found, find, open_recording
+from dmotion_bench.storage.imports.search import Found, find
+from dmotion_bench.storage.imports.sources import open_recording
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
@@ -66,7 +67,7 @@ def import_recordings(
     """Make a data set of foreign recordings.
 
     Args:
-        paths: Files, folders of such, folders of pictures, LeRobot data sets; see ``sources``.
+        paths: Files, folders of such, folders of pictures, LeRobot data sets; see ``search``.
         out: The data set's folder; one that this very import has made is left as it is.
         options: How.
         progress: Is told how far it is.

@@ -1,0 +1,185 @@
+"""What somebody names on the command line -> the recordings that are there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dmotion_bench.errors import RecordingImportError, UsageError
+from dmotion_bench.storage.imports.lerobot_layout import INFO
+from dmotion_bench.storage.imports.natural_order import in_natural_order
+from dmotion_bench.storage.imports.passed_over import PassedOver, Taken, is_dataset, passed_over, real_paths
+from dmotion_bench.storage.imports.picture_folder import PICTURES, episode_folders
+from dmotion_bench.storage.imports.sources import CONVERT_BAG, KNOWN, SUFFIXES, Kind, Source, kind_of
+from dmotion_bench.wording import command
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What somebody has named, before any of it is opened.
+
+    Attributes:
+        sources: The recordings, in their order.
+        faults: Why a path, or a folder in one, gives no recording.
+        told: Sentences about what lies in the folders and is not imported.
+        doubts: Of a folder whose pictures may not be those that are meant: why, for the case that they are too few.
+    """
+
+    sources: Sequence[Source]
+    faults: Mapping[Path, RecordingImportError]
+    told: Sequence[str]
+    doubts: Mapping[Path, str]
+
+    def require_sound(self) -> None:
+        """Check that everything can be imported.
+
+        Raises:
+            RecordingImportError: The first fault.
+        """
+        for fault in self.faults.values():
+            raise fault
+
+
+def find(paths: Sequence[Path], camera: str | None) -> Found:
+    """The recordings that are meant: files as they are, folders by what is in them.
+
+    Args:
+        paths: Files and folders.
+        camera: The camera that was asked for; in folders of pictures it is a folder.
+
+    Raises:
+        UsageError: A recording is named twice.
+    """
+    sources: list[Source] = []
+    faults: dict[Path, RecordingImportError] = {}
+    for path in paths:
+        try:
+            sources += _at(path, camera, faults)
+        except RecordingImportError as error:
+            faults[path] = error
+        except OSError as error:
+            faults[path] = _unreadable(path, error)
+    require_once(sources)
+    taken = _taken(sources, camera)
+    over = [passed_over(path, taken, (*SUFFIXES, *PICTURES), INFO) for path in paths if _is_told_of(path, faults)]
+    pictures = {source.path for source in sources if source.kind is Kind.PICTURES}
+    return Found(
+        sources=sources,
+        faults=faults,
+        told=[sentence for one in over for sentence in one.sentences(camera)],
+        doubts={one.folder: _doubt(one) for one in over if one.readable and one.folder in pictures},
+    )
+
+
+def sources_in(paths: Sequence[Path], camera: str | None) -> Sequence[Source]:
+    """The recordings that are meant, all of which must be there; see ``find``.
+
+    Raises:
+        RecordingImportError: A path is not there, or holds no recording.
+        UsageError: A recording is named twice.
+    """
+    found = find(paths, camera)
+    found.require_sound()
+    return found.sources
+
+
+def require_once(found: Sequence[Source]) -> None:
+    """Check that no recording is meant twice.
+
+    Raises:
+        UsageError: One is.
+    """
+    if len({source.path.resolve() for source in found}) < len(found):
+        raise UsageError("a recording is named twice.")
+
+
+def _is_told_of(path: Path, faults: Mapping[Path, RecordingImportError]) -> bool:
+    return path not in faults and path.is_dir() and not (path / INFO).is_file()
+
+
+def _taken(sources: Sequence[Source], camera: str | None) -> Taken:
+    """What the recordings consist of."""
+    folders = [
+        one for source in sources if source.kind is Kind.PICTURES for one in episode_folders(source.path, camera)
+    ]
+    return Taken(
+        whole=real_paths(source.path for source in sources if source.kind is not Kind.PICTURES),
+        pictures=real_paths(folders),
+        chosen=real_paths(one.parent for one in folders if one.name == camera),
+    )
+
+
+def _doubt(over: PassedOver) -> str:
+    """What is said of pictures that are too few, beside others that were passed over."""
+    named = command("dmbench data import", over.readable[0])
+    return (
+        f"the pictures that were found in {str(over.folder)!r} are too few for an episode, and other recordings or "
+        f"pictures in it were not looked at: {over.listed(over.readable)}. If the recordings are there, name all of "
+        f"them, such as {named} and so on; the shell's '*/' names all folders. If the few pictures are the recording, "
+        "lower '--min-frames' or name their folder alone."
+    )
+
+
+def _at(path: Path, camera: str | None, faults: dict[Path, RecordingImportError]) -> list[Source]:
+    """The recordings at a path; see ``_in_folder``."""
+    if not path.exists():
+        raise RecordingImportError(f"there is no {str(path)!r}.")
+    return _in_folder(path, camera, faults) if path.is_dir() else [Source(path=path, kind=kind_of(path))]
+
+
+def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImportError]) -> list[Source]:
+    """The recordings in a folder, and in the folders in it.
+
+    Args:
+        folder: It.
+        camera: See ``find``.
+        faults: Is told which folders in it cannot be read.
+    """
+    if is_dataset(folder):
+        raise RecordingImportError(
+            f"{str(folder)!r} is a data set of dmbench already; train on it with "
+            f"{command('dmbench train MODEL --data', folder)}."
+        )
+    if (folder / INFO).is_file():
+        return [Source(path=folder, kind=Kind.LEROBOT)]
+    entries = in_natural_order(one for one in folder.iterdir() if not one.name.startswith("."))
+    found = [Source(path=one, kind=kind) for one in entries if one.is_file() and (kind := _suffix_kind(one))]
+    for inner in [] if found else [one for one in entries if one.is_dir()]:
+        try:
+            if (inner / INFO).is_file():
+                found.append(Source(path=inner, kind=Kind.LEROBOT))
+            elif not is_dataset(inner):
+                files = in_natural_order(one for one in inner.iterdir() if one.is_file())
+                found += [Source(path=one, kind=kind) for one in files if (kind := _suffix_kind(one))]
+        except OSError as error:
+            faults[inner] = _unreadable(inner, error)
+    if not found and episode_folders(folder, camera):
+        return [Source(path=folder, kind=Kind.PICTURES)]
+    if not found and not any(folder in one.parents for one in faults):
+        raise _nothing_in(folder)
+    kinds = {source.kind for source in found}
+    if len(kinds) > 1:
+        raise RecordingImportError(
+            f"{str(folder)!r} holds recordings of several kinds ({', '.join(sorted(kinds))}); name the ones you mean."
+        )
+    return found
+
+
+def _suffix_kind(file: Path) -> Kind | None:
+    name = file.name.lower()
+    return next((kind for suffix, kind in SUFFIXES.items() if name.endswith(suffix)), None)
+
+
+def _unreadable(folder: Path, error: OSError) -> RecordingImportError:
+    kind = "the folder " if folder.is_dir() else ""
+    return RecordingImportError(f"cannot read {kind}{str(folder)!r}: {error.strerror}.")
+
+
+def _nothing_in(folder: Path) -> RecordingImportError:
+    if any(folder.glob("*.db3*")):
+        return RecordingImportError(f"{str(folder)!r} is a ROS 2 bag in SQLite; {CONVERT_BAG}.")
+    return RecordingImportError(
+        f"{str(folder)!r} holds no recording: no {KNOWN}, no pictures ({' '.join(PICTURES)}), and it is no LeRobot "
+        "data set."
+    )

@@ -42,8 +42,8 @@ def data_import(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera. Default: the only "
-            "one."
+            help="Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera; of videos the name "
+            "of the files without suffix, or the number of the stream. Default: the only one."
         ),
     ] = None,
     actions: Annotated[

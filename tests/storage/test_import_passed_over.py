@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from storage.foreign import compressed, foxglove_file, steady, video
+from storage.foreign_video import video_file
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.recording.fleet import import_fleet
@@ -196,3 +197,45 @@ def test_a_folder_that_cannot_be_read_is_a_damaged_recording(root: Path, closed:
     np.testing.assert_array_equal(Dataset.open(report.path).lengths, 6)
     with pytest.raises(RecordingImportError, match="cannot read the folder"):
         imported(closed)
+
+
+def clips(root: Path, names: tuple[str, ...] = ("front.mp4", "wrist.mp4")) -> Path:
+    """Two folders with a video of each name, and one that lacks the first of them."""
+    for number in range(3):
+        (root / f"ep{number}").mkdir()
+        for camera, name in enumerate(names[number == 2 :]):
+            video_file(root / f"ep{number}" / name, video(6, seed=3 * number + camera))
+    return root
+
+
+def test_videos_of_the_same_names_in_several_folders_may_be_cameras(root: Path) -> None:
+    report = imported(clips(root))
+    assert report.episodes == 5
+    sentence = f"2 folders in {str(root)!r} hold videos of the same names: front.mp4, wrist.mp4. If they are several"
+    assert sentence in report.advice[0]
+    assert f"with '--camera front' or '{root}/*/front.mp4': a data set has one camera." in report.advice[0]
+
+
+def test_a_camera_s_videos_are_chosen_by_their_name(root: Path) -> None:
+    clips(root)
+    report = imported(root, ImportOptions(size=16, camera="front"))
+    assert report.episodes == 2
+    np.testing.assert_array_equal(Dataset.open(report.path).recipe.parameters["file_1"], "front.mp4")
+    assert "not imported: ep2/. What" in report.advice[0]
+    assert "same names" not in " ".join(report.advice)
+    with pytest.raises(RecordingImportError, match=r"no video in .*root' is called 'Front'; .* are: front, wrist\."):
+        imported(root, ImportOptions(size=16, camera="Front"))
+
+
+def test_a_number_is_a_stream_and_no_name_of_a_file(root: Path) -> None:
+    report = imported(clips(root, ("0.mp4", "1.mp4")), ImportOptions(size=16, camera="0"))
+    assert report.episodes == 5
+    assert f"such as with '{root}/*/0.mp4': a data set" in report.advice[0]
+
+
+def test_numbered_videos_in_folders_of_different_length_are_no_cameras(root: Path) -> None:
+    for day in range(3):
+        (root / f"day{day}").mkdir()
+        for number in range(day + 1):
+            video_file(root / f"day{day}" / f"clip{number}.mp4", video(6, seed=10 * day + number))
+    assert "same names" not in " ".join(imported(root).advice)

@@ -1,7 +1,8 @@
 """Recordings of other systems, read into ``dmbench/1``: MCAP, videos, folders of pictures, HDF5, LeRobot data sets.
 
-``search`` finds what is meant, ``sources`` tells what stands at a path. Each kind has a file that answers the questions of ``recording``:
-``mcap_recording``, ``mcap_video``, ``video_recording``, ``picture_folder``, ``hdf5_recording``, ``lerobot_recording``.
+``search`` finds the recordings that are meant, ``passed_over`` what lies beside them, ``sources`` tells their kinds.
+Each kind has a file that answers the questions of ``recording``: ``mcap_recording``, ``mcap_video``,
+``video_recording``, ``picture_folder``, ``hdf5_recording``, ``lerobot_recording``.
 What libraries of C read is read in a process apart: ``confinement`` is this end of it, ``confined_reader`` the other,
 and ``wire`` what they say to each other.
 

@@ -21,7 +21,7 @@ class ImportOptions:
 
     Attributes:
         camera: Of the pictures: a topic (MCAP), a feature (LeRobot), a path (HDF5), a folder (pictures), the number of
-            a stream (video); None for the only one there is.
+            a stream or the name of the files without suffix (video); None for the only one there is.
         actions: Topic or feature of the actions; None imports the video alone.
         action_fields: Fields with the numbers of continuous actions; a field with several numbers stands for them
             all. Without any, actions are discrete, unless the format says that they are continuous.

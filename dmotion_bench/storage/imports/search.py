@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from dmotion_bench.errors import RecordingImportError, UsageError
 from dmotion_bench.storage.imports.lerobot_layout import INFO
 from dmotion_bench.storage.imports.natural_order import in_natural_order
 from dmotion_bench.storage.imports.passed_over import PassedOver, Taken, is_dataset, passed_over, real_paths
 from dmotion_bench.storage.imports.picture_folder import PICTURES, episode_folders
-from dmotion_bench.storage.imports.sources import CONVERT_BAG, KNOWN, SUFFIXES, Kind, Source, kind_of
+from dmotion_bench.storage.imports.sources import CONVERT_BAG, KNOWN, SUFFIXES, Kind, Source, camera_file, kind_of
 from dmotion_bench.wording import command
+
+_SHOWN: Final = 5  # names in a sentence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +50,7 @@ def find(paths: Sequence[Path], camera: str | None) -> Found:
 
     Args:
         paths: Files and folders.
-        camera: The camera that was asked for; in folders of pictures it is a folder.
+        camera: The camera that was asked for; of pictures it is a folder, of videos it may be the name of files.
 
     Raises:
         UsageError: A recording is named twice.
@@ -67,7 +71,10 @@ def find(paths: Sequence[Path], camera: str | None) -> Found:
     return Found(
         sources=sources,
         faults=faults,
-        told=[sentence for one in over for sentence in one.sentences(camera)],
+        told=[
+            *(sentence for one in over for sentence in one.sentences(camera)),
+            *(sentence for path in paths if (sentence := _likely_cameras(path, sources)) is not None),
+        ],
         doubts={one.folder: _doubt(one) for one in over if one.readable and one.folder in pictures},
     )
 
@@ -106,7 +113,32 @@ def _taken(sources: Sequence[Source], camera: str | None) -> Taken:
     return Taken(
         whole=real_paths(source.path for source in sources if source.kind is not Kind.PICTURES),
         pictures=real_paths(folders),
-        chosen=real_paths(one.parent for one in folders if one.name == camera),
+        chosen=real_paths(
+            [one.parent for one in folders if one.name == camera]
+            + [
+                source.path.parent
+                for source in sources
+                if source.kind is Kind.VIDEO and camera_file(source.path, camera)
+            ]
+        ),
+    )
+
+
+def _likely_cameras(folder: Path, sources: Sequence[Source]) -> str | None:
+    """What is told of videos that have the same names in most folders, as those of several cameras have."""
+    names: dict[Path, list[str]] = {}
+    for source in sources:
+        if source.kind is Kind.VIDEO and source.path.parent.parent == folder:
+            names.setdefault(source.path.parent, []).append(source.path.name)
+    usual, count = Counter(map(tuple, names.values())).most_common(1)[0] if names else ((), 0)
+    if len(usual) < 2 or count < 2 or 2 * count <= len(names):
+        return None
+    first = Path(usual[0])
+    option = "" if first.stem.isdecimal() else f"'--camera {first.stem}' or "
+    return (
+        f"{count} folders in {str(folder)!r} hold videos of the same names: {', '.join(usual[:_SHOWN])}"
+        f"{' and more' if len(usual) > _SHOWN else ''}. If they are several cameras, import one of them, such as with "
+        f"{option}'{folder}/*/{first.name}': a data set has one camera."
     )
 
 
@@ -154,6 +186,7 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
                 found += [Source(path=one, kind=kind) for one in files if (kind := _suffix_kind(one))]
         except OSError as error:
             faults[inner] = _unreadable(inner, error)
+    found = _of_camera(found, folder, camera)
     if not found and episode_folders(folder, camera):
         return [Source(path=folder, kind=Kind.PICTURES)]
     if not found and not any(folder in one.parents for one in faults):
@@ -164,6 +197,25 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
             f"{str(folder)!r} holds recordings of several kinds ({', '.join(sorted(kinds))}); name the ones you mean."
         )
     return found
+
+
+def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[Source]:
+    """Of videos those that are called like the camera, unless it is the number of a stream in each.
+
+    Raises:
+        RecordingImportError: None is called so.
+    """
+    if camera is None or camera.isdecimal() or not found or {source.kind for source in found} != {Kind.VIDEO}:
+        return found
+    chosen = [source for source in found if camera_file(source.path, camera)]
+    if not chosen:
+        names = list(dict.fromkeys(source.path.stem for source in found))
+        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+        raise RecordingImportError(
+            f"no video in {str(folder)!r} is called {camera!r}; '--camera' names video files without their suffix, or "
+            f"the number of a stream in them. The files are: {', '.join(names[:_SHOWN])}{more}."
+        )
+    return chosen
 
 
 def _suffix_kind(file: Path) -> Kind | None:

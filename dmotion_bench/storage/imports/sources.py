@@ -76,6 +76,11 @@ def kind_of(file: Path) -> Kind:
     raise RecordingImportError(f"{str(file)!r} {_what_else(start)}.")
 
 
+def camera_file(video: Path, camera: str | None) -> bool:
+    """Whether a video is a camera's by its name; a number is that of a stream in it."""
+    return camera is not None and video.stem == camera and not camera.isdecimal()
+
+
 def open_recording(source: Source, options: ImportOptions, confinement: Confinement) -> Recording:
     """The recording, read in a process apart where a library of C reads it.
 
@@ -120,9 +125,8 @@ def open_here(path: Path, kind: str, options: ImportOptions) -> Recording:
     if kind == Kind.VIDEO:
         from dmotion_bench.storage.imports.video_recording import VideoRecording
 
-        return VideoRecording(
-            path, camera=options.camera, source_hz=options.source_hz, limits=limits, salvage=options.salvage
-        )
+        camera = None if camera_file(path, options.camera) else options.camera
+        return VideoRecording(path, camera=camera, source_hz=options.source_hz, limits=limits, salvage=options.salvage)
     if kind == Kind.HDF5:
         from dmotion_bench.storage.imports.hdf5_recording import Hdf5Recording
 

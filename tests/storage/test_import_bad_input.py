@@ -236,6 +236,17 @@ def test_what_is_not_there(tmp_path: Path) -> None:
     refused(tmp_path / "empty", tmp_path, "holds no recording: no MCAP .* no pictures .* no LeRobot data set")
 
 
+def test_a_recording_that_is_named_twice_is_named_in_the_error(good: Path, tmp_path: Path) -> None:
+    link = tmp_path / "b.mcap"
+    link.symlink_to(good)
+    for paths, match in (
+        ([good, good], r"^'.*a.mcap' is named twice"),
+        ([good, link], r"a.mcap' and '.*b.mcap' are the"),
+    ):
+        with pytest.raises(UsageError, match=match):
+            import_recordings(paths, tmp_path / "out", SMALL)
+
+
 def test_a_data_set_of_dmbench_is_no_recording(good: Path, tmp_path: Path) -> None:
     dataset = tmp_path / "own set"
     import_recordings([good], dataset, SMALL)

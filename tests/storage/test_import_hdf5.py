@@ -82,6 +82,12 @@ def test_the_environment_s_rate_counts(tmp_path: Path) -> None:
     assert told.frames == 20
 
 
+def test_salvage_is_said_to_do_nothing(tmp_path: Path) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)})
+    report = import_recordings([file], tmp_path / "out", ImportOptions(size=32, salvage=True))
+    assert "'--salvage' does nothing for HDF5 files and LeRobot data sets" in report.advice[0]
+
+
 @pytest.mark.parametrize(
     ("given", "names", "numbers"),
     [

@@ -38,12 +38,13 @@ def decoded(path: Path, **options: object) -> tuple[list[float], Frames]:
     return (segment.times_ns / 1e9).tolist(), np.stack(pictures)
 
 
-def refused(path: Path, folder: Path, match: str, options: ImportOptions = OPTIONS) -> None:
+def refused(path: Path, folder: Path, match: str, options: ImportOptions = OPTIONS) -> str:
     """The import fails with this sentence and leaves nothing behind."""
     before = sorted(folder.rglob("*"))
-    with pytest.raises(RecordingImportError, match=match):
+    with pytest.raises(RecordingImportError, match=match) as caught:
         import_recordings([path], folder / "out", options)
     assert sorted(folder.rglob("*")) == before
+    return str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -210,7 +211,8 @@ def test_a_file_that_was_cut_off(tmp_path: Path, name: str, kind: str) -> None:
 def test_a_cut_file_whose_index_stood_at_its_end(tmp_path: Path) -> None:
     file = video_file(tmp_path / "a.mp4", moving(60))
     file.write_bytes(file.read_bytes()[:-500])
-    refused(file, tmp_path, "is cut off")
+    sentence = refused(file, tmp_path, "is cut off: .* nothing in it can be read without what is missing")
+    assert "--salvage" not in sentence
     refused(file, tmp_path, "cannot be read", ImportOptions(salvage=True))
 
 

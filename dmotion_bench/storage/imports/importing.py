@@ -35,7 +35,7 @@ from dmotion_bench.storage.imports.imported_actions import (
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Named, Recording, Survey
 from dmotion_bench.storage.imports.search import Found, find
-from dmotion_bench.storage.imports.sources import open_recording
+from dmotion_bench.storage.imports.sources import UNSALVAGED, open_recording
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
@@ -154,12 +154,15 @@ def plan_import(
     names = discrete_names(surveys, options)
     pieces = _pieces(surveys, options)
     planned, left_out = _plan(recordings, surveys, pieces, names, options)
+    hints = list(found.told)
+    if options.salvage and any(source.kind in UNSALVAGED for source in found.sources):
+        hints.append("'--salvage' does nothing for HDF5 files and LeRobot data sets: a damaged one is refused.")
     heard = {plan.recording for plan in planned}
     for number, recording in enumerate(recordings):
         if number not in heard and recording.path in found.doubts:
             raise RecordingImportError(found.doubts[recording.path])
     if not planned:
-        raise no_episode(surveys, options, found.told)
+        raise no_episode(surveys, options, hints)
     recipe = _recipe(recordings, surveys, planned, options)
     _require_different(recordings, recipe)
     spec = EnvSpec(
@@ -171,7 +174,7 @@ def plan_import(
         width=options.size,
         step_ns=round(1e9 / options.hz),
     )
-    told = advice(surveys, [one for some in pieces for one in some], len(planned), options, found.told)
+    told = advice(surveys, [one for some in pieces for one in some], len(planned), options, hints)
     given = [(one.piece, surveys[one.recording].segments[one.segment].commands) for one in planned]
     return ImportPlan(
         recipe=recipe,

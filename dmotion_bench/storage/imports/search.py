@@ -97,8 +97,14 @@ def require_once(found: Sequence[Source]) -> None:
     Raises:
         UsageError: One is.
     """
-    if len({source.path.resolve() for source in found}) < len(found):
-        raise UsageError("a recording is named twice.")
+    first: dict[Path, Path] = {}
+    for path in (source.path for source in found):
+        real = path.resolve()
+        if first.get(real) == path:
+            raise UsageError(f"{str(path)!r} is named twice; name it once.")
+        if real in first:
+            raise UsageError(f"{str(first[real])!r} and {str(path)!r} are the same recording; name one of them.")
+        first[real] = path
 
 
 def _is_told_of(path: Path, faults: Mapping[Path, RecordingImportError]) -> bool:

@@ -46,6 +46,10 @@ KNOWN: Final = "MCAP (.mcap, .mcap.zst), video (.mp4 .mov .mkv .webm .avi), HDF5
 CONVERT_BAG: Final = "convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'"
 
 
+UNSALVAGED: Final = (Kind.HDF5, Kind.LEROBOT)
+"""Kinds of which a damaged one is refused as a whole, with ``--salvage`` too."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Source:
     """A recording that is not opened yet."""

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64, UInt8
 
-from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.errors import RecordingImportError, RecordingTruncated
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
 from dmotion_bench.storage.video.file import VideoFile
@@ -82,7 +82,25 @@ class VideoRecording:
         raise RecordingImportError(f"{str(self.path)!r} changed while it was imported; import it again.")
 
     def _opened(self) -> VideoFile:
-        return VideoFile(self.path, camera=self._camera, pixels=self._limits.pixels, salvage=self._salvage)
+        """The file; one that is cut off is only said to be salvageable if it is.
+
+        Raises:
+            RecordingImportError: As the file deserves it.
+        """
+        try:
+            return self._open(self._salvage)
+        except RecordingTruncated as cut:
+            try:
+                self._open(salvage=True).close()
+            except RecordingImportError:  # an MP4 file whose index stood behind the cut
+                raise RecordingTruncated(
+                    f"the video {str(self.path)!r} is cut off: it is shorter than it says, and nothing in it can be "
+                    "read without what is missing, such as the index at the end of an MP4 file. Copy it again."
+                ) from cut
+            raise
+
+    def _open(self, salvage: bool) -> VideoFile:
+        return VideoFile(self.path, camera=self._camera, pixels=self._limits.pixels, salvage=salvage)
 
     def _times(self, video: VideoFile, found: array[int], complete: bool) -> Int64[np.ndarray, " n"]:
         """When each picture was taken, from the first one on [ns]."""

@@ -190,6 +190,13 @@ def test_a_damaged_list_of_episodes(tmp_path: Path, line: str) -> None:
     refused(folder, r"has a damaged 'episodes.jsonl'|an episode without a place")
 
 
+def test_a_missing_list_of_episodes_is_named(tmp_path: Path) -> None:
+    folder = v3(tmp_path / "set", video(sum(LENGTHS)))
+    for table in folder.glob("meta/episodes/*/*.parquet"):
+        table.unlink()
+    refused(folder, "lacks 'meta/episodes/chunk-000/file-000.parquet', the table of its episodes")
+
+
 def with_times(folder: Path, interval: float) -> None:
     """Give the table of ``v3`` time stamps."""
     with_stamps(

@@ -211,7 +211,10 @@ class LeRobotLayout:
         columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
         if with_video:
             columns += [f"{video}/chunk_index", f"{video}/file_index", f"{video}/from_timestamp"]
-        for file in sorted(self.path.glob(EPISODES_V3)):
+        tables = sorted(self.path.glob(EPISODES_V3))
+        if not tables:
+            raise self.bad("lacks 'meta/episodes/chunk-000/file-000.parquet', the table of its episodes")
+        for file in tables:
             for number, frames, *place in _rows(self.table(file, columns), columns):
                 start_s = place.pop() if with_video else 0.0
                 if not isinstance(start_s, int | float) or not math.isfinite(start_s) or not 0 <= start_s < 2**31:

@@ -152,6 +152,18 @@ def test_what_a_folder_without_an_episode_holds_besides_is_said(root: Path) -> N
         imported(root)
 
 
+def test_a_folder_without_a_recording_is_told_where_some_lie(root: Path) -> None:
+    (root / "bag1").mkdir()
+    (root / "bag1" / "a.db3").write_bytes(b"")
+    with pytest.raises(RecordingImportError, match=r"holds no recording: .*: bag1/\. .* convert bags with 'rosbags"):
+        imported(root)
+    pictures(root / "a" / "b" / "ep0")
+    pictures(root / "a" / "b" / "ep1")
+    with pytest.raises(RecordingImportError, match=r"lie deeper in it: a/b/\. Name these folders, or with '--camera"):
+        imported(root)
+    assert imported(root, paths=[root / "a" / "b"]).episodes == 2
+
+
 def test_many_other_files_end_the_search(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(passed_over, "_MOST_FILES", 5)
     episodes(root, mcap, "ep{}.mcap")
@@ -194,6 +206,7 @@ def test_a_folder_that_cannot_be_read_is_a_damaged_recording(root: Path, closed:
     report = import_fleet([root], root.parent / "out", OPTIONS, skip_damaged=True)
     assert report.episodes == COUNT - 1
     assert [path for path, _ in report.skipped] == [str(closed)]
+    assert "not imported" not in " ".join(report.advice)
     np.testing.assert_array_equal(Dataset.open(report.path).lengths, 6)
     with pytest.raises(RecordingImportError, match="cannot read the folder"):
         imported(closed)

@@ -94,11 +94,7 @@ class PassedOver:
                 f"data set can be named as a further path.{exactly}"
             )
         if self.foreign:
-            ways = [way for suffixes, way in _CONVERT.items() if not self.suffixes.isdisjoint(suffixes)]
-            told.append(
-                f"{self._counted(self.foreign)} not imported: {self.listed(self.foreign)}. "
-                f"Files of the kind {', '.join(sorted(self.suffixes))} are not read: convert {', '.join(ways)}."
-            )
+            told.append(self.foreign_sentence())
         if self.broken:
             told.append(
                 f"{self._counted(self.broken)} not imported: {self.listed(self.broken)}. A link leads "
@@ -110,6 +106,14 @@ class PassedOver:
                 "is not told. Name the recordings themselves."
             )
         return told
+
+    def foreign_sentence(self) -> str:
+        """What is told of formats that are not read."""
+        ways = [way for suffixes, way in _CONVERT.items() if not self.suffixes.isdisjoint(suffixes)]
+        return (
+            f"{self._counted(self.foreign)} not imported: {self.listed(self.foreign)}. "
+            f"Files of the kind {', '.join(sorted(self.suffixes))} are not read: convert {', '.join(ways)}."
+        )
 
     def listed(self, paths: Sequence[Path]) -> str:
         """The first of the paths, as they are called within the folder, and how many there are besides."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -65,8 +65,8 @@ def find(paths: Sequence[Path], camera: str | None) -> Found:
         except OSError as error:
             faults[path] = _unreadable(path, error)
     require_once(sources)
-    taken = _taken(sources, camera)
-    over = [passed_over(path, taken, (*SUFFIXES, *PICTURES), INFO) for path in paths if _is_told_of(path, faults)]
+    taken = _taken(sources, camera, faults)
+    over = [_passed_over(path, taken) for path in paths if _is_told_of(path, faults)]
     pictures = {source.path for source in sources if source.kind is Kind.PICTURES}
     return Found(
         sources=sources,
@@ -111,13 +111,17 @@ def _is_told_of(path: Path, faults: Mapping[Path, RecordingImportError]) -> bool
     return path not in faults and path.is_dir() and not (path / INFO).is_file()
 
 
-def _taken(sources: Sequence[Source], camera: str | None) -> Taken:
-    """What the recordings consist of."""
+def _passed_over(folder: Path, taken: Taken) -> PassedOver:
+    return passed_over(folder, taken, (*SUFFIXES, *PICTURES), INFO)
+
+
+def _taken(sources: Sequence[Source], camera: str | None, faults: Iterable[Path]) -> Taken:
+    """What the recordings consist of, and what is told as a fault."""
     folders = [
         one for source in sources if source.kind is Kind.PICTURES for one in episode_folders(source.path, camera)
     ]
     return Taken(
-        whole=real_paths(source.path for source in sources if source.kind is not Kind.PICTURES),
+        whole=real_paths([*faults, *(source.path for source in sources if source.kind is not Kind.PICTURES)]),
         pictures=real_paths(folders),
         chosen=real_paths(
             [one.parent for one in folders if one.name == camera]
@@ -237,7 +241,16 @@ def _unreadable(folder: Path, error: OSError) -> RecordingImportError:
 def _nothing_in(folder: Path) -> RecordingImportError:
     if any(folder.glob("*.db3*")):
         return RecordingImportError(f"{str(folder)!r} is a ROS 2 bag in SQLite; {CONVERT_BAG}.")
+    over = _passed_over(folder, Taken(whole=frozenset(), pictures=frozenset(), chosen=frozenset()))
+    deeper = ""
+    if over.readable:
+        deeper = (
+            f" Recordings or pictures lie deeper in it: {over.listed(over.readable)}. Name these folders, or with "
+            "'--camera NAME' the folder in each of them that the pictures are in."
+        )
+    elif over.foreign:
+        deeper = f" {over.foreign_sentence()}"
     return RecordingImportError(
         f"{str(folder)!r} holds no recording: no {KNOWN}, no pictures ({' '.join(PICTURES)}), and it is no LeRobot "
-        "data set."
+        f"data set.{deeper}"
     )

@@ -13,7 +13,7 @@ from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
 from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.errors import Interrupted, UnknownName
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, sentence
 
 if TYPE_CHECKING:
     from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
@@ -283,11 +283,11 @@ def _summary(report: ImportReport, options: ImportOptions) -> str:
         lines.append(f"  actions, held out as labels: {report.actions}")
     else:
         lines.append("  no actions: what an action leads to cannot be scored; with '--actions TOPIC' it can")
-    lines += [f"  {sentence}" for sentence in report.advice]
+    lines += [f"  {sentence(told)}" for told in report.advice]
     if report.skipped:
         many = "1 recording is" if len(report.skipped) == 1 else f"{len(report.skipped)} recordings are"
         lines.append(f"  {many} left out:")
-        lines += [f"    {why}" for _, why in report.skipped[:_SHOWN]]
+        lines += [f"    {sentence(why)}" for _, why in report.skipped[:_SHOWN]]
         if len(report.skipped) > _SHOWN:
             lines.append(f"    and {len(report.skipped) - _SHOWN} more; '--json' names all")
     lines.append(

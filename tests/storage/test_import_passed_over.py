@@ -252,3 +252,11 @@ def test_numbered_videos_in_folders_of_different_length_are_no_cameras(root: Pat
         for number in range(day + 1):
             video_file(root / f"day{day}" / f"clip{number}.mp4", video(6, seed=10 * day + number))
     assert "same names" not in " ".join(imported(root).advice)
+
+
+def test_a_name_cannot_write_to_the_terminal(root: Path) -> None:
+    episodes(root, pictures)
+    (root / "ep3" / "\x1b[2Jgone\n.bmp").write_bytes(b"BM")
+    said = told(root)
+    assert "x1b[2Jgone" in said
+    assert said.isprintable()

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.storage.imports.natural_order import natural
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import DATASET_MANIFEST
 
 BAGS: Final = (".bag", ".db3")
@@ -118,6 +119,7 @@ class PassedOver:
     def listed(self, paths: Sequence[Path]) -> str:
         """The first of the paths, as they are called within the folder, and how many there are besides."""
         names = [str(path.relative_to(self.folder)) + "/" * path.is_dir() for path in paths[:_SHOWN]]
+        names = [name if name.isprintable() else shown(name) for name in names]
         more = f" and {len(paths) - _SHOWN} more" if len(paths) > _SHOWN else ""
         return ", ".join(names) + more
 

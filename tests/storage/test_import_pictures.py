@@ -201,7 +201,7 @@ def test_the_same_pictures_make_the_same_data_set_and_others_do_not(tmp_path: Pa
     first = imported(folder)[0]
     assert imported(folder)[0] == first
     (folder / "img9.png").write_bytes((folder / "img0.png").read_bytes())
-    with pytest.raises(Exception, match="holds a data set of other recordings"):
+    with pytest.raises(Exception, match="holds an import of 'run' with other contents: the files have changed since"):
         imported(folder)
 
 

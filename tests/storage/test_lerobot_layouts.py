@@ -314,7 +314,7 @@ def test_an_import_by_an_earlier_version_is_told_apart(tmp_path: Path, monkeypat
     with monkeypatch.context() as before:
         before.setattr(ConfinedRecording, "sha256", lambda self: earlier.hexdigest())
         import_recordings([folder], tmp_path / "out", OPTIONS)
-    said = "an earlier version of dmbench has imported them, .* list of episodes; name another folder with '--out DIR'"
+    said = r"an earlier version of dmbench imported it, .* list of episodes\); name another folder with '--out DIR'"
     with pytest.raises(RecipeMismatch, match=said):
         import_recordings([folder], tmp_path / "out", OPTIONS)
     assert len(Dataset.open(tmp_path / "out")) == 3

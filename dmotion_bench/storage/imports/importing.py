@@ -212,8 +212,8 @@ def _other(standing: DatasetRecipe, wanted: DatasetRecipe) -> str:
         )
     more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
     return (
-        f"an import of {changed[0]!r}{more} with other contents: the files have changed since, or an earlier version "
-        "of dmbench has imported them, which did not compare a LeRobot data set's list of episodes"
+        f"an import of {changed[0]!r}{more} with other contents: the files have changed since (of a LeRobot data set "
+        "also if an earlier version of dmbench imported it, which did not compare the list of episodes)"
     )
 
 

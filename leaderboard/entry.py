@@ -161,7 +161,7 @@ class Entry:
         version: Version | None = settings.get("control_version") if code is None else CONTROL_OF_CODE.get(code, code)
         return version
 
-    @property
+    @functools.cached_property
     def planner(self) -> Planner | None:
         """What besides the model decides its figures of control; None where control was not scored."""
         version = self.planned_by
@@ -173,11 +173,16 @@ class Entry:
 
     def decisive(self, figure: str) -> str:
         """The settings that decide a figure beside those that a board has in common, as a text to compare."""
+        return next((told for prefix, told in self._decisive.items() if figure.startswith(prefix)), "")
+
+    @functools.cached_property
+    def _decisive(self) -> Mapping[str, str]:
+        """The settings of each of ``_DECIDE``."""
         settings = self.content["settings"]
-        for prefix, names in _DECIDE.items():
-            if figure.startswith(prefix):
-                return json.dumps({name: value for name, value in settings.items() if name.startswith(names)})
-        return ""
+        return {
+            prefix: json.dumps({name: value for name, value in settings.items() if name.startswith(names)})
+            for prefix, names in _DECIDE.items()
+        }
 
     @property
     def column(self) -> str | None:

@@ -18,7 +18,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64, UInt8
+from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor
 
 from dmotion_bench.errors import ModelContractBroken
@@ -68,8 +68,8 @@ def rank_rollouts(
         steps, after = [], []
         for step in range(horizon):
             state = model.advance(state, actions[:, step])
-            steps.append(_embedded(model, state))
-            after.append(_embedded(model, model.begin(images[step + 1], images[step + 2])))
+            steps.append(embedded(model, state).double().cpu())
+            after.append(embedded(model, model.begin(images[step + 1], images[step + 2])).double().cpu())
         imagined.append(torch.stack(steps, 1))
         true.append(torch.stack(after, 1))
         shown.append(np.array([[_identity(frame) for frame in frames] for frames in batch.future], np.int64))
@@ -102,11 +102,16 @@ def ranks(
     return torch.cat(found) if found else predicted.new_zeros(0, dtype=torch.float64)
 
 
-def _embedded(model: EmbeddingModel, state: Any) -> Float64[Tensor, "b d"]:
-    embedded = model.embedding(state).flatten(1).double().cpu()
-    if not bool(torch.isfinite(embedded).all()):
+def embedded(model: EmbeddingModel, state: Any) -> Float[Tensor, "b d"]:
+    """The embedding of a state, flat.
+
+    Raises:
+        ModelContractBroken: It holds NaN or infinity.
+    """
+    found = model.embedding(state).flatten(1)
+    if not bool(torch.isfinite(found).all()):
         raise ModelContractBroken(f"the states of {type(model).__name__} hold NaN or infinity; its training diverged.")
-    return embedded
+    return found
 
 
 def _identity(frame: UInt8[np.ndarray, "h w 3"]) -> int:

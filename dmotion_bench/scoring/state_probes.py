@@ -19,11 +19,11 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32, Float64, Int
 
-from dmotion_bench.errors import LabelsNotAvailable, ModelContractBroken
+from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.triplets import TripletSet
-from dmotion_bench.scoring.latent_ranking import EmbeddingModel
+from dmotion_bench.scoring.latent_ranking import EmbeddingModel, embedded
 from dmotion_bench.scoring.samples import STATE_PROBED
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.scoring.true_factors import true_places
@@ -65,11 +65,11 @@ def probe_states(
     }
     found = {name: np.full((len(asked), 2), np.nan) for name in STATE_PROBED if any(probes[name])}
     done = 0
-    for embedded in _embedded(model, asked, batch_size, device):
-        here, inputs = slice(done, done + len(embedded)), states.of(embedded)
+    for part in _embedded(model, asked, batch_size, device):
+        here, inputs = slice(done, done + len(part)), states.of(part)
         for name, columns in found.items():
             columns[here] = _summed(probes[name], inputs, wanted[name][here])
-        done += len(embedded)
+        done += len(part)
     return found
 
 
@@ -82,12 +82,7 @@ def _embedded(
         rows = np.arange(first, min(first + batch_size, len(triplets)))
         frames = torch.from_numpy(triplets.gather(rows)[:, :2]).to(device)
         state = model.begin(to_model(frames[:, 0]), to_model(frames[:, 1]))
-        embedded = model.embedding(state).flatten(1).float().cpu().numpy()
-        if not np.isfinite(embedded).all():
-            raise ModelContractBroken(
-                f"the states of {type(model).__name__} hold NaN or infinity; its training diverged."
-            )
-        yield embedded
+        yield embedded(model, state).float().cpu().numpy()
 
 
 class _Inputs:

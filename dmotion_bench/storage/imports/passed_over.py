@@ -20,8 +20,9 @@ VIDEOS: Final = (
 )
 PICTURES: Final = (".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".exr", ".heic", ".avif", ".jp2")
 """Suffixes of recordings, videos and pictures that are not read."""
+CONVERTER: Final = "'rosbags-convert --src BAG --dst OUT --dst-storage mcap'"
 _CONVERT: Final = {
-    BAGS: "bags with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'",
+    BAGS: f"bags with {CONVERTER}",
     VIDEOS: "videos with 'ffmpeg -i IN OUT.mkv'",
     PICTURES: "pictures into PNG files",
 }

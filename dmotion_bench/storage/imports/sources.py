@@ -13,6 +13,7 @@ from dmotion_bench.storage.imports.confinement import Confinement
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_recording import McapRecording
 from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.passed_over import CONVERTER
 from dmotion_bench.storage.imports.picture_folder import PictureFolder
 from dmotion_bench.storage.imports.recording import Clock, Recording
 
@@ -43,9 +44,7 @@ SUFFIXES: Final = {
 }
 """What is looked for in a folder. A file that is named itself may be called anything: its first bytes decide."""
 KNOWN: Final = "MCAP (.mcap, .mcap.zst), video (.mp4 .mov .mkv .webm .avi), HDF5 (.hdf5 .h5)"
-CONVERT_BAG: Final = "convert it with 'rosbags-convert --src BAG --dst OUT --dst-storage mcap'"
-
-
+CONVERT_BAG: Final = f"convert it with {CONVERTER}"
 UNSALVAGED: Final = (Kind.HDF5, Kind.LEROBOT)
 """Kinds of which a damaged one is refused as a whole, with ``--salvage`` too."""
 

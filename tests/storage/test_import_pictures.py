@@ -100,6 +100,18 @@ def test_pictures_of_the_folder_itself_need_no_camera(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dataset.video(0), frames)
 
 
+@pytest.mark.parametrize(
+    ("folders", "where"), [(["."], "in it"), (["left", "right"], r"in folders in it \(left, right\)")]
+)
+def test_a_camera_that_no_folder_is_called_is_not_replaced_by_other_pictures(
+    tmp_path: Path, folders: list[str], where: str
+) -> None:
+    for one in folders:
+        fill(tmp_path / "run" / one, video(4))
+    sentence = f"no folder in '.*run' is called 'wrist'; .* There are pictures {where}: leave out '--camera'"
+    refused(tmp_path / "run", sentence, replace(OPTIONS, camera="wrist"))
+
+
 def test_the_rate_of_the_pictures_can_be_told(tmp_path: Path) -> None:
     frames = video(30)
     report, dataset = imported(fill(tmp_path / "run", frames), ImportOptions(size=32, source_hz=30))

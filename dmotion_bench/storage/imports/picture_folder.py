@@ -36,11 +36,12 @@ def pictures_in(folder: Path) -> list[Path]:
 def episode_folders(path: Path, camera: str | None) -> list[Path]:
     """The folders whose pictures are an episode each: the folder itself, those in it, or a camera's in those.
 
-    Pictures in the folder itself come first, unless they lie beside a camera's folder that was asked for.
+    Pictures in the folder itself come first, unless a camera's are asked for: then the folder must be called so.
     """
     is_own = _has_pictures(path)
     if is_own and camera is None:
         return [path]
+    is_own = is_own and path.resolve().name == camera
     folders = (folder for folder in path.iterdir() if folder.is_dir() and not folder.name.startswith("."))
     inside = in_natural_order(folders)
     if camera is not None:

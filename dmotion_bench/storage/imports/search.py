@@ -199,6 +199,8 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
     found = _of_camera(found, folder, camera)
     if not found and episode_folders(folder, camera):
         return [Source(path=folder, kind=Kind.PICTURES)]
+    if not found and camera is not None and (others := episode_folders(folder, None)):
+        raise _no_folder_of(camera, folder, others)
     if not found and not any(folder in one.parents for one in faults):
         raise _nothing_in(folder)
     kinds = {source.kind for source in found}
@@ -226,6 +228,15 @@ def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[So
             f"the number of a stream in them. The files are: {', '.join(names[:_SHOWN])}{more}."
         )
     return chosen
+
+
+def _no_folder_of(camera: str, folder: Path, others: Sequence[Path]) -> RecordingImportError:
+    """The error for pictures that are there, and none of which is a camera's."""
+    where = "in it" if others == [folder] else f"in folders in it ({', '.join(one.name for one in others[:_SHOWN])})"
+    return RecordingImportError(
+        f"no folder in {str(folder)!r} is called {camera!r}; '--camera' names the folder that the pictures are in. "
+        f"There are pictures {where}: leave out '--camera' to import them."
+    )
 
 
 def _suffix_kind(file: Path) -> Kind | None:

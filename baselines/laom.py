@@ -296,7 +296,7 @@ class Laom(ForwardModel[LaomConfig]):
 
     def _advance(self, state: Float[Tensor, "b e"], latent: Float[Tensor, "b d"]) -> Float[Tensor, "b e"]:
         change = self.forward_model(_normalised(state), latent.to(state.dtype)).float()
-        return state + self.changes.undone(change)
+        return state + self.target_changes.undone(change)
 
     def _label_error(self, labelled: Demonstrations) -> Float[Tensor, ""]:
         raise NotImplementedError("models of video are given no labels while they learn")

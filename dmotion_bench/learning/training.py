@@ -230,6 +230,8 @@ class _Trainer:
                     if validated:
                         self._validate(part, log)
                         self.state.end_early(part, validate_every, self.config.patience)
+                        if self.state.step == part.stop < self.steps:
+                            self._take_best()
                         if self.state.step == self.watched:  # before the other: a kill in between takes this step again
                             self._write_checkpoint(self.run.watched)
                         saved = self._save()
@@ -308,6 +310,13 @@ class _Trainer:
     def _save_best(self) -> None:
         if self.companions.is_first:
             self.checkpoints.save_best(BestFacts(step=self.state.step, validation_loss=self.state.best))
+
+    def _take_best(self) -> None:
+        """At the end of a phase: go on from its best weights, as they are kept at the end of the last one."""
+        self.companions.of_first(self.checkpoints.restore_best)
+        self.companions.level(self.model.state_dict().values())
+        if self.average is not None:
+            self.average.restore(self.model.state_dict())
 
     def _save(self) -> float:
         """Write all that resuming needs."""

@@ -204,6 +204,24 @@ def test_patience_begins_anew_with_each_phase_and_a_kill_changes_nothing(recorde
         assert again.result[name] == whole.result[name]
 
 
+@pytest.mark.parametrize("ema", ["0", "0.5"])
+def test_a_phase_goes_on_from_the_best_weights_of_the_one_before(recorded, tmp_path, ema: str) -> None:
+    losses = {2: 3.0, 4: 2.0, 6: 4.0, 8: 5.0, 10: 9.0, 12: 8.0, 14: 7.0, 16: 6.0}
+
+    def world(stop_at: int | None = None) -> Run:
+        return _patient("wm-ae", recorded, tmp_path / "run", losses, "epochs=3", f"ema={ema}", stop_at=stop_at)
+
+    with pytest.raises(Stopped):
+        world(stop_at=9)
+    best, facts = checkpoint.load(Run.open(tmp_path / "run").best, required=None)
+    final, final_facts = checkpoint.load(world().best, required=None)
+    assert (facts["step"], final_facts["step"]) == (4, 16)
+    code = [name for name in best if "transition" not in name]
+    assert len(code) not in (0, len(best))
+    for name in code:
+        assert torch.equal(final[name], best[name]), name
+
+
 def test_no_row_of_the_log_is_of_two_phases(recorded, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("dmotion_bench.learning.training.LOG_ROWS", 3)
     run = open_run(

@@ -53,7 +53,7 @@ DECODER = Phase(name="decoder", fraction=0.4)
 
 @dataclass(frozen=True, kw_only=True)
 class ContrastiveConfig:
-    """The original's choices, except for the number of slots.
+    """The original's choices, except for the number of slots; a slot's length is that for Atari games.
 
     Attributes:
         slots: K, at least as many as there are objects.

@@ -55,12 +55,16 @@ from dmotion_bench.learning.model import (
 from dmotion_bench.specs import Preset, Supervision
 
 MOST_AGENTS: Final = 4
+_OF_TRANSLATIONS: Final = {"blur": 1, "jitter": 0, "jitter_end": 0, "anneal": None, "guide": 1, "guided": None}
+"""Settings that do nothing to other transforms, each with the value besides its default that ``configure`` gives."""
 CLOSE: Final = 0.05  # in theta's units: nearer than this, the distance to the guiding shift is squared
 
 
 @dataclass(frozen=True, kw_only=True)
 class DMotionConfig(UNetConfig):
     """The choices that the paper leaves open or compares.
+
+    The other transforms have neither ``blur`` nor ``jitter`` nor ``guide``: they are trained without these three aids.
 
     Attributes:
         arch: ``"paper"`` as published, ``"compact"`` for speed.
@@ -118,6 +122,11 @@ class DMotionConfig(UNetConfig):
             raise InvalidSetting("guide must be 0 or more, guided above 0 and at most 1.")
         OwnFrames(self.own_frames, self.own_steps)  # refuses what cannot be
         super().__post_init__()
+        if self.transform != "cross_convolution" and self.kernel != DMotionConfig.kernel:
+            raise InvalidSetting(f"kernel is for transform=cross_convolution; {self.transform} has none.")
+        for name, also in _OF_TRANSLATIONS.items():
+            if self.transform != "translation" and getattr(self, name) not in (getattr(DMotionConfig, name), also):
+                raise InvalidSetting(f"{name} is for transform=translation; with {self.transform} it does nothing.")
         usual = UNetConfig()
         for name in ("warp", "gate_floor", "width"):
             if self.arch == "paper" and getattr(self, name) != getattr(usual, name):
@@ -308,18 +317,25 @@ class DMotion(TwoFrameModel[DMotionConfig]):
     def pixel_shift(self, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b 2"]:
         """How far a motion moves the agent: (right, down) in pixels of the frame."""
         if isinstance(self.transform, Translation):
-            return pixel_shift(motion, self.inputs.width)
+            return pixel_shift(motion, self._map_side) * self._map_pixel
         if isinstance(self.transform, AffineMotion):
-            return pixel_shift(motion[:, [2, 5]], self.inputs.width)
+            return pixel_shift(motion[:, [2, 5]], self._map_side) * self._map_pixel
         side = self.transform.size**0.5
         weights = motion.abs() / motion.abs().sum(-1, keepdim=True)
         place = torch.arange(motion.shape[-1], device=motion.device)
         offset = torch.stack([place % side, place // side], -1) - side // 2
-        scale = (
-            self.inputs.width / dmotion_paper.MAP_SIZE if self.config.arch == "paper" else 2
-        )  # [px] of a map's pixel
-        shift: Tensor = -(weights @ offset.float()) * scale
+        shift: Tensor = -(weights @ offset.float()) * self._map_pixel
         return shift
+
+    @property
+    def _map_side(self) -> int:
+        """Of the maps m^i [px of the map]."""
+        return dmotion_paper.MAP_SIZE if self.config.arch == "paper" else self.inputs.width // dmotion_compact.MAP_PIXEL
+
+    @property
+    def _map_pixel(self) -> float:
+        """The side of a map's pixel [px of the frame]."""
+        return self.inputs.width / self._map_side
 
     def _interact(self, previous: Tensor, current: Tensor, agent: Tensor) -> Float[Tensor, "b c h w"]:
         predicted: Tensor = self.interaction_learner(self._frames(previous, current), agent)
@@ -342,7 +358,7 @@ class DMotion(TwoFrameModel[DMotionConfig]):
     def _guidance(self, batch: TripletBatch, motion: Float[Tensor, "b k d"]) -> Float[Tensor, ""]:
         """How far phi^0 is from the shift that explains best what changes, where there is one."""
         shift = dominant_shift(batch.current, batch.next)
-        wanted = theta_of_shift(shift.pixels, batch.current.shape[-1])
+        wanted = theta_of_shift(shift.pixels / self._map_pixel, self._map_side)
         distance = F.smooth_l1_loss(motion[:, 0], wanted, beta=CLOSE, reduction="none").sum(1)
         return (distance * shift.confidence).sum() / shift.confidence.sum().clamp(min=1)
 

@@ -29,6 +29,7 @@ from baselines.unet import UNet, UNetConfig
 
 __all__ = ["Decoder", "ImageEncoder", "InteractionLearner", "MotionEncoder", "pack", "unpack"]
 
+MAP_PIXEL = 2  # the side of a map's pixel [px of the frame]
 LARGEST_SHIFT = 0.6  # of half the map: |t| stays below it
 MOTION_RATE = 0.3  # the motion's last layer learns at this share of the rate: it is what oscillates first
 

@@ -46,7 +46,7 @@ FARTHEST_KNOT = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class JepaConfig:
-    """LeWorldModel's choices.
+    """Length, lambda, projections and dropout's rate are LeWorldModel's; widths and depth are smaller.
 
     Attributes:
         length: Of an embedding.

@@ -161,6 +161,10 @@ class Laom(ForwardModel[LaomConfig]):
     def __init__(self, config: LaomConfig, inputs: ModelInputs) -> None:
         super().__init__(config, inputs)
         check_size("LAOM", inputs)
+        usual = LaomConfig()
+        told = (config.label_weight, config.label_shift) != (usual.label_weight, usual.label_shift)
+        if told and self.supervision is Supervision.NONE:
+            raise InvalidSetting("label_weight and label_shift are for laom-labels; laom is given no labels to weigh.")
         self.encoder = FrameEncoder(inputs, config.embedding)
         self.target = FrameEncoder(inputs, config.embedding).requires_grad_(False)
         self.target.load_state_dict(self.encoder.state_dict())

@@ -29,7 +29,7 @@ class Motion(Protocol):
     size: int
     """Numbers in one map's motion."""
     reversible: bool
-    """Whether the motion back is the negative of the motion there."""
+    """Whether the motion back is the negative of the motion there; of six parameters nearly, for small ones."""
 
     def identity(self) -> Float[Tensor, " d"]:
         """The motion that leaves a map unchanged."""
@@ -163,9 +163,9 @@ def theta_of_shift(shift: Float[Tensor, "*b 2"], size: int) -> Float[Tensor, "*b
     return -shift * 2 / (size - 1)
 
 
-def pixel_shift(translation: Float[Tensor, "*b 2"], image_size: int) -> Float[Tensor, "*b 2"]:
-    """How far a translation (t_x, t_y) moves things in an image of ``image_size`` pixels: (right, down) [px]."""
-    return -translation * (image_size - 1) / 2
+def pixel_shift(translation: Float[Tensor, "*b 2"], size: int) -> Float[Tensor, "*b 2"]:
+    """How far a translation (t_x, t_y) moves a map of ``size`` pixels: (right, down) [px of the map]."""
+    return -translation * (size - 1) / 2
 
 
 def tiled(values: Float[Tensor, "b a"], height: int, width: int) -> Float[Tensor, "b a h w"]:

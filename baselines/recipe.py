@@ -1,4 +1,4 @@
-"""The training recipe of the compact models: the same for all, so that it favours none of them."""
+"""The training recipe of the compact models: the same for all, chosen for DMotion on validation episodes."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ import torch
 
 from baselines import dmotion_paper
 from baselines.dmotion import DMotion, DMotionConfig, DMotionNoSTN
+from baselines.motion import theta_of_shift
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import Demonstrations, ModelInputs, TripletBatch
@@ -280,7 +282,7 @@ def _moving(x: int, y: int) -> TripletBatch:
 def test_phi_0_is_guided_to_the_shift_that_explains_what_changes() -> None:
     """The gradient of what guides it pulls it there, and nothing is left to pull when it is there."""
     model, batch = _model(guide=1.0), _moving(5, -3)
-    wanted = -torch.tensor([[[5.0, -3.0]]]) * 2 / 31
+    wanted = theta_of_shift(torch.tensor([[[2.5, -1.5]]]), 16)  # of the map, whose pixels are two of the frame
     there = torch.cat([wanted, torch.zeros(1, 7, 2)], dim=1)
     assert model._guidance(batch, there).item() < 0.005
     motion = torch.zeros(1, 8, 2, requires_grad=True)
@@ -289,6 +291,14 @@ def test_phi_0_is_guided_to_the_shift_that_explains_what_changes() -> None:
     assert torch.equal(motion.grad[0, 0].sign(), -wanted[0, 0].sign())
     still = TripletBatch(previous=batch.current, current=batch.current, next=batch.current)
     assert model._guidance(still, motion).item() == 0
+
+
+@pytest.mark.parametrize("arch", ["compact", "paper"])
+def test_a_shift_of_the_frame_is_that_of_the_map_times_the_frames_pixels_in_one_of_the_map(arch: str) -> None:
+    """A map of 64 pixels spans 63 steps between its outermost centres, the frame 127: not one is twice the other."""
+    model = _model(INPUTS, arch=arch, blur=1.0, jitter=0.0, jitter_end=0.0)
+    theta = theta_of_shift(torch.tensor([[12.8, -3.0]]), model.feature_maps(_images(1, 128)).shape[-1])
+    torch.testing.assert_close(model.pixel_shift(theta), torch.tensor([[25.6, -6.0]]))
 
 
 def test_the_guide_lets_go_and_is_for_training_alone() -> None:
@@ -317,3 +327,22 @@ def test_who_is_guided() -> None:
         assert "guidance" not in model.losses(_moving(2, 2)).terms
     with pytest.raises(InvalidSetting, match="guide must be 0 or more"):
         DMotionConfig(guide=-1.0)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"kernel": 5},
+        {"kernel": 5, "transform": "affine"},
+        {"blur": 4.0, "transform": "affine"},
+        {"jitter": 2.0, "transform": "cross_convolution"},
+        {"guide": 0.5, "transform": "affine"},
+        {"anneal": 0.5, "transform": "cross_convolution"},
+    ],
+)
+def test_a_setting_that_would_do_nothing_is_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(InvalidSetting, match=f"{next(iter(settings))} is for transform="):
+        DMotionConfig(**settings)
+    for arch in DMotion.architectures:
+        for transform in ("affine", "cross_convolution"):
+            dataclasses.replace(DMotion.configure(arch), transform=transform)

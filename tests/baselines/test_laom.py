@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 
+import pytest
 import torch
 import torch.nn.functional as F
 from walking_dot import walking_dot
 
 from baselines.laom import DECODER, Changes, Laom, LaomWithLabels
+from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import Demonstrations
 
 SMALL = {"length": 16, "embedding": 32, "hidden": 64}
@@ -28,6 +30,20 @@ def test_the_loss_is_the_distance_to_the_targets_embedding_of_the_next_frame(bui
         )
     wanted = model.embed(video.next)  # the target's too, before the first step; changes count as they are
     torch.testing.assert_close(loss, F.mse_loss(predicted, wanted), rtol=1e-4, atol=0)
+
+
+def test_a_predicted_change_is_undone_by_the_statistics_in_which_it_was_learned(build, video) -> None:
+    """They are those of one step; what the inverse model is given is of one step or two."""
+    model = build(Laom, **SMALL).eval()
+    model.changes.statistics.running_var.fill_(9)
+    model.target_changes.statistics.running_var.fill_(4)
+    model.target_changes.statistics.running_mean.fill_(0.5)
+    with torch.no_grad():
+        loss = model.losses(video).total
+        latent = model.latent_action(video.previous, video.current, video.next)
+        predicted = model._advance(model.embed(video.current), latent)
+    error = F.mse_loss(predicted, model.embed(video.next))
+    torch.testing.assert_close(4 * loss, error, rtol=1e-4, atol=0)
 
 
 def test_a_change_counts_in_units_of_its_own_spread_and_what_stands_still_for_nothing() -> None:
@@ -111,3 +127,9 @@ def test_a_latent_action_predicts_what_a_row_of_the_table_that_holds_it_does(bui
         model.table.rows = latent
         named = model.predict(video.previous, video.current, torch.arange(6))
     torch.testing.assert_close(frames, named)
+
+
+def test_weights_of_labels_are_for_the_model_that_is_given_some(build) -> None:
+    build(LaomWithLabels, label_weight=0.1, **SMALL)
+    with pytest.raises(InvalidSetting, match="are for laom-labels"):
+        build(Laom, label_weight=0.1, **SMALL)

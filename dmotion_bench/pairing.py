@@ -81,6 +81,11 @@ class Difference:
         """Which of the two models is better; None if the interval contains zero."""
         return better(self.figure, self.difference.low, self.difference.high)
 
+    @property
+    def verdict(self) -> str:
+        """Which is better, or why that is not said: they are tied, or one episode has no interval."""
+        return self.better or ("unknown: one episode" if standing(self.difference) == "unknown" else "tied")
+
 
 def better(figure: str, low: float | None, high: float | None) -> Better | None:
     """Which of two models is better, by the interval of first - second; None if the interval contains zero."""

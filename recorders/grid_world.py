@@ -238,13 +238,26 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         return {} if video is None else video.motions(steps)
 
     def step(self, action: int) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
-        """Move the agent, or both; an impossible action changes nothing and ``info["illegal"]`` says so."""
+        """Move the agent, or both; an impossible action changes nothing and ``info["illegal"]`` says so.
+
+        Raises:
+            InvalidSetting: It is no action.
+        """
         illegal = self.advance(action)
         return self.render(), 0.0, False, False, {"illegal": illegal}
 
     def advance(self, action: int) -> bool:
-        """Move the agent, or both, as ``step`` does, without drawing them; whether the action was impossible."""
-        legal = bool(self.legal_actions()[action])
+        """Move the agent, or both, as ``step`` does, without drawing them; whether the action was impossible.
+
+        Raises:
+            InvalidSetting: It is no action.
+        """
+        legal_actions = self.legal_actions()
+        if not 0 <= action < len(legal_actions):
+            raise InvalidSetting(
+                f"{self.facts.id!r} was given the action {action}; it has 0 to {len(legal_actions) - 1}."
+            )
+        legal = bool(legal_actions[action])
         if legal:
             cells, there = act(self._cells[None], self._there[None], np.array([action]))
             self._cells, self._there, self._seen_as_is = cells[0], there[0], False

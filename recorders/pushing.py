@@ -195,7 +195,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         Such a discrete action changes nothing; a displacement ends at the area's edge.
 
         Raises:
-            InvalidSetting: A displacement has a number outside of its bounds.
+            InvalidSetting: It is no action, or has a number outside of its bounds.
         """
         illegal = self.advance(action)
         if not self._drawn_as_is:
@@ -206,7 +206,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """Move the pusher as ``step`` does, without drawing it; whether the move would have left its area.
 
         Raises:
-            InvalidSetting: A displacement has a number outside of its bounds.
+            InvalidSetting: It is no action, or has a number outside of its bounds.
         """
         place, illegal = self._after(action)
         if not illegal or isinstance(self.actions, Continuous):
@@ -253,11 +253,15 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     def _after(self, action: Any) -> tuple[Place, bool]:
         """Where an action leads, and whether it would leave the pusher's area."""
         if not isinstance(self.actions, Continuous):
+            self._require(self.actions.fault([action]))
             return self.lattice.after(self._place, int(action)), not bool(self.legal_actions()[action])
         values = np.asarray(action, np.float64)
-        if fault := self.actions.fault(values[None]):
-            raise InvalidSetting(f"{self.facts.id!r} was given {fault}; an action is {self.actions}.")
+        self._require(self.actions.fault(values[None]))
         return self.lattice.moved(self._place, (float(values[0]), float(values[1])))
+
+    def _require(self, fault: str | None) -> None:
+        if fault:
+            raise InvalidSetting(f"{self.facts.id!r} was given {fault}; an action is {self.actions}.")
 
     def render(self) -> UInt8[np.ndarray, "h w 3"]:
         """The present frame."""

@@ -309,4 +309,5 @@ def _plain(difference: Any) -> dict[str, Any]:
         "second": difference.second,
         "difference": difference.difference.to_json(),
         "better": difference.better,
+        "verdict": difference.verdict,
     }

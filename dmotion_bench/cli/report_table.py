@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
 
 SHOWN_AHEAD = (1, 2, 5, 10, 15)
-"""Steps of a rollout that the table of one run shows; the report has all steps."""
+"""Steps of a rollout that a table shows, besides the last; the report has all steps."""
 
 WORDS = {
     "mse": "MSE",
@@ -64,9 +64,8 @@ def show_report(report: Report, run: Path) -> None:
     """Print all main figures of one run beside those of its references; ``run`` is the run's folder."""
     beside = [name for name in BESIDE if name in report.reference]
     rows: list[tuple[str, ...]] = []
-    for name, figure in report.figures.items():
-        if not _is_shown(name):
-            continue
+    for name in _shown(report.figures):
+        figure = report.figures[name]
         others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
         rows.append((_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others))
     show_figures(_headline(report), ("figure", "mean ± std", "95% interval", "n", *beside), rows)
@@ -103,8 +102,9 @@ def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) ->
     headings = [heading for name in figures for heading in (name, "95% interval")]
     everything = list(dict.fromkeys(figure for one in figures.values() for figure in one))
     rows: list[tuple[str, ...]] = []
+    shown = set(_shown(everything))
     for figure in everything:
-        if _is_shown(figure) or figure == everything[-1]:
+        if figure in shown or figure == everything[-1]:
             pairs = [
                 (_mean_std(one[figure]), _interval(one[figure])) if figure in one else ("", "")
                 for one in figures.values()
@@ -184,11 +184,12 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
 def show_differences(differences: Sequence[Any], first: str, second: str, *, everything: bool = False) -> None:
     """Print two runs' figures, their paired difference, and which run is better if the interval excludes zero."""
     rows: list[tuple[str, ...]] = []
+    shown = set(_shown([one.figure for one in differences]))
     for one in differences:
-        if everything or _is_shown(one.figure):
+        if everything or one.figure in shown:
             estimate = one.difference.to_json()
             values = (_number(one.first), _number(one.second), _number(estimate["mean"]), _interval(estimate))
-            rows.append((_words(one.figure), *values, one.better or "tied"))
+            rows.append((_words(one.figure), *values, one.verdict))
     headings = ("figure", "first", "second", "first - second", "95% interval", "better")
     show_figures(f"{first} against {second}, on the same held-out frames", headings, rows)
 
@@ -199,12 +200,23 @@ def _headline(report: Report) -> str:
     return f"{report.run}: {report.model}{arch} on {report.dataset['name']}{own}, {report.settings['split']} episodes"
 
 
-def _is_shown(name: str) -> bool:
+def _shown(names: Iterable[str]) -> list[str]:
+    """The figures that a table shows; of rollouts some steps ahead and the last one."""
+    every = list(names)
+    last = max((_ahead(name) for name in every if name.startswith("rollout_")), default=0)
+    return [name for name in every if _is_shown(name, last)]
+
+
+def _ahead(rollout: str) -> int:
+    return int(rollout.rpartition("[")[2].rstrip("]"))
+
+
+def _is_shown(name: str, last: int) -> bool:
     if "_objects" in name or name.startswith(("rollout_position_error_paper", "probe_")):
         return False
     if name.startswith(("control_distance", "control_picture_distance")):
         return name.endswith(tuple(f"[{step}]" for step in CONTROL_STEPS))
-    return not name.startswith("rollout_") or name.endswith(tuple(f"[{ahead}]" for ahead in SHOWN_AHEAD))
+    return not name.startswith("rollout_") or _ahead(name) in (*SHOWN_AHEAD, last)
 
 
 def _words(name: str) -> str:

@@ -98,6 +98,8 @@ def log_events(recording: rr.RecordingStream, root: str, spec: EnvSpec, labels: 
             pushed = frame < len(moved) and moved[frame, number]
             lane.append("pushed" if pushed else "gone" if gone[frame, number] else None)
         log_states(recording, f"{root}/pushed/{it.name}", lane, {"pushed": it.color, "gone": GONE})
+    if not spec.objects:
+        return  # nothing is known of what moves
     together = [_named(spec, row) for row in moved]
     shades = {name: SEVERAL for name in together if name} | {plain(it.name): it.color for it in spec.objects}
     log_states(recording, f"{root}/moved", [*together, None], shades)

@@ -164,6 +164,8 @@ def _log_truth(recording: rr.RecordingStream, root: str, seen: Imagination, labe
         log_rings(recording, f"{root}/camera/places", seen.places)
     if seen.shift is not None and labels is not None:
         for number, (place, shift) in enumerate(zip(labels.agent.pixel.swapaxes(0, 1), seen.shift, strict=False)):
+            if not np.isfinite(place).any():
+                continue  # nobody knows where the agent is
             own = f"{root}/camera/agent_{number}" if number else f"{root}/camera"
             log_arrows(recording, f"{own}/true_motion", place[:-1], np.diff(place, axis=0), TRUE_MOTION, 1.2, 40)
             log_arrows(recording, f"{own}/motion_seen", place[:-1], shift, SEEN_MOTION, 0.7, 50)

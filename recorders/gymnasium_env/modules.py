@@ -31,9 +31,9 @@ def import_named(module: str, wanted_by: str) -> Any:
     owners = packages_distributions().get(top, [])
     needed = {_package(one) for owner in owners for one in distribution(owner).requires or []}
     if top != "gymnasium" and "gymnasium" not in needed:
-        said = f"of the package {owners[0]!r}, which does not" if owners else "of none"
+        said = f"is of the package {owners[0]!r}, which does not" if owners else "is in no installed package"
         raise UsageError(
-            f"the module {shown(module)}, which {wanted_by!r} names, is {said}; dmbench imports only modules of "
+            f"the module {shown(module)}, which {wanted_by!r} names, {said}; dmbench imports only modules of "
             "installed packages that depend on Gymnasium, since the name may come from anybody's data set. Install "
             "yours with 'pip install -e DIR'."
         )

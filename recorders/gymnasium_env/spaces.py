@@ -42,8 +42,8 @@ def action_spec(name: str, env: Any) -> ActionSpec:
         )
     if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
         raise InvalidSetting(
-            f"the actions of {name!r} have no finite bounds: {shown(str(space))}, and {_ALLOWED}; wrap it in "
-            "'gymnasium.wrappers.RescaleAction' and register that."
+            f"the actions of {name!r} have no finite bounds: {shown(str(space))}, and {_ALLOWED}; give it a 'Box' with "
+            "bounds, such as in a 'gymnasium.ActionWrapper' whose 'action_space' is one, and register that."
         )
     if not 1 <= len(low) <= MOST_NUMBERS:
         raise InvalidSetting(

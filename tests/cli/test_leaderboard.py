@@ -54,6 +54,13 @@ class Parts:
             Difference(figure="mse", first=10.0, second=12.0, difference=clear),
             Difference(figure="position_error", first=1.1, second=1.0, difference=unclear),
             Difference(figure="miss_rate_objects", first=0.1, second=0.1, difference=unclear),
+            Difference(
+                figure="ssim", first=0.6, second=0.9, difference=Estimate(mean=-0.3, std=0.1, low=None, high=None, n=7)
+            ),
+            *(
+                Difference(figure=f"rollout_mse[{ahead}]", first=1.0, second=1.0, difference=unclear)
+                for ahead in range(1, 5)
+            ),
         ]
 
 
@@ -123,10 +130,13 @@ def test_check_is_silent_about_sound_entries(run: Callable[..., Result], parts: 
 def test_compare_says_better_only_where_the_interval_does(run: Callable[..., Result], parts: Parts) -> None:
     lines = [line.strip() for line in run("compare", "a", "b").stdout.splitlines()]
 
-    (mse,) = (line.split() for line in lines if line.startswith("MSE"))
+    (mse,) = (line.split() for line in lines if line.startswith("MSE ") and "ahead" not in line)
     (position,) = (line.split() for line in lines if line.startswith("position error"))
     assert mse == ["MSE", "10.0", "12.0", "-2", "-3", "to", "-1", "first"]
     assert position[-1] == "tied"
+    (ssim,) = (line for line in lines if line.startswith("SSIM"))
+    assert ssim.endswith("unknown: one episode")
+    assert [line[:11] for line in lines if " ahead" in line] == ["MSE 1 ahead", "MSE 2 ahead", "MSE 4 ahead"]
     assert not any("objects" in line for line in lines)
     assert any("miss_rate_objects" in line for line in run("compare", "a", "b", "--all").stdout.splitlines())
 
@@ -140,7 +150,9 @@ def test_compare_takes_the_split_that_both_were_scored_on(run: Callable[..., Res
 def test_compare_as_json(run: Callable[..., Result], parts: Parts) -> None:
     found = json.loads(run("compare", "a", "b", "--json").stdout)
 
-    assert [one["better"] for one in found["differences"]] == ["first", None, None]
+    assert [one["better"] for one in found["differences"]][:4] == ["first", None, None, None]
+    said = ["first", "tied", "tied", "unknown: one episode"]
+    assert [one["verdict"] for one in found["differences"]][:4] == said
     assert set(found["differences"][0]["difference"]) == {"mean", "std", "low", "high", "n"}
 
 

@@ -41,6 +41,14 @@ def test_gymnasium_finds_nothing_wrong() -> None:
         GridWorld(version=3)
 
 
+@pytest.mark.parametrize("action", [-1, 4, 99])
+def test_what_is_no_action_is_refused(action: int) -> None:
+    env = GridWorld()
+    env.reset(seed=1)
+    with pytest.raises(InvalidSetting, match=f"was given the action {action}; it has 0 to 3"):
+        env.step(action)
+
+
 def test_an_illegal_move_changes_nothing_and_says_so() -> None:
     env = GridWorld()
     before, _ = env.reset(seed=1)

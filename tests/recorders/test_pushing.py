@@ -41,6 +41,13 @@ def episodes(env: PushingEnvironment) -> list[Episode]:
     return [record_episode(env, PushPolicy(), seed, frames=101) for seed in range(8)]
 
 
+@pytest.mark.parametrize("action", [-1, 4])
+def test_what_is_no_action_is_refused(env: PushingEnvironment, action: int) -> None:
+    env.reset(seed=0)
+    with pytest.raises(InvalidSetting, match=f"was given action {action} .*; there are 4, numbered from 0"):
+        env.step(action)
+
+
 def replayed(env: PushingEnvironment, seed: int, actions: Iterator[int]) -> list[UInt8[np.ndarray, "h w 3"]]:
     return [env.reset(seed=seed)[0], *(env.step(action)[0] for action in actions)]
 

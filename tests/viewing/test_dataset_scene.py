@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rerun.blueprint as rrb
+from made_up_import import write_import
 from noise_world import MOVES, noise_spec, write_noise
 from pushed_squares import SPEC
 from rrd_contents import lane, layout_of, read, rgba, static, tabs_of, values
@@ -142,6 +143,14 @@ def test_without_labels_the_video_is_shown_alone(dataset: Dataset, tmp_path: Pat
     write_scene(dataset_scene(Dataset.open(copy), [0]), rrd)
     assert {path for path in read(rrd) if path.startswith("/episode")} == {"/episode_0/camera", "/episode_0/about"}
     assert "no labels" in static(rrd, "/episode_0/about", "TextDocument:text")[0]
+
+
+def test_where_nobody_knows_of_objects_no_lane_says_that_none_moves(
+    dataset: Dataset, tmp_path: Path, rrd: Path
+) -> None:
+    write_scene(dataset_scene(write_import(tmp_path / "import", dataset), [0]), rrd)
+    assert "/episode_0/action" in read(rrd)
+    assert "/episode_0/moved" not in read(rrd)
 
 
 def test_a_file_whose_end_could_not_be_written_is_not_kept(

@@ -20,7 +20,7 @@ from typing import Any
 import torch
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.errors import DmbenchError, StorageFull
+from dmotion_bench.errors import DmbenchError, RunError, StorageFull
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.beginning import finished_result
@@ -207,7 +207,17 @@ def train_jobs(jobs: Sequence[TableJob], executor: Executor) -> Generator[Outcom
     with contextlib.closing(results):
         for found in results:
             for row, path, error in found:
-                yield Outcome(row=row, run=None if path is None else Run.open(path), error=error)
+                yield Outcome(row=row, run=None if path is None else _run_at(path, error), error=error)
+
+
+def _run_at(path: Path, error: str | None) -> Run | None:
+    """The run of a row; None if the row failed so early that there is none yet."""
+    try:
+        return Run.open(path)
+    except RunError:
+        if error is None:
+            raise
+        return None
 
 
 def _said(run: Run, report: Report) -> JobProgress:

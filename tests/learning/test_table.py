@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from noise_world import noise_episode, noise_spec
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import RunError, StorageFull
+from dmotion_bench.execution.local_executor import local_executor
 from dmotion_bench.learning import table
 from dmotion_bench.learning.labels import LabelRequest
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest
-from dmotion_bench.learning.table import Row, budgets, rows, train_table
+from dmotion_bench.learning.table import Row, TableJob, budgets, rows, train_jobs, train_table
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
@@ -31,6 +33,18 @@ def dataset(tmp_path) -> Dataset:
         writer.write_shard(0, (noise_episode(number, 5, spec) for number in range(12)))
         writer.finish()
     return Dataset.open(path)
+
+
+def _job(dataset: Dataset, workspace: Path, model: str = "ed-cnn", labels: str = "100%") -> TableJob:
+    return TableJob(
+        request=replace(REQUEST, settings=("epochs=1", "precision=float32")),
+        rows=(Row(model=model, labels=labels),),
+        dataset=dataset.where,
+        workspace=workspace,
+        device="cpu",
+        threads=1,
+        progress=None,
+    )
 
 
 def test_every_model_has_a_row_for_each_of_its_budgets(dataset) -> None:
@@ -83,6 +97,14 @@ def test_a_row_that_fails_does_not_stop_the_others(dataset, tmp_path, monkeypatc
     ]
     assert "did you mean 'ed-cnn'?" in (outcomes[2].error or "")
     assert trained == ["cswm-noise-tiny-s3"]
+
+
+def test_a_row_that_fails_before_its_run_is_written_does_not_stop_the_others(dataset, tmp_path) -> None:
+    few, enough = train_jobs([_job(dataset, tmp_path, "lapo", "200-shot"), _job(dataset, tmp_path)], local_executor(1))
+    assert few.run is None
+    assert "fewer than 200 demonstrations" in (few.error or "")
+    assert enough.run is not None
+    assert enough.error is None
 
 
 def test_a_full_disk_stops_the_table(dataset, tmp_path) -> None:

@@ -29,6 +29,7 @@
     ├── ShareCorrupt                  what is published there is not what its name or its manifest says
     ├── EntryInvalid                  an entry of the leaderboard that breaks its schema
     ├── PackageNotInstalled           an optional dependency is absent; names the command
+    ├── JobsLost                      the workers at some of many jobs were killed again and again; the others are done
     ├── FolderInUse                   another process writes into the folder
     ├── StorageFull                   no space left on the device
     ├── ViewerError                   Rerun could not be started or reached
@@ -206,6 +207,19 @@ class PackageNotInstalled(DmbenchError):
     def __init__(self, package: str, why: str, install: str) -> None:
         self.package = package
         super().__init__(f"{why} needs the package {package!r}, which is not installed; install it: {install}")
+
+
+class JobsLost(DmbenchError):
+    """The workers at some of many jobs were killed again and again; all others are done.
+
+    Args:
+        said: The sentence.
+        jobs: Which ones.
+    """
+
+    def __init__(self, said: str, jobs: Iterable[Any] = ()) -> None:
+        self.jobs = tuple(jobs)
+        super().__init__(said)
 
 
 class FolderInUse(DmbenchError):

@@ -26,7 +26,7 @@ from typing import Final
 
 import pyarrow as pa
 
-from dmotion_bench.errors import DatasetError, DmbenchError, PackageNotInstalled, UnknownName
+from dmotion_bench.errors import DatasetError, DmbenchError, JobsLost, PackageNotInstalled, UnknownName
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.run import Run
@@ -250,9 +250,13 @@ def check_paths(
     )
     verdicts: dict[int, Verdict] = {}
     with contextlib.closing(results):
-        for number, verdict in results:
-            verdicts[number] = verdict
-            on_verdict(len(verdicts), len(jobs))
+        try:
+            for number, verdict in results:
+                verdicts[number] = verdict
+                on_verdict(len(verdicts), len(jobs))
+        except JobsLost as lost:
+            for job in lost.jobs:
+                verdicts[job.number] = Verdict(entry=job.path.name, findings=(str(lost),))
     return [verdicts[number] for number in range(len(jobs))]
 
 

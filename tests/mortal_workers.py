@@ -50,6 +50,36 @@ def parent_when_begun(number: int) -> int:
     return os.getppid()
 
 
+@dataclass(frozen=True)
+class InterruptedOnce:
+    """Whoever is the first to be given number 1 is asked to end, and does so in order, as a training does."""
+
+    mark: Path
+
+    def __call__(self, number: int) -> int:
+        from dmotion_bench.interrupts import stop_between_steps
+
+        with stop_between_steps() as asked:
+            if number == 1 and not self.mark.exists():
+                self.mark.touch()
+                os.kill(os.getpid(), signal.SIGTERM)
+            if asked():
+                raise KeyboardInterrupt
+        return number
+
+
+@dataclass(frozen=True)
+class Losing:
+    """An executor that does the jobs in this process, but loses the first."""
+
+    def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Iterator[Result]:
+        from dmotion_bench.errors import JobsLost
+
+        first, *others = jobs
+        yield from map(function, others)
+        raise JobsLost("a worker was killed.", [first])
+
+
 def raises_at_one(number: int) -> int:
     from dmotion_bench.errors import UnknownName
 

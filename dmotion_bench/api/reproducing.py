@@ -14,7 +14,7 @@ from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import compute_device
 from dmotion_bench.api.settings import DEVICES, as_preset, require_one_of
 from dmotion_bench.api.side_by_side import Hands, gpus_of_a_job, score_at_once
-from dmotion_bench.errors import DmbenchError
+from dmotion_bench.errors import DmbenchError, JobsLost
 from dmotion_bench.execution.executor import Executor, JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile, jobs_folder, watching
@@ -303,11 +303,13 @@ class _Work:
             self.watch.count(f"control by {name}", 0, len(jobs))
             results = executor.map_unordered(score_reference_job, jobs)
             with watching(folder, self.watch.jobs), contextlib.closing(results):
-                for done, failure in enumerate(results, start=1):
-                    self.watch.count(f"control by {name}", done, len(jobs))
-                    if failure:
-                        self.failures[f"control by {name}"] = failure
-                        self.watch.note(f"control by {name}: {failure}")
+                try:
+                    for done, failure in enumerate(results, start=1):
+                        self.watch.count(f"control by {name}", done, len(jobs))
+                        if failure:
+                            self._note_failure(f"control by {name}", failure)
+                except JobsLost as lost:
+                    self._note_failure(f"control by {name}", str(lost))
 
     @contextlib.contextmanager
     def _executing(self, jobs: int) -> Iterator[tuple[Executor, Path]]:
@@ -330,9 +332,11 @@ class _Work:
 
     def _note_outcome(self, outcome: Outcome) -> None:
         if outcome.error is not None:
-            what = f"training {outcome.row.model} with {outcome.row.labels}"
-            self.failures[what] = outcome.error
-            self.watch.note(f"{what}: {outcome.error}")
+            self._note_failure(f"training {outcome.row.model} with {outcome.row.labels}", outcome.error)
+
+    def _note_failure(self, what: str, why: str) -> None:
+        self.failures[what] = why
+        self.watch.note(f"{what}: {why}")
 
 
 @dataclass(frozen=True, kw_only=True)

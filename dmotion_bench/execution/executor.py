@@ -2,7 +2,8 @@
 
 A job is plain values and its result a receipt: whoever runs it needs nothing but these values and a folder that all
 machines share. What a job leaves there is the same whoever runs it, and a job that was interrupted can be run again:
-so one whose worker was killed is simply run again, ``ATTEMPTS`` times in all. ``executors`` makes them by name.
+so one whose worker was killed is simply run again, ``ATTEMPTS`` times in all. One that is lost then stops no other.
+``executors`` makes them by name.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
-from dmotion_bench.errors import DmbenchError
+from dmotion_bench.errors import JobsLost
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -44,37 +45,41 @@ class Executor(Protocol):
         """The results. Closing the iterator stops what is not done; function, jobs and results are pickled.
 
         Raises:
-            DmbenchError: The workers at one job were killed ``ATTEMPTS`` times; and what the function raises.
+            JobsLost: The workers at some jobs were killed ``ATTEMPTS`` times; raised when all others are done.
+            Exception: What the function raises, at once.
         """
 
 
-def killed_too_often(who: str) -> DmbenchError:
-    """The error for a job whose worker was killed ``ATTEMPTS`` times."""
-    return DmbenchError(
-        f"{who} was killed at the same job {ATTEMPTS} times, perhaps for want of memory; run the same command again, "
-        "with fewer '--workers': it goes on where it stopped."
-    )
-
-
 class JobQueue(Generic[Job]):
-    """The jobs that are still to be started, those that were lost first."""
+    """The jobs that are still to be started, those whose workers were killed first."""
 
     def __init__(self, jobs: Iterable[Job], who: str) -> None:
         self._waiting, self._who = enumerate(jobs), who
         self._again: list[tuple[int, Job]] = []
-        self._lost: Counter[int] = Counter()
+        self._killed: Counter[int] = Counter()
+        self._lost: list[Job] = []
 
     def next(self) -> tuple[int, Job] | None:
         """A job with its number; None if all are started."""
         return self._again.pop() if self._again else next(self._waiting, None)
 
-    def lost(self, number: int, job: Job) -> None:
-        """Put a job back into the queue because its worker has died.
+    def killed(self, number: int, job: Job) -> None:
+        """Put a job back into the queue because its worker has died, or aside if that was the last attempt."""
+        self._killed[number] += 1
+        if self._killed[number] < ATTEMPTS:
+            self._again.append((number, job))
+        else:
+            self._lost.append(job)
+
+    def end(self) -> None:
+        """Say that all other jobs are done.
 
         Raises:
-            DmbenchError: For the last time.
+            JobsLost: Some jobs were put aside.
         """
-        self._lost[number] += 1
-        if self._lost[number] >= ATTEMPTS:
-            raise killed_too_often(self._who)
-        self._again.append((number, job))
+        if self._lost:
+            raise JobsLost(
+                f"{self._who} was killed at the same job {ATTEMPTS} times, perhaps for want of memory, or of time on a "
+                "cluster; run the same command again, with fewer '--workers': it goes on where it stopped.",
+                self._lost,
+            )

@@ -17,6 +17,7 @@ from typing import Final, cast
 
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result
 from dmotion_bench.execution.processes import end_with
+from dmotion_bench.interrupts import received
 
 BEGINNINGS: Final = "dmotion_bench.execution.beginnings"
 """What the server of processes loads to say nothing of one that comes too late."""
@@ -60,24 +61,33 @@ class LocalExecutor:
                         running[pool.submit(function, numbered[1])] = (pool, *numbered)
                     except BrokenProcessPool:  # killed while it waited
                         idle.append(None)
-                        queue.lost(*numbered)
+                        queue.killed(*numbered)
                 if not running:
                     break
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     pool, number, job = running.pop(future)
-                    if isinstance(future.exception(), BrokenProcessPool):
+                    if _was_ended(future.exception()):
                         pool.shutdown()
                         idle.append(None)
-                        queue.lost(number, job)
+                        queue.killed(number, job)
                     else:
                         idle.append(pool)
                         yield future.result()
             finished = True
+            queue.end()
         finally:
             if not finished:
                 for pool in started:
                     _stop(pool)
             _end(started)
+
+
+def _was_ended(error: BaseException | None) -> bool:
+    """Whether a job was lost with its worker, and not because this process was asked to end.
+
+    A worker that is asked to end by a signal may come to its end in order, and send back that it was interrupted.
+    """
+    return isinstance(error, BrokenProcessPool) or (isinstance(error, KeyboardInterrupt) and not received())
 
 
 def _context(function: Callable[[Job], Result]) -> BaseContext:

@@ -1,7 +1,7 @@
 """Jobs run by Ray: on this machine, or on the cluster that ``RAY_ADDRESS`` or ``ray.init`` names.
 
-Ray starts a killed worker's task anew by itself; that is bounded here. Each machine needs dmbench installed and
-the workspace under the same path.
+Ray itself starts no killed worker's task anew: ``JobQueue`` counts. Each machine needs dmbench installed and the
+workspace under the same path.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
-from dmotion_bench.execution.executor import ATTEMPTS, Job, JobSize, Result, killed_too_often
+from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result
 from dmotion_bench.execution.local_executor import available_workers
 
 _USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
@@ -51,7 +51,14 @@ class RayExecutor:
         """The results, as they are ready."""
         ray = self._ray
         ours = not ray.is_initialized()
-        running: list[Any] = []
+        queue = JobQueue(jobs, "a worker of Ray")
+        running: dict[Any, tuple[int, Job]] = {}
+        killed = (
+            ray.exceptions.WorkerCrashedError,
+            ray.exceptions.NodeDiedError,
+            ray.exceptions.OutOfMemoryError,
+            ray.exceptions.TaskCancelledError,  # only what is left at the end is cancelled here: it was interrupted
+        )
         try:
             if ours:
                 self._start()
@@ -60,21 +67,24 @@ class RayExecutor:
             def run(job: Job) -> Result:  # Ray takes functions, not whatever can be called
                 return function(job)
 
-            task = ray.remote(num_cpus=self._each, num_gpus=self._gpus, max_retries=ATTEMPTS - 1)(run)
-            waiting = iter(jobs)
+            task = ray.remote(num_cpus=self._each, num_gpus=self._gpus, max_retries=0)(run)
             while True:
-                for job in waiting:
-                    running.append(task.remote(job))
-                    if len(running) > limit:  # one more than can run, so that nobody waits
-                        break
+                # One more than can run, so that nobody waits.
+                while len(running) <= limit and (numbered := queue.next()) is not None:
+                    running[task.remote(numbered[1])] = numbered
                 if not running:
                     break
-                done, running = ray.wait(running, num_returns=1)
-                yield ray.get(done[0])
+                (done, *_), _ = ray.wait(list(running), num_returns=1)
+                numbered = running.pop(done)
+                try:
+                    result = ray.get(done)
+                except killed:
+                    queue.killed(*numbered)
+                else:
+                    yield result
+            queue.end()
         except ray.exceptions.RayTaskError as error:
             raise error.cause from None  # what the function raised
-        except (ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError, ray.exceptions.OutOfMemoryError):
-            raise killed_too_often("a worker of Ray") from None
         finally:
             for one in running:
                 ray.cancel(one, force=True)

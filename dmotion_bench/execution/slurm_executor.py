@@ -75,11 +75,12 @@ class SlurmExecutor:
                 running = [one for one in running if one not in ended]
                 for one in ended:
                     if one.lost:
-                        queue.lost(one.number, one.job)
+                        queue.killed(one.number, one.job)
                     else:
                         yield self._result(one)
                 if not ended:
                     time.sleep(_LOOK_AGAIN[self._cluster])
+            queue.end()
         except DmbenchError:
             failed = True  # the logs may say why
             raise

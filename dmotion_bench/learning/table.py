@@ -20,7 +20,7 @@ from typing import Any
 import torch
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.errors import DmbenchError, RunError, StorageFull
+from dmotion_bench.errors import DmbenchError, JobsLost, RunError, StorageFull
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.beginning import finished_result
@@ -202,12 +202,29 @@ def train_side_by_side(
 
 
 def train_jobs(jobs: Sequence[TableJob], executor: Executor) -> Generator[Outcome]:
-    """Do jobs of several tables, too; the outcomes of all their rows come as they are ready."""
+    """Do jobs of several tables, too; the outcomes of all their rows come as they are ready.
+
+    Those of jobs whose workers were killed again and again come last.
+    """
     results = executor.map_unordered(train_rows, jobs)
     with contextlib.closing(results):
-        for found in results:
-            for row, path, error in found:
-                yield Outcome(row=row, run=None if path is None else _run_at(path, error), error=error)
+        try:
+            for found in results:
+                for row, path, error in found:
+                    yield Outcome(row=row, run=None if path is None else _run_at(path, error), error=error)
+        except JobsLost as lost:
+            for job in lost.jobs:
+                yield from _what_is_trained(job, lost)
+
+
+def _what_is_trained(job: TableJob, why: JobsLost) -> Iterator[Outcome]:
+    """The outcomes of a job that is lost: some of its rows may have been trained before."""
+
+    def look(run: Run) -> None:
+        if run.result is None:
+            raise why
+
+    return train_table(job.request, Dataset.open(job.dataset), Workspace(job.workspace), look, job.rows)
 
 
 def _run_at(path: Path, error: str | None) -> Run | None:

@@ -11,6 +11,7 @@ is the same, and is computed once.
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Final
 
 import torch
 
-from dmotion_bench.errors import DmbenchError, RunMismatch
+from dmotion_bench.errors import DmbenchError, JobsLost, RunMismatch
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.run import Run
@@ -173,10 +174,14 @@ def score_side_by_side(
 
     shares = [share for job in jobs for share in control_shares(job)]
     planned = executor.map_unordered(score_job, told(shares, "control"))
-    with contextlib.closing(planned):
+    with contextlib.closing(planned), contextlib.suppress(JobsLost):
         for _ in planned:  # what failed fails again, and is said, when the run is scored
             pass
     scored = executor.map_unordered(score_in_turn, _by_training(told(jobs, "run")))
     with contextlib.closing(scored):
-        for outcomes in scored:
-            yield from outcomes
+        try:
+            for outcomes in scored:
+                yield from outcomes
+        except JobsLost as lost:
+            for job in itertools.chain.from_iterable(lost.jobs):
+                yield ScoreOutcome(run=job.run, error=str(lost))

@@ -16,12 +16,19 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from mortal_workers import LeavesTraces, RecordsAndDiesOnce, dies_at_one, parent_when_begun, raises_at_one
+from mortal_workers import (
+    InterruptedOnce,
+    LeavesTraces,
+    RecordsAndDiesOnce,
+    dies_at_one,
+    parent_when_begun,
+    raises_at_one,
+)
 from noise_world import files_of
 from pretend_slurm import install_slurm
 
 from dmotion_bench import errors
-from dmotion_bench.errors import DmbenchError, PackageNotInstalled, UnknownName
+from dmotion_bench.errors import DmbenchError, JobsLost, PackageNotInstalled, UnknownName
 from dmotion_bench.execution.executor import (
     ATTEMPTS,
     Executor,
@@ -43,7 +50,8 @@ needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="ray is not inst
 
 @pytest.fixture(autouse=True)
 def _workers_find_the_tests_modules(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent.parent))
+    found = [str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(found).rstrip(os.pathsep))
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +74,25 @@ def test_a_killed_process_costs_nothing_but_time(
     assert recorded_although_one_dies(LocalExecutor(2), tmp_path, monkeypatch) == at_once
 
 
-def test_a_shard_that_kills_every_worker_is_given_up() -> None:
-    with pytest.raises(DmbenchError, match=rf"killed at the same job {ATTEMPTS} times.*run the same command again"):
-        list(LocalExecutor(2).map_unordered(dies_at_one, [1, 2]))
+def done_beside_the_lost_one(executor: Executor, jobs: list[int], who: str) -> list[int]:
+    """The results of jobs of which the one of number 1 kills every worker."""
+    done: list[int] = []
+    said = rf"{who} was killed at the same job {ATTEMPTS} times.*run the same command again"
+    with pytest.raises(JobsLost, match=said) as caught:
+        done.extend(executor.map_unordered(dies_at_one, jobs))
+    assert caught.value.jobs == (1,)
+    return sorted(done)
+
+
+def test_a_job_that_kills_every_worker_stops_no_other() -> None:
+    assert done_beside_the_lost_one(LocalExecutor(2), [1, 2, 3, 4], "a worker process") == [2, 3, 4]
+
+
+def test_a_worker_that_is_asked_to_end_costs_its_attempt_at_one_job(tmp_path: Path) -> None:
+    done = LocalExecutor(2).map_unordered(InterruptedOnce(tmp_path / "asked"), [0, 1, 2])
+    assert sorted(done) == [0, 1, 2]
+    assert (tmp_path / "asked").exists()
+    assert_no_pool_is_left()
 
 
 def test_what_a_worker_raises_arrives_as_it_was() -> None:
@@ -94,11 +118,15 @@ def test_every_error_survives_the_way_between_processes() -> None:
 def test_lost_jobs_go_first_and_not_for_ever() -> None:
     queue = JobQueue("ab", "a worker")
     assert queue.next() == (0, "a")
-    queue.lost(0, "a")
+    queue.killed(0, "a")
     assert [queue.next(), queue.next(), queue.next()] == [(0, "a"), (1, "b"), None]
-    queue.lost(0, "a")
-    with pytest.raises(DmbenchError, match="a worker was killed"):
-        queue.lost(0, "a")
+    queue.end()
+    for _ in range(2):
+        queue.killed(0, "a")
+    assert queue.next() == (0, "a")
+    assert queue.next() is None
+    with pytest.raises(JobsLost, match="a worker was killed"):
+        queue.end()
 
 
 @pytest.mark.parametrize(("name", "package"), [("ray", "ray"), ("slurm", "submitit")])
@@ -129,8 +157,7 @@ def test_submitits_jobs_make_the_same_bytes_although_one_is_killed(
 @needs_submitit
 def test_submitits_jobs_are_given_up_after_so_many_deaths(tmp_path: Path) -> None:
     executor = SlurmExecutor(1, tmp_path / "jobs", cluster="local")
-    with pytest.raises(DmbenchError, match=f"a job of Slurm was killed at the same job {ATTEMPTS} times"):
-        list(executor.map_unordered(dies_at_one, [1]))
+    assert done_beside_the_lost_one(executor, [1, 2], "a job of Slurm") == [2]
     assert (tmp_path / "jobs").exists()  # with the logs
 
 
@@ -259,7 +286,7 @@ RAY = """
 import json, sys, time
 from pathlib import Path
 import psutil
-from mortal_workers import LeavesTraces, RecordsAndDiesOnce, dies_at_one, raises_at_one
+from mortal_workers import InterruptedOnce, LeavesTraces, RecordsAndDiesOnce, dies_at_one, raises_at_one
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.recording import session
 from dmotion_bench.execution.ray_executor import RayExecutor
@@ -274,10 +301,12 @@ session.record_shard = RecordsAndDiesOnce(folder / "died")
 session.record_dataset(folder / "d", recipe, executor)
 said = {}
 for work in (dies_at_one, raises_at_one):
+    done = []
     try:
-        list(executor.map_unordered(work, [0, 1]))
+        done.extend(executor.map_unordered(work, [0, 1, 2, 3]))
     except DmbenchError as error:
-        said[work.__name__] = [type(error).__name__, str(error)]
+        said[work.__name__] = [type(error).__name__, str(error), sorted(done)]
+said["interrupted"] = sorted(executor.map_unordered(InterruptedOnce(folder / "asked"), [0, 1, 2]))
 results = executor.map_unordered(LeavesTraces(folder, seconds=60), [1, 0])
 said["first"] = next(results)
 while not (folder / "begun-1").exists():
@@ -302,8 +331,10 @@ def test_ray_makes_the_same_bytes_although_one_is_killed(tmp_path: Path, at_once
     done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     said = json.loads((tmp_path / "said.json").read_text())
-    kind, sentence = said["dies_at_one"]
-    assert kind == "DmbenchError"
+    kind, sentence, done_beside = said["dies_at_one"]
+    assert (kind, done_beside) == ("JobsLost", [0, 2, 3])
+    assert said["interrupted"] == [0, 1, 2]
+    assert (tmp_path / "asked").exists()
     assert f"a worker of Ray was killed at the same job {ATTEMPTS} times" in sentence
     assert said["raises_at_one"][0] == "UnknownName"
     assert "no shape named 'teapot'" in said["raises_at_one"][1]

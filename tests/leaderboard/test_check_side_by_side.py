@@ -11,7 +11,7 @@ from typing import Any
 import psutil
 import pytest
 from dmbench_command import finish, start_dmbench
-from mortal_workers import Deadly
+from mortal_workers import Deadly, Losing
 from pretend_slurm import install_slurm
 
 from dmotion_bench.errors import UnknownName
@@ -57,6 +57,13 @@ def test_a_killed_worker_changes_no_verdict(
     assert [bool(verdict.findings) for verdict in found] == [False, True, False, False, True, False]
     assert [verdict.holds for verdict in found] == [False, False, True, True, False, True]
     assert counted == [(done, 6) for done in range(7)]
+
+
+def test_a_lost_job_is_found_at_its_entry_alone(entries: Path, tmp_path: Path) -> None:
+    found = check_paths([entries], Workspace(tmp_path / "nowhere"), executor=Losing())
+    in_turn = check_paths([entries], Workspace(tmp_path / "nowhere"))
+    assert found[0].findings == ("a worker was killed.",)
+    assert found[1:] == in_turn[1:]
 
 
 def test_jobs_say_how_far_they_are(entries: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from mortal_workers import Losing
 from noise_world import noise_episode, noise_spec
 
 from dmotion_bench.actions import Continuous, Discrete
@@ -105,6 +106,22 @@ def test_a_row_that_fails_before_its_run_is_written_does_not_stop_the_others(dat
     assert "fewer than 200 demonstrations" in (few.error or "")
     assert enough.run is not None
     assert enough.error is None
+
+
+def test_of_a_lost_job_the_rows_that_are_not_trained_fail(dataset, tmp_path) -> None:
+    trained, both, other = (
+        replace(_job(dataset, tmp_path), rows=tuple(Row(model=model, labels=labels) for model, labels in own))
+        for own in ([("ed-cnn", "100%")], [("ed-cnn", "100%"), ("ed-cnn", "10%")], [("cswm", "100%")])
+    )
+    list(train_jobs([trained], local_executor(1)))
+    outcomes = list(train_jobs([both, other], Losing()))
+    assert [(one.row.model, one.row.labels, one.error) for one in outcomes] == [
+        ("cswm", "100%", None),
+        ("ed-cnn", "100%", None),
+        ("ed-cnn", "10%", "a worker was killed."),
+    ]
+    assert outcomes[1].run is not None
+    assert outcomes[1].run.result is not None
 
 
 def test_a_full_disk_stops_the_table(dataset, tmp_path) -> None:

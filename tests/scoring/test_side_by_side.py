@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from known_model import Known, write_run
+from mortal_workers import Losing
 
 from dmotion_bench.execution.job_progress import read_progress
 from dmotion_bench.execution.local_executor import local_executor
@@ -107,6 +108,15 @@ def test_one_that_fails_does_not_stop_the_others(job: MakeJob, tmp_path: Path) -
     assert outcomes["sound"] is None
     assert "nothing" in (outcomes["nothing"] or "")
     assert read_report(jobs[0].run / "report") is not None
+
+
+def test_a_lost_job_is_a_failure_of_its_runs_alone(job: MakeJob) -> None:
+    outcomes = list(score_side_by_side([job("lost"), job("sound")], Losing()))
+
+    assert [(outcome.run.name, outcome.error) for outcome in outcomes] == [
+        ("sound", None),
+        ("lost", "a worker was killed."),
+    ]
 
 
 def test_jobs_say_how_far_they_are(job: MakeJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

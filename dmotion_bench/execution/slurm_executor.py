@@ -6,6 +6,8 @@ Which partition, account and time limit: in the variables that ``sbatch`` itself
 
 from __future__ import annotations
 
+import contextlib
+import io
 import shutil
 import subprocess
 import time
@@ -59,16 +61,13 @@ class SlurmExecutor:
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a job of Slurm")
-        at_once = _ARRAY if self._cluster == "slurm" else self._workers or 1
-        fill_below = at_once // 2 if self._cluster == "slurm" else at_once - 1  # Slurm likes few and large arrays
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         executor = self._executor()
         running: list[_Submitted[Job]] = []
         failed = False
         try:
             while True:
-                if len(running) <= fill_below:
-                    running += _submit(executor, function, queue, at_once - len(running))
+                running += self._submit(executor, function, queue, self._room(len(running)))
                 if not running:
                     break
                 ended = [one for one in running if one.ended(_PATIENCE[self._cluster])]
@@ -82,7 +81,7 @@ class SlurmExecutor:
                     time.sleep(_LOOK_AGAIN[self._cluster])
             queue.end()
         except DmbenchError:
-            failed = True  # the logs may say why
+            failed = any(self._folder.glob("*_log.*"))  # they may say why
             raise
         finally:
             self._cancel(running)
@@ -98,9 +97,46 @@ class SlurmExecutor:
         )
         if size.gpus:
             executor.update_parameters(gpus_per_node=size.gpus)
-        if self._workers:
-            executor.update_parameters(slurm_array_parallelism=self._workers)
+        executor.update_parameters(slurm_array_parallelism=self._workers or _ARRAY)
         return executor
+
+    def _room(self, running: int) -> int:
+        """How many jobs may be submitted beside those that run or wait.
+
+        Slurm likes few and large arrays, but bounds only how many tasks of one of them run at a time: while one is
+        there, what is submitted beside it may not exceed ``workers`` even if all of it runs.
+        """
+        if self._cluster == "local":
+            return (self._workers or 1) - running
+        if self._workers is not None and running:
+            return min(_ARRAY, self._workers - running)
+        return _ARRAY - running if running <= _ARRAY // 2 else 0
+
+    def _submit(
+        self, executor: Any, function: Callable[[Job], Result], queue: JobQueue[Job], most: int
+    ) -> list[_Submitted[Job]]:
+        """At most so many jobs, as one array.
+
+        Raises:
+            DmbenchError: Slurm refuses them.
+        """
+        chosen = list[tuple[int, Job]]()
+        while len(chosen) < most and (numbered := queue.next()) is not None:
+            chosen.append(numbered)
+        if not chosen:
+            return []
+        errors = self._submitit.core.utils
+        try:
+            with contextlib.redirect_stderr(io.StringIO()):  # submitit prints there what it raises
+                handles = executor.map_array(_Guarded(function), [job for _, job in chosen])
+        except (errors.FailedJobError, errors.FailedSubmissionError) as error:
+            said = " ".join(str(error).split()) or "sbatch gave no reason"
+            raise DmbenchError(
+                f"Slurm refuses the jobs: {said.rstrip('.')}. Name your account and a partition in the variables "
+                "SBATCH_ACCOUNT and SBATCH_PARTITION ('sacctmgr show associations' and 'sinfo' list them), and run the "
+                "same command again."
+            ) from None
+        return [_Submitted(number, job, handle) for (number, job), handle in zip(chosen, handles, strict=True)]
 
     def _result(self, one: _Submitted[Job]) -> Any:
         try:
@@ -147,19 +183,6 @@ class _Submitted(Generic[Job]):
             return False
         self._done_since = self._done_since or time.monotonic()
         return not self.lost or time.monotonic() - self._done_since >= patience
-
-
-def _submit(
-    executor: Any, function: Callable[[Job], Result], queue: JobQueue[Job], count: int
-) -> list[_Submitted[Job]]:
-    """At most so many jobs, as one array."""
-    chosen = list[tuple[int, Job]]()
-    while len(chosen) < count and (numbered := queue.next()) is not None:
-        chosen.append(numbered)
-    if not chosen:
-        return []
-    handles = executor.map_array(_Guarded(function), [job for _, job in chosen])
-    return [_Submitted(number, job, handle) for (number, job), handle in zip(chosen, handles, strict=True)]
 
 
 class _Guarded(Generic[Job, Result]):

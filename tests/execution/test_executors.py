@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import pickle
+import random
 import subprocess
 import sys
 import threading
@@ -182,6 +183,32 @@ def test_a_job_array_makes_the_same_bytes(tmp_path: Path, slurm: Path, at_once: 
     (script,) = slurm.glob("script-*")
     assert "#SBATCH --array=0-2%2\n#SBATCH --cpus-per-task=1" in script.read_text()
     assert not (tmp_path / ".d-jobs").exists()
+
+
+@needs_submitit
+def test_what_slurm_refuses_is_a_sentence(tmp_path: Path, slurm: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (slurm / "bin" / "sbatch").write_text("#!/bin/sh\necho 'sbatch: error: Invalid account specified' >&2\nexit 1\n")
+    says = r"^Slurm refuses the jobs: sbatch: error: Invalid account specified\. Name .*SBATCH_ACCOUNT"
+    for jobs in (1, 2):
+        with pytest.raises(DmbenchError, match=says):
+            list(make_executor("slurm", 2, tmp_path / "jobs").map_unordered(abs, range(jobs)))
+    assert capfd.readouterr().err == ""
+    assert not (tmp_path / "jobs").exists()
+
+
+@needs_submitit
+@pytest.mark.parametrize("workers", [1, 3, 64, 700, 1500])
+def test_arrays_beside_each_other_never_run_more_tasks_than_workers(workers: int, tmp_path: Path, slurm: Path) -> None:
+    executor = SlurmExecutor(workers, tmp_path)
+    draw, left, arrays, most = random.Random(workers), 5000, list[int](), 0
+    while left or sum(arrays):
+        if (room := min(executor._room(sum(arrays)), left)) > 0:
+            arrays.append(room)
+            left -= room
+        running = [min(array, workers) for array in arrays]  # as many as Slurm may run of each
+        most = max(most, sum(running))
+        arrays = [array - draw.randint(0, own) for array, own in zip(arrays, running, strict=True)]
+    assert most == workers
 
 
 @needs_submitit

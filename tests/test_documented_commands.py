@@ -253,6 +253,8 @@ def test_a_tutorial_can_be_followed_from_an_empty_folder(
                 _install(tmp_path, monkeypatch)
             elif step.text.startswith("export "):
                 monkeypatch.setenv(*step.text.removeprefix("export ").split("=", 1))
+            elif step.text.startswith("unset "):
+                monkeypatch.delenv(step.text.removeprefix("unset "))
             elif own := _tested_elsewhere(step.text):
                 assert (ROOT / own).is_file()
             else:

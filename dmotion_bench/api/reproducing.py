@@ -7,15 +7,15 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import compute_device
 from dmotion_bench.api.settings import DEVICES, as_preset, require_one_of
-from dmotion_bench.api.side_by_side import Hands, gpus_of_a_job, score_at_once
+from dmotion_bench.api.side_by_side import THREADS, Hands, score_at_once
 from dmotion_bench.errors import DmbenchError, JobsLost
-from dmotion_bench.execution.executor import Executor, JobSize
+from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile, jobs_folder, watching
 from dmotion_bench.learning.table import Outcome, TableJob, train_jobs
@@ -33,10 +33,6 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import read_json
 from dmotion_bench.workspace import AnyPath, Workspace
 
-THREADS: Final = 1
-"""Of each training, so that its weights do not depend on how many trainings run beside each other."""
-
-_GIGABYTES, _MINUTES = 16, 24 * 60  # that a cluster is asked for, for each job
 _LOG = logging.getLogger(__name__)
 
 
@@ -136,10 +132,11 @@ def reproduce(
         def count(part: str, done: int, total: int) -> None:
             tell(JobProgress(what=part, done=done, total=total))
 
-        cost = what_it_costs(plan, device, speeds, lambda what: count(f"measuring {what}", 0, 1))
+        hands = Hands(executor=executor, workers=workers, device=device)
+        cost = what_it_costs(plan, hands, speeds, lambda what: count(f"measuring {what}", 0, 1))
         if dry_run:
             return Reproduced(table=plan.name, cost=cost)
-        return make(plan, cost, Hands(executor=executor, workers=workers, device=device), Watch(count=count))
+        return make(plan, cost, hands, Watch(count=count))
 
 
 def plan_table(
@@ -166,12 +163,22 @@ def plan_table(
 
 
 def what_it_costs(
-    plan: Plan, device: str = "auto", speeds: AnyPath | None = None, announce: Callable[[str], None] = _nobody
+    plan: Plan, hands: Hands, speeds: AnyPath | None = None, announce: Callable[[str], None] = _nobody
 ) -> Cost:
-    """What is left of a table, and what that costs; measures the speeds that nobody has measured yet."""
-    require_one_of("device", device, DEVICES)
-    stored = None if speeds is None else Path(speeds)
-    return cost_of(plan, Speeds(device=compute_device(device), announce=announce, stored=stored))
+    """What is left of a table, and what that costs on this machine, also where a cluster is to do it.
+
+    Args:
+        plan: The table.
+        hands: Who is to do the jobs, and on which device.
+        speeds: A file with speeds; those that it lacks are measured.
+        announce: Told what is measured.
+
+    Raises:
+        UsageError: This machine is to do the jobs and lacks the device, or the file holds no speeds.
+    """
+    require_one_of("device", hands.device, DEVICES)
+    device = compute_device("auto" if hands.on_cluster and hands.device == "cuda" else hands.device)
+    return cost_of(plan, Speeds(device=device, announce=announce, stored=None if speeds is None else Path(speeds)))
 
 
 def make(plan: Plan, cost: Cost, hands: Hands, watch: Watch | None = None) -> Reproduced:
@@ -315,7 +322,7 @@ class _Work:
     def _executing(self, jobs: int) -> Iterator[tuple[Executor, Path]]:
         """An executor for so many jobs, and the folder in which they meet."""
         name = self.hands.executor or "local"
-        size = JobSize(processors=THREADS, gigabytes=_GIGABYTES, minutes=_MINUTES, gpus=gpus_of_a_job(self.hands))
+        size = self.hands.job_size(processors=THREADS)
         with jobs_folder(self.workspace) as folder:
             yield make_executor(name, self.hands.at_once(jobs), scratch=folder / name, size=size), folder
 
@@ -325,7 +332,7 @@ class _Work:
             rows=training.rows,
             dataset=training.recording.folder.absolute(),
             workspace=self.workspace.root.absolute(),
-            device=self.hands.device,
+            device=self.hands.job_device,
             threads=THREADS,
             progress=progress,
         )

@@ -20,12 +20,16 @@ from dmotion_bench.learning.beginning import tell_changes
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest
 from dmotion_bench.learning.table import Outcome, Row, rows, train_side_by_side, train_table
+from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.score import scored_report
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.scoring.side_by_side import ScoreJob, score_side_by_side
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
+
+THREADS: Final = 1
+"""Of each of many trainings, so that its weights do not depend on how many of them run beside each other."""
 
 _GIGABYTES: Final = 2.0  # that a job takes beside others
 _GPU_GIGABYTES: Final = 4.0  # likewise, of a GPU's memory
@@ -44,7 +48,7 @@ class Hands:
     Attributes:
         executor: ``local``, ``ray`` or ``slurm``; None for ``local``.
         workers: Jobs at a time; None: as many as pay, or as the cluster decides.
-        device: ``auto``, ``cpu`` or ``cuda``.
+        device: ``auto``, ``cpu`` or ``cuda``. On a cluster only ``cuda`` means a GPU, whatever this machine has.
         count: Told how many jobs are done, and of how many.
         watch: Told how far those are that run, by their names.
     """
@@ -55,6 +59,26 @@ class Hands:
     count: Callable[[int, int], None] = field(default=_nobody)
     watch: Callable[[Mapping[str, JobProgress]], None] = field(default=_nobody)
 
+    @property
+    def on_cluster(self) -> bool:
+        """Whether other machines do the jobs, of whose devices this one says nothing."""
+        return self.executor not in (None, "local")
+
+    @property
+    def job_device(self) -> str:
+        """Where a job computes: ``cuda``, for which a cluster is asked for a GPU, or ``cpu``."""
+        here = self.device == "auto" and not self.on_cluster and torch.cuda.is_available()
+        return "cuda" if here or self.device == "cuda" else "cpu"
+
+    def job_size(self, *, processors: int = 1) -> JobSize:
+        """What a cluster is asked for, for each job."""
+        return JobSize(
+            processors=processors,
+            gigabytes=_CLUSTER_GIGABYTES,
+            minutes=_CLUSTER_MINUTES,
+            gpus=int(self.job_device == "cuda"),
+        )
+
     def at_once(self, jobs: int) -> int | None:
         """How many jobs beside each other pay: as many as there are processors and memory for, also on one GPU.
 
@@ -63,26 +87,17 @@ class Hands:
         """
         if self.workers:
             return self.workers
-        if self.executor not in (None, "local"):
+        if self.on_cluster:
             return None
         most = min(available_workers(_GIGABYTES), jobs)
-        if _on_gpu(self.device):
+        if self.job_device == "cuda" and torch.cuda.is_available():
             free, _ = torch.cuda.mem_get_info()
             most = min(most, int(free / 2**30 / _GPU_GIGABYTES))
         return max(1, most)
 
     def in_turn(self, jobs: int) -> bool:
         """Whether this process does one job after the other."""
-        return self.executor in (None, "local") and self.at_once(jobs) == 1
-
-
-def _on_gpu(device: str) -> bool:
-    return device == "cuda" or (device == "auto" and torch.cuda.is_available())
-
-
-def gpus_of_a_job(hands: Hands) -> int:
-    """How many GPUs each job asks a cluster for; this machine's processes see all of them."""
-    return int(hands.device == "cuda")
+        return not self.on_cluster and self.at_once(jobs) == 1
 
 
 def table_rows(dataset: Dataset) -> list[Row]:
@@ -98,8 +113,13 @@ def train_every(
     train: Callable[[Run], object],
     trackers: tuple[str, ...] = (),
     warn: Callable[[str], None] = _nobody,
+    *,
+    loaders: int | None = None,
 ) -> Iterator[Outcome]:
     """Train every model with each of its label budgets; one that fails does not stop the rest.
+
+    Each training computes with one thread if the request names no number, so that its weights do not depend on how
+    many train beside each other.
 
     Args:
         request: What holds for all of them; its model and labels are theirs.
@@ -109,19 +129,31 @@ def train_every(
         train: Trains one run to its end, where this process does it.
         trackers: That are told the curves, where others do it.
         warn: Told in a sentence of a run, where others do it, whose model was changed since it began.
+        loaders: Threads that read the compressed files of a run that streams them, where others do it.
 
     Yields:
         What became of each row, as they end.
     """
     models = len({row.model for row in table_rows(dataset)})
     if hands.in_turn(models):
-        yield from train_table(request, dataset, workspace, train)
+
+        def train_alone(run: Run) -> None:
+            with using_threads(_threads(request)):
+                train(run)
+
+        yield from train_table(request, dataset, workspace, train_alone)
         return
-    with contextlib.closing(_trained_at_once(request, dataset, workspace, hands, models, trackers)) as outcomes:
+    at_once = _trained_at_once(request, dataset, workspace, hands, models, trackers, loaders)
+    with contextlib.closing(at_once) as outcomes:
         for outcome in outcomes:
             if outcome.run is not None:
                 tell_changes(outcome.run, warn)
             yield outcome
+
+
+def _threads(request: TrainingRequest) -> int:
+    """That each of many trainings computes with."""
+    return request.threads or THREADS
 
 
 def _trained_at_once(
@@ -131,15 +163,14 @@ def _trained_at_once(
     hands: Hands,
     models: int,
     trackers: tuple[str, ...],
+    loaders: int | None,
 ) -> Generator[Outcome]:
     if not request.stream and not dataset.cache_file.lacking():
         dataset.cache()  # once, and not by every job
-    threads, total = request.threads or 1, len(table_rows(dataset))
-    size = JobSize(
-        processors=threads, gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES, gpus=gpus_of_a_job(hands)
-    )
+    threads, total = _threads(request), len(table_rows(dataset))
     with jobs_folder(workspace) as folder:
         name = hands.executor or "local"
+        size = hands.job_size(processors=threads)
         executor = make_executor(name, hands.at_once(models), scratch=folder / name, size=size)
         hands.count(0, total)
         outcomes = train_side_by_side(
@@ -148,9 +179,10 @@ def _trained_at_once(
             workspace,
             executor,
             threads=threads,
-            device=hands.device,
+            device=hands.job_device,
             progress=folder,
             trackers=trackers,
+            loaders=loaders,
         )
         with watching(folder, hands.watch), contextlib.closing(outcomes):
             for done, outcome in enumerate(outcomes, start=1):
@@ -188,9 +220,8 @@ def score_at_once(
         See ``scoring.score_runs``.
     """
     name = hands.executor or "local"
-    if name == "local":
-        compute_device(hands.device)  # refuses what is not here; this machine says nothing of those of a cluster
-    where = "cuda" if _on_gpu(hands.device) else "cpu"
+    if not hands.on_cluster:
+        compute_device(hands.device)  # refuses what is not here
     jobs = [
         ScoreJob(
             run=path.absolute(),
@@ -199,7 +230,7 @@ def score_at_once(
             renew=False,
             data=None if data is None else data.absolute(),
             batch_size=batch_size,
-            device=where,
+            device=hands.job_device,
         )
         for path in paths
     ]
@@ -208,9 +239,8 @@ def score_at_once(
     own = {job.run: path for job, path in zip(jobs, paths, strict=True)}
     reports: dict[Path, Report] = {}
     failures: dict[str, str] = {}
-    size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES, gpus=gpus_of_a_job(hands))
     with jobs_folder(workspace) as folder:
-        executor = make_executor(name, hands.at_once(len(paths)), scratch=folder / name, size=size)
+        executor = make_executor(name, hands.at_once(len(paths)), scratch=folder / name, size=hands.job_size())
         hands.count(0, len(jobs))
         outcomes = score_side_by_side(jobs, executor, progress=folder)
         with watching(folder, hands.watch), contextlib.closing(outcomes):

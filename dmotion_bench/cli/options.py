@@ -42,7 +42,10 @@ def listed(names: Iterable[str]) -> str:
 AsJson = Annotated[bool, typer.Option("--json", callback=reserve_stdout, help="Print the result as one JSON object.")]
 Device = Annotated[
     str,
-    typer.Option(metavar=listed(DEVICES), help="Where to compute. auto takes a GPU if there is one."),
+    typer.Option(
+        metavar=listed(DEVICES),
+        help="Where to compute. auto takes a GPU if there is one; for a job of a cluster it asks for none.",
+    ),
 ]
 PlannerName = Annotated[
     str | None,

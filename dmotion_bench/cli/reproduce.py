@@ -98,9 +98,10 @@ def reproduce(
     plan = plan_table(
         table, preset=preset, seeds=_numbers(seeds), models=_names(models), worlds=_names(worlds), workspace=None
     )
+    hands = Hands(executor=executor, workers=workers, device=device)
     with progress_bar() as bar:
         task = bar.add_task("measuring speeds", total=None, status="")
-        cost = what_it_costs(plan, device, speeds, lambda what: bar.update(task, status=what))
+        cost = what_it_costs(plan, hands, speeds, lambda what: bar.update(task, status=what))
     if not as_json:
         _show_cost(cost, plan)
     if dry_run:
@@ -109,7 +110,7 @@ def reproduce(
         return
     try:
         with _watching() as watch:
-            made = make(plan, cost, Hands(executor=executor, workers=workers, device=device), watch)
+            made = make(plan, cost, hands, watch)
     except KeyboardInterrupt:
         raise Interrupted(
             "interrupted; run the same command again to go on where it stopped, with '--dry-run' to see what is left."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,7 @@ from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
+    from dmotion_bench.api.side_by_side import Hands
     from dmotion_bench.learning.run import Conditions, Run
     from dmotion_bench.learning.start import TrainingRequest
     from dmotion_bench.learning.table import Outcome
@@ -101,7 +103,7 @@ def train(
             min=1,
             max=MOST_THREADS,
             help="Threads that compute. The weights depend on their number. Default: the run's own; else torch's "
-            "number, or 1 where that is faster.",
+            "number, or 1 where that is faster; with --all 1.",
             show_default=False,
         ),
     ] = None,
@@ -178,6 +180,7 @@ def train(
             raise UsageError(f"--all chooses these for every model; leave out {' and '.join(extra)}.")
         if place().world > 1:
             raise UsageError("torchrun shares one training among processes; '--all --workers N' shares many trainings.")
+        from dmotion_bench.api.side_by_side import Hands
         from dmotion_bench.api.training import TrainingRequest
 
         asked = TrainingRequest(
@@ -188,7 +191,8 @@ def train(
             threads=threads,
             stream=stream,
         )
-        _train_all(asked, workspace, data, workers, executor, device, trackers, as_json)
+        hands = Hands(executor=executor, workers=workers, device=device)
+        _train_all(asked, workspace, data, hands, trackers, loaders, as_json)
         return
     require_all("train", workers, executor)
     if model is None:
@@ -296,14 +300,13 @@ def _train_all(
     request: TrainingRequest,
     workspace: Workspace,
     data: Path | None,
-    workers: int | None,
-    executor: str | None,
-    device: str,
+    hands: Hands,
     trackers: tuple[str, ...],
+    loaders: int | None,
     as_json: bool,
 ) -> None:
     """Train every model with each of its budgets; raises an error at the end if one of them failed."""
-    from dmotion_bench.api.side_by_side import Hands, table_rows, train_every
+    from dmotion_bench.api.side_by_side import table_rows, train_every
     from dmotion_bench.cli.jobs import jobs_bar
     from dmotion_bench.errors import RunError
     from dmotion_bench.storage.dataset import Dataset
@@ -311,15 +314,15 @@ def _train_all(
     dataset = Dataset.open(workspace.dataset(data))
     wanted = table_rows(dataset)
     with jobs_bar(f"training {dataset.name}") as (count, watch):
-        hands = Hands(executor=executor, workers=workers, device=device, count=count, watch=watch)
         outcomes = train_every(
             request,
             dataset,
             workspace,
-            hands,
-            lambda run: train_run(run, dataset, device, trackers=trackers),
+            replace(hands, count=count, watch=watch),
+            lambda run: train_run(run, dataset, hands.device, trackers=trackers, loaders=loaders),
             trackers,
             warn=lambda told: typer.echo(told, err=True),
+            loaders=loaders,
         )
         told = {outcome.row: _told(outcome, as_json) for outcome in outcomes}
     rows = [told[row] for row in wanted]

@@ -133,6 +133,7 @@ class TableJob:
         threads: That a run computes with for which nobody asked for another number.
         progress: The file in which it says how far it is; None: nowhere.
         trackers: See ``train``.
+        loaders: Threads that read the compressed files of a run that streams them; None for the usual number.
     """
 
     request: TrainingRequest
@@ -143,6 +144,7 @@ class TableJob:
     threads: int
     progress: Path | None
     trackers: tuple[str, ...] = ()
+    loaders: int | None = None
 
 
 def train_rows(job: TableJob) -> list[tuple[Row, Path | None, str | None]]:
@@ -152,7 +154,7 @@ def train_rows(job: TableJob) -> list[tuple[Row, Path | None, str | None]]:
 
     def complete(run: Run) -> None:
         if finished_result(run) is None:
-            fabric, data = launch(job.device), training_data(run, dataset)
+            fabric, data = launch(job.device), training_data(run, dataset, job.loaders)
             train(run, data, fabric, lambda report: told.tell(_said(run, report)), job.trackers)
 
     try:
@@ -172,6 +174,7 @@ def train_side_by_side(
     device: str = "auto",
     progress: Path | None = None,
     trackers: tuple[str, ...] = (),
+    loaders: int | None = None,
 ) -> Generator[Outcome]:
     """Train every row, several models at a time; the outcomes come as they are ready.
 
@@ -184,6 +187,7 @@ def train_side_by_side(
         device: Where.
         progress: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
         trackers: See ``train``.
+        loaders: Threads of each that read the compressed files of a run that streams them; None for the usual number.
     """
     jobs = [
         TableJob(
@@ -195,6 +199,7 @@ def train_side_by_side(
             threads=threads,
             progress=None if progress is None else progress / f"{model}.json",
             trackers=trackers,
+            loaders=loaders,
         )
         for model, own in itertools.groupby(rows(dataset), key=lambda row: row.model)
     ]

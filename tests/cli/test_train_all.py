@@ -7,13 +7,17 @@ import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from dmbench_command import Outcome, dmbench, ended_by_ctrl_c, interrupted_once, start_dmbench
 from walking_square import record_walks
 
+from dmotion_bench.api import side_by_side, training
+from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.learning import table
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.start import training_data
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.specs import Supervision
 
@@ -65,7 +69,7 @@ def test_models_trained_beside_each_other_are_those_trained_in_turn(
     monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot", "2-shot"))
     weights = {}
     for workers in ("1", "2"):
-        with using_threads(1):
+        with using_threads(2):  # which one process computes with, and many beside each other do not
             outcome = run("train", "--all", "--workers", workers, "--json")
         assert outcome.code == 1
         rows = json.loads(outcome.out)["rows"]
@@ -93,6 +97,25 @@ def test_models_trained_beside_each_other_are_those_trained_in_turn(
         shutil.rmtree(tmp_path / "runs")
     assert told["1"] == told["2"]
     assert told["samples 1"] == told["samples 2"]
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_every_training_is_told_how_many_threads_read(
+    workers: str, run: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[int | None] = []
+
+    def data(*given: Any, **named: Any) -> Any:
+        told.append((*given, *named.values())[2])
+        return training_data(*given, **named)
+
+    monkeypatch.setattr(table, "model_names", lambda: ["ed-cnn"])
+    monkeypatch.setattr(table, "training_data", data)
+    monkeypatch.setattr(training, "training_data", data)
+    monkeypatch.setattr(side_by_side, "make_executor", lambda *_, **__: SerialExecutor())
+    monkeypatch.setattr(side_by_side.Hands, "at_once", lambda hands, jobs: int(workers))
+    assert run("train", "--all", "--stream", "--loaders", "3").code == 0
+    assert told == [3, 3]
 
 
 @pytest.mark.slow

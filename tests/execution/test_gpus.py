@@ -4,19 +4,42 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from dmotion_bench.api import side_by_side
-from dmotion_bench.api.side_by_side import Hands, gpus_of_a_job
+from dmotion_bench.api import reproducing, side_by_side
+from dmotion_bench.api.reproducing import plan_table, what_it_costs
+from dmotion_bench.api.side_by_side import Hands
+from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.ray_executor import RayExecutor
 from dmotion_bench.execution.slurm_executor import SlurmExecutor
 
 
-def test_only_jobs_on_a_gpu_ask_for_one() -> None:
-    assert [gpus_of_a_job(Hands(device=device)) for device in ("auto", "cpu", "cuda")] == [0, 0, 1]
+@pytest.mark.parametrize("gpu_here", [False, True])
+@pytest.mark.parametrize("executor", ["slurm", "ray"])
+def test_a_cluster_is_asked_for_a_gpu_exactly_where_a_job_computes_on_one(
+    executor: str, gpu_here: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu_here)
+    hands = [Hands(device=device, executor=executor) for device in ("auto", "cpu", "cuda")]
+    assert [(one.job_device, one.job_size().gpus) for one in hands] == [("cpu", 0), ("cpu", 0), ("cuda", 1)]
+    assert Hands().job_device == ("cuda" if gpu_here else "cpu")  # jobs of this machine
+
+
+def test_without_a_gpu_here_the_jobs_of_a_cluster_can_be_counted_and_those_of_this_machine_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(reproducing, "cost_of", lambda plan, speeds: speeds)
+    plan = plan_table("labels", preset="tiny", models=["lapo"], worlds=["planar_push"], workspace=tmp_path)
+    speeds: Any = what_it_costs(plan, Hands(device="cuda", executor="slurm"))
+    assert speeds.device == torch.device("cpu")
+    with pytest.raises(UsageError, match="no CUDA device"):
+        what_it_costs(plan, Hands(device="cuda"))
+    assert Hands(device="cuda").at_once(3) is not None
 
 
 @pytest.mark.parametrize(("gigabytes", "jobs", "most"), [(79.0, 40, 16), (79.0, 3, 3), (10.0, 40, 2), (1.0, 40, 1)])

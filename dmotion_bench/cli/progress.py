@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,13 +26,15 @@ if TYPE_CHECKING:
     from dmotion_bench.execution.job_progress import JobProgress
 
 QUIET: Final = "DMBENCH_QUIET"
-"""Where this environment variable is set, no line of progress is written to a file or a pipe."""
+"""Where this environment variable is set, no line of progress and no note is written to a file or a pipe."""
 
 FIRST_SECONDS: Final = 5.0
 """After so long the first line is written, which says how long it will take."""
 
 SECONDS: Final = 15.0
 """Between two lines."""
+
+_NAMED: Final = 5  # jobs in a line of all that run
 
 
 class ProgressDisplay:
@@ -77,7 +79,7 @@ class ProgressDisplay:
             self._bar.update(
                 self._jobs[name], description=job.what, completed=job.done, total=job.total, status=job.status
             )
-        self.update(task, status="; ".join(f"{job.what} {_share(job)}" for job in jobs.values()))
+        self.update(task, status=_together(list(jobs.values())))
 
     def tell(self, told: JobProgress) -> None:
         """Say how far something is; it takes the place of what was told of something else before."""
@@ -147,6 +149,15 @@ class ProgressDisplay:
         self._bar.stop()
 
 
+def _together(jobs: Sequence[JobProgress]) -> str:
+    """How far jobs are, in a few words: each of them, or of many their number and the slowest."""
+    if len(jobs) <= _NAMED:
+        return "; ".join(f"{job.what} {_share(job)}" for job in jobs)
+    known = [job for job in jobs if job.total]
+    slowest = min(known, key=lambda job: job.done / (job.total or 1), default=None)
+    return f"{len(jobs)} run" + ("" if slowest is None else f", the slowest {slowest.what} {_share(slowest)}")
+
+
 def _share(job: JobProgress) -> str:
     return f"{job.done / job.total:.0%}" if job.total else f"{job.done:,.0f}"
 
@@ -190,9 +201,12 @@ class BarOnDemand:
 
 
 def note(text: str) -> None:
-    """Print a line on stderr, if it is a terminal."""
+    """Print a line on stderr."""
     if sys.stderr.isatty():
         Console(stderr=True).print(text, highlight=False, markup=False)
+    elif not os.environ.get(QUIET):
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
 
 
 def duration(seconds: float) -> str:

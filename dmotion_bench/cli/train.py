@@ -339,7 +339,7 @@ def _train_all(
 
 def _told(outcome: Outcome, as_json: bool) -> dict[str, Any]:
     """What became of a row of the table; it is printed, unless all are at the end."""
-    from dmotion_bench.cli.progress import duration
+    from dmotion_bench.cli.progress import duration, note
 
     row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels, "error": outcome.error}
     if outcome.run is not None:
@@ -347,7 +347,10 @@ def _told(outcome: Outcome, as_json: bool) -> dict[str, Any]:
         result = outcome.run.result or {}
         row |= {name: result[name] for name in ("steps", "triplets_per_s", "seconds") if name in result}
         row["labels"] = result.get("labels_total")
-    if not as_json:
+    if as_json:
+        if outcome.error is not None:
+            note(f"{row['model']} {row['budget']}: {outcome.error}")
+    else:
         done = outcome.error or f"{duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
         typer.echo(f"{row['model']:16s} {row['budget']:9s} {done}")
     return row

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from dmotion_bench.cli.progress import FIRST_SECONDS, QUIET, SECONDS, ProgressDisplay, duration
+from dmotion_bench.cli.progress import FIRST_SECONDS, QUIET, SECONDS, ProgressDisplay, duration, note
 from dmotion_bench.execution.job_progress import JobProgress
 
 
@@ -96,6 +98,36 @@ def test_work_of_unknown_size_is_told_without_a_guess(
         clock.now += SECONDS
         display.update(task, status="")
     assert capsys.readouterr().err == "measuring: record[grid_world]\nmeasuring\n"
+
+
+def test_of_many_jobs_the_number_and_the_slowest_are_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(QUIET)
+    clock = Clock()
+    jobs = {str(n): JobProgress(what=f"model {n}", done=100 - n, total=200) for n in range(64)}
+    with ProgressDisplay(clock) as display:
+        task = display.add_task("training", total=200)
+        for running in (5, 64):
+            clock.now += SECONDS
+            display.show_jobs(task, dict(list(jobs.items())[:running]))
+        clock.now += SECONDS
+        display.show_jobs(task, {name: replace(job, total=None) for name, job in jobs.items()})
+    assert capsys.readouterr().err.splitlines() == [
+        "training: 0 of 200, model 0 50%; model 1 50%; model 2 49%; model 3 48%; model 4 48%",
+        "training: 0 of 200, 64 run, the slowest model 63 18%",
+        "training: 0 of 200, 64 run",
+    ]
+
+
+def test_a_note_is_written_to_a_file_unless_quiet_is_asked_for(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    note("training lapo: diverged.")
+    assert capsys.readouterr().err == ""
+    monkeypatch.delenv(QUIET)
+    note("training lapo: diverged.")
+    assert capsys.readouterr().err == "training lapo: diverged.\n"
 
 
 def test_nothing_is_written_where_quiet_is_asked_for(

@@ -20,7 +20,8 @@ from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result
 
 _ARRAY: Final = 1000  # tasks in a job array that every Slurm allows
 _LOOK_AGAIN: Final = {"slurm": 2.0, "local": 0.05}  # [s]
-_PATIENCE: Final = {"slurm": 15.0, "local": 0.0}  # [s] for a shared folder to show what a job that has ended wrote
+_PATIENCE: Final = {"slurm": 90.0, "local": 0.0}
+"""Seconds for a shared folder to show what a job that has ended wrote; NFS remembers for up to 60 what is there."""
 _GOODBYE: Final = 10.0  # [s] for cancelled processes on this machine to end
 
 
@@ -186,7 +187,12 @@ class _Submitted(Generic[Job]):
 
 
 class _Guarded(Generic[Job, Result]):
-    """Gives back what a function raises: submitit would keep the traceback's text only."""
+    """Gives back what a function raises: submitit would keep the traceback's text only.
+
+    Slurm says by a signal that a job's time is over soon. submitit then raises an error in the middle of the function,
+    where it could be taken for one of a model, after which the next one begins. An interruption is none: it ends the
+    process, and the job counts as lost with its worker.
+    """
 
     def __init__(self, function: Callable[[Job], Result]) -> None:
         self._function = function
@@ -196,3 +202,7 @@ class _Guarded(Generic[Job, Result]):
             return self._function(job)
         except Exception as error:
             return error
+
+    def checkpoint(self, job: Job) -> None:
+        """Called by submitit in the middle of a job that is to end."""
+        raise KeyboardInterrupt

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
+import socket
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import Any
 import torch
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.errors import DmbenchError, JobsLost, RunError, StorageFull
+from dmotion_bench.errors import DatasetError, DatasetMissing, DmbenchError, JobsLost, RunError, StorageFull
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.beginning import finished_result
@@ -147,10 +148,30 @@ class TableJob:
     loaders: int | None = None
 
 
+def _dataset_here(job: TableJob) -> Dataset:
+    """The data set of a job, as this machine sees it.
+
+    Raises:
+        DatasetMissing: This machine does not see it.
+        DatasetError: It cannot be read.
+    """
+    try:
+        return Dataset.open(job.dataset)
+    except (DatasetMissing, OSError) as error:
+        raise DatasetMissing(
+            f"the machine {socket.gethostname()!r} does not see the data set {str(job.dataset)!r}; all machines must "
+            "see the workspace and its data under the same path, so mount them there and run the same command again."
+        ) from error
+
+
 def train_rows(job: TableJob) -> list[tuple[Row, Path | None, str | None]]:
     """Train the rows of one model in the present process: of each its run's folder, and why it failed if it did."""
     torch.set_num_threads(job.threads)
-    dataset, told = Dataset.open(job.dataset), ProgressFile(job.progress)
+    told = ProgressFile(job.progress)
+    try:
+        dataset = _dataset_here(job)
+    except DatasetError as error:
+        return [(row, None, str(error)) for row in job.rows]
 
     def complete(run: Run) -> None:
         if finished_result(run) is None:

@@ -20,6 +20,7 @@ import pytest
 from mortal_workers import (
     InterruptedOnce,
     LeavesTraces,
+    OutOfTimeOnce,
     RecordsAndDiesOnce,
     dies_at_one,
     parent_when_begun,
@@ -160,6 +161,13 @@ def test_submitits_jobs_are_given_up_after_so_many_deaths(tmp_path: Path) -> Non
     executor = SlurmExecutor(1, tmp_path / "jobs", cluster="local")
     assert done_beside_the_lost_one(executor, [1, 2], "a job of Slurm") == [2]
     assert (tmp_path / "jobs").exists()  # with the logs
+
+
+@needs_submitit
+def test_a_job_whose_time_is_over_is_begun_again(tmp_path: Path) -> None:
+    executor = SlurmExecutor(1, tmp_path / "jobs", cluster="local")
+    assert sorted(executor.map_unordered(OutOfTimeOnce(tmp_path / "told"), [1, 2])) == ["1 done", "2 done"]
+    assert (tmp_path / "told").exists()
 
 
 @needs_submitit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,6 +107,15 @@ def test_a_row_that_fails_before_its_run_is_written_does_not_stop_the_others(dat
     assert "fewer than 200 demonstrations" in (few.error or "")
     assert enough.run is not None
     assert enough.error is None
+
+
+def test_where_a_machine_does_not_see_the_data_its_rows_fail_and_name_it(dataset, tmp_path) -> None:
+    elsewhere = replace(_job(dataset, tmp_path), dataset=tmp_path / "not-mounted" / "noise-tiny")
+    unseen, seen = train_jobs([elsewhere, _job(dataset, tmp_path)], local_executor(1))
+    assert f"the machine {socket.gethostname()!r} does not see the data set" in (unseen.error or "")
+    assert "not-mounted" in (unseen.error or "")
+    assert "under the same path" in (unseen.error or "")
+    assert seen.error is None
 
 
 def test_of_a_lost_job_the_rows_that_are_not_trained_fail(dataset, tmp_path) -> None:

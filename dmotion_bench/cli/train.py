@@ -328,11 +328,13 @@ def _train_all(
     rows = [told[row] for row in wanted]
     if as_json:
         print_json({"rows": rows})
-    if failed := [row["model"] for row in rows if row["error"]]:
-        raise RunError(
-            f"{len(failed)} of {len(rows)} trainings failed: {', '.join(failed)}; "
-            "run the same command to try them again."
-        )
+    failed = [row["model"] for row in rows if row["error"] and not row["busy"]]
+    busy = [row["model"] for row in rows if row["busy"]]
+    said = [f"{len(failed)} of {len(rows)} trainings failed: {', '.join(failed)}"] if failed else []
+    said += [f"another process is at {len(busy)} of {len(rows)} trainings: {', '.join(busy)}"] if busy else []
+    if said:
+        when = "" if failed else " later"
+        raise RunError(f"{'; '.join(said)}; run the same command{when} to try them again.")
     if not as_json:
         typer.echo("Score them with 'dmbench score --all'.")
 
@@ -341,7 +343,8 @@ def _told(outcome: Outcome, as_json: bool) -> dict[str, Any]:
     """What became of a row of the table; it is printed, unless all are at the end."""
     from dmotion_bench.cli.progress import duration, note
 
-    row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels, "error": outcome.error}
+    row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels}
+    row |= {"error": outcome.error, "busy": outcome.busy}
     if outcome.run is not None:
         row["run"] = str(outcome.run.path)
         result = outcome.run.result or {}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
+import socket
 import tempfile
 import threading
 import time
@@ -12,11 +14,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
+from dmotion_bench.execution.slurm_executor import cancel_left
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.lock import try_lock
 from dmotion_bench.workspace import Workspace
 
 SECONDS: Final = 0.5
 """Between two looks at the files, and between two writes of one."""
+_PREFIX: Final = ".jobs-"
+_USER: Final = "user"
+"""The file in a jobs' folder that names the machine of the command that uses it, which holds a lock on it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,17 +44,38 @@ class JobProgress:
 
 @contextlib.contextmanager
 def jobs_folder(workspace: Workspace) -> Iterator[Path]:
-    """A folder of the workspace in which jobs meet; what is left in it at the end is deleted, logs of failures stay."""
+    """A folder of the workspace in which jobs meet; what is left in it at the end is deleted, logs of failures stay.
+
+    What commands of this machine left that were killed is deleted first, and their jobs of Slurm are cancelled.
+    """
     workspace.root.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=".jobs-", dir=workspace.root)).absolute()
+    for user in workspace.root.glob(f"{_PREFIX}*/{_USER}"):
+        if _was_killed(user):
+            for inside in user.parent.iterdir():
+                cancel_left(inside)
+            shutil.rmtree(user.parent, ignore_errors=True)
+    folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=workspace.root)).absolute()
     try:
-        yield folder
+        with (folder / _USER).open("w") as user_file:
+            try_lock(user_file.fileno())
+            user_file.write(socket.gethostname())
+            user_file.flush()
+            yield folder
     finally:
         for left in folder.glob("*"):
             if left.is_file():
                 left.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             folder.rmdir()  # not while it holds the logs of jobs that failed
+
+
+def _was_killed(user: Path) -> bool:
+    """Whether the command that uses a folder is gone; of other machines, whose locks may not be seen here, never."""
+    try:
+        with user.open("r+") as file:
+            return file.read() == socket.gethostname() and try_lock(file.fileno()) is True
+    except OSError:
+        return False
 
 
 class ProgressFile:

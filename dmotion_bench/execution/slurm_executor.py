@@ -18,6 +18,7 @@ from typing import Any, Final, Generic, Literal
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
 from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result
 
+_NAME: Final = "dmbench"  # of all our jobs
 _ARRAY: Final = 1000  # tasks in a job array that every Slurm allows
 _LOOK_AGAIN: Final = {"slurm": 2.0, "local": 0.05}  # [s]
 _PATIENCE: Final = {"slurm": 90.0, "local": 0.0}
@@ -62,6 +63,7 @@ class SlurmExecutor:
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a job of Slurm")
+        cancel_left(self._folder)
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         executor = self._executor()
         running: list[_Submitted[Job]] = []
@@ -94,7 +96,7 @@ class SlurmExecutor:
         executor = self._submitit.AutoExecutor(folder=str(self._folder), cluster=self._cluster)
         size = self._size
         executor.update_parameters(
-            name="dmbench", timeout_min=size.minutes, cpus_per_task=size.processors, mem_gb=size.gigabytes
+            name=_NAME, timeout_min=size.minutes, cpus_per_task=size.processors, mem_gb=size.gigabytes
         )
         if size.gpus:
             executor.update_parameters(gpus_per_node=size.gpus)
@@ -164,6 +166,13 @@ class SlurmExecutor:
         deadline = time.monotonic() + _GOODBYE
         while not all(one.handle.done() for one in running) and time.monotonic() < deadline:
             time.sleep(0.05)
+
+
+def cancel_left(folder: Path) -> None:
+    """Cancel the jobs of Slurm whose files a command has left in its folder because it was killed."""
+    arrays = sorted({file.name.split("_")[0] for file in folder.glob("*_submission.sh")})
+    if arrays and shutil.which("scancel"):
+        subprocess.run(["scancel", f"--name={_NAME}", *arrays], check=False, capture_output=True)
 
 
 class _Submitted(Generic[Job]):

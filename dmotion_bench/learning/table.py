@@ -21,7 +21,15 @@ from typing import Any
 import torch
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.errors import DatasetError, DatasetMissing, DmbenchError, JobsLost, RunError, StorageFull
+from dmotion_bench.errors import (
+    DatasetError,
+    DatasetMissing,
+    DmbenchError,
+    FolderInUse,
+    JobsLost,
+    RunError,
+    StorageFull,
+)
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.beginning import finished_result
@@ -64,11 +72,13 @@ class Outcome:
         row: Which one.
         run: Its run, where there is one.
         error: Why it failed, in a sentence; None if it did not.
+        busy: Whether that is because another process trains the run now.
     """
 
     row: Row
     run: Run | None
     error: str | None = None
+    busy: bool = False
 
 
 def budgets(kind: type[ForwardModel[Any]], actions: ActionSpec | None) -> tuple[str, ...]:
@@ -116,6 +126,8 @@ def train_table(
             train(run)
         except StorageFull:
             raise
+        except FolderInUse:
+            yield Outcome(row=row, run=run, error="being trained by another process.", busy=True)
         except Exception as error:  # a stranger's model may raise anything; the others are to be trained
             told = isinstance(error, DmbenchError)
             yield Outcome(row=row, run=run, error=str(error) if told else f"{type(error).__name__}: {error}")
@@ -164,14 +176,44 @@ def _dataset_here(job: TableJob) -> Dataset:
         ) from error
 
 
-def train_rows(job: TableJob) -> list[tuple[Row, Path | None, str | None]]:
-    """Train the rows of one model in the present process: of each its run's folder, and why it failed if it did."""
+@dataclass(frozen=True, kw_only=True)
+class RowResult:
+    """What ``Outcome`` says, as plain values.
+
+    Attributes:
+        path: The folder of the run, where there is one.
+        row, error, busy: See ``Outcome``.
+    """
+
+    row: Row
+    path: Path | None
+    error: str | None
+    busy: bool = False
+
+    def outcome(self) -> Outcome:
+        """The outcome, on a machine that sees the run."""
+        return Outcome(row=self.row, run=self._run(), error=self.error, busy=self.busy)
+
+    def _run(self) -> Run | None:
+        """None, too, if the row failed so early that the run was not written."""
+        if self.path is None:
+            return None
+        try:
+            return Run.open(self.path)
+        except RunError:
+            if self.error is None:
+                raise
+            return None
+
+
+def train_rows(job: TableJob) -> list[RowResult]:
+    """Train the rows of one model in the present process."""
     torch.set_num_threads(job.threads)
     told = ProgressFile(job.progress)
     try:
         dataset = _dataset_here(job)
     except DatasetError as error:
-        return [(row, None, str(error)) for row in job.rows]
+        return [RowResult(row=row, path=None, error=str(error)) for row in job.rows]
 
     def complete(run: Run) -> None:
         if finished_result(run) is None:
@@ -182,7 +224,10 @@ def train_rows(job: TableJob) -> list[tuple[Row, Path | None, str | None]]:
         outcomes = list(train_table(job.request, dataset, Workspace(job.workspace), complete, job.rows))
     finally:
         told.end()
-    return [(one.row, one.run.path if one.run is not None else None, one.error) for one in outcomes]
+    return [
+        RowResult(row=one.row, path=None if one.run is None else one.run.path, error=one.error, busy=one.busy)
+        for one in outcomes
+    ]
 
 
 def train_side_by_side(
@@ -236,8 +281,8 @@ def train_jobs(jobs: Sequence[TableJob], executor: Executor) -> Generator[Outcom
     with contextlib.closing(results):
         try:
             for found in results:
-                for row, path, error in found:
-                    yield Outcome(row=row, run=None if path is None else _run_at(path, error), error=error)
+                for one in found:
+                    yield one.outcome()
         except JobsLost as lost:
             for job in lost.jobs:
                 yield from _what_is_trained(job, lost)
@@ -251,16 +296,6 @@ def _what_is_trained(job: TableJob, why: JobsLost) -> Iterator[Outcome]:
             raise why
 
     return train_table(job.request, Dataset.open(job.dataset), Workspace(job.workspace), look, job.rows)
-
-
-def _run_at(path: Path, error: str | None) -> Run | None:
-    """The run of a row; None if the row failed so early that there is none yet."""
-    try:
-        return Run.open(path)
-    except RunError:
-        if error is None:
-            raise
-        return None
 
 
 def _said(run: Run, report: Report) -> JobProgress:

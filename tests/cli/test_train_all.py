@@ -20,6 +20,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import training_data
 from dmotion_bench.learning.threads import using_threads
 from dmotion_bench.specs import Supervision
+from dmotion_bench.storage.lock import held
 
 Command = Callable[..., Outcome]
 
@@ -59,6 +60,20 @@ def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: p
     assert "no model named 'ed-cnm'; did you mean 'ed-cnn'?" in failed
     assert trained.startswith("lapo ")
     assert "4 labels" in trained
+
+
+def test_a_run_that_another_process_trains_is_no_failure_of_its_model(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table, "model_names", lambda: ["ed-cnn", "lapo"])
+    monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
+    monkeypatch.setitem(table.BUDGETS, Supervision.ACTIONS, ("100%",))
+    (busy := tmp_path / "runs" / "lapo-walk-tiny-s0").mkdir(parents=True)
+    with held(busy):
+        outcome = run("train", "--all", "--workers", "1")
+    assert outcome.code == 1
+    assert "another process is at 1 of 2 trainings: lapo; run the same command later" in outcome.sentence()
+    assert outcome.out.splitlines()[1].split(maxsplit=2) == ["lapo", "one-shot", "being trained by another process."]
 
 
 @pytest.mark.slow

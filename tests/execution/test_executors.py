@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import pickle
 import random
+import signal
 import subprocess
 import sys
 import threading
@@ -37,11 +38,13 @@ from dmotion_bench.execution.executor import (
     JobQueue,
 )
 from dmotion_bench.execution.executors import make_executor
+from dmotion_bench.execution.job_progress import jobs_folder
 from dmotion_bench.execution.local_executor import LocalExecutor
 from dmotion_bench.execution.slurm_executor import SlurmExecutor
 from dmotion_bench.recording import session
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.workspace import Workspace
 
 pytestmark = pytest.mark.slow
 
@@ -229,6 +232,39 @@ def test_leaving_cancels_the_job_array(tmp_path: Path, slurm: Path) -> None:
         assert time.monotonic() < deadline
         time.sleep(0.05)
     assert not (tmp_path / "ended-1").exists()
+
+
+KILLED = """
+import os, signal, sys, threading, time
+from pathlib import Path
+from mortal_workers import LeavesTraces
+from dmotion_bench.execution.executors import make_executor
+from dmotion_bench.execution.job_progress import jobs_folder
+from dmotion_bench.workspace import Workspace
+
+root, scratch = Path(sys.argv[1]), Path(sys.argv[2])
+with jobs_folder(Workspace(root)) as folder:
+    executor = make_executor("slurm", 2, folder / "slurm" if scratch.name == "own" else scratch)
+    for _ in executor.map_unordered(LeavesTraces(root, seconds=60), range(2)):
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@needs_submitit
+@pytest.mark.parametrize("scratch", ["own", "of-a-recording"])
+def test_the_next_command_cancels_the_jobs_of_one_that_was_killed(tmp_path: Path, slurm: Path, scratch: str) -> None:
+    words = [sys.executable, "-c", KILLED, str(tmp_path), str(tmp_path / scratch)]
+    assert subprocess.run(words, check=False, timeout=120).returncode == -signal.SIGKILL
+    assert b"RUNNING" in subprocess.run(["sacct"], capture_output=True, check=True).stdout
+    with jobs_folder(Workspace(tmp_path)):
+        if scratch != "own":
+            assert list(make_executor("slurm", 2, tmp_path / scratch).map_unordered(abs, [-1])) == [1]
+    deadline = time.monotonic() + 10
+    while b"RUNNING" in subprocess.run(["sacct"], capture_output=True, check=True).stdout:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert not (tmp_path / "ended-1").exists()
+    assert not list(tmp_path.glob(".jobs-*"))
 
 
 @needs_ray

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
-from dmotion_bench.execution.job_progress import SECONDS, JobProgress, ProgressFile, read_progress, watching
+from dmotion_bench.execution.job_progress import (
+    SECONDS,
+    JobProgress,
+    ProgressFile,
+    jobs_folder,
+    read_progress,
+    watching,
+)
+from dmotion_bench.workspace import Workspace
 
 
 def test_what_a_job_says_is_read_until_it_ends(tmp_path: Path) -> None:
@@ -30,6 +40,35 @@ def test_files_that_cannot_be_read_or_written_are_left_out(tmp_path: Path) -> No
     ProgressFile(None).tell(JobProgress(what="nobody asks", done=0, total=None))
 
     assert read_progress(tmp_path) == {}
+
+
+HELD = """
+import sys, time
+from dmotion_bench.execution.job_progress import jobs_folder
+from dmotion_bench.workspace import Workspace
+
+with jobs_folder(Workspace(sys.argv[1])) as folder:
+    (folder / "slurm").mkdir()
+    (folder / "slurm" / "task.pkl").touch()
+    print(folder, flush=True)
+    time.sleep(60)
+"""
+
+
+def test_what_a_killed_command_left_is_deleted_and_nothing_else(tmp_path: Path) -> None:
+    (logs := tmp_path / ".jobs-logs" / "slurm").mkdir(parents=True)  # of jobs that failed, of a command that ended
+    (far := tmp_path / ".jobs-far").mkdir()
+    (far / "user").write_text("another machine")
+    with subprocess.Popen([sys.executable, "-c", HELD, str(tmp_path)], stdout=subprocess.PIPE, text=True) as command:
+        assert command.stdout is not None
+        folder = Path(command.stdout.readline().strip())
+        with jobs_folder(Workspace(tmp_path)):
+            assert (folder / "slurm" / "task.pkl").is_file()
+        command.kill()
+    assert (folder / "slurm" / "task.pkl").is_file()
+    with jobs_folder(Workspace(tmp_path)) as own:
+        assert sorted(tmp_path.iterdir()) == sorted([logs.parent, far, own])
+    assert sorted(tmp_path.iterdir()) == sorted([logs.parent, far])
 
 
 def test_it_is_shown_while_the_jobs_run(tmp_path: Path) -> None:

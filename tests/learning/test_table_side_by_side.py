@@ -58,7 +58,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def in_turn(data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     workspace = tmp_path_factory.mktemp("in-turn")
     for job in jobs_in(data, workspace):
-        assert [error for _, _, error in train_rows(job)] == [None] * len(job.rows)
+        assert [one.error for one in train_rows(job)] == [None] * len(job.rows)
     return weights_in(workspace)
 
 

@@ -36,6 +36,7 @@ from dmotion_bench.learning.training import train as train_steps
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.registry import MODELS, is_built_in, model_class
 from dmotion_bench.specs import Preset
+from dmotion_bench.storage.atomic import is_unused
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_before_training
 from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace
@@ -157,7 +158,7 @@ def begin(
     folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
         raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave out --resume to start one.")
-    if not (folder / RUN_MANIFEST).exists() and folder.is_dir() and any(folder.iterdir()):
+    if not (folder / RUN_MANIFEST).exists() and not is_unused(folder):
         raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
     return open_run(request, dataset, folder, workspace)
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.twins import take_over
+from dmotion_bench.storage.lock import held
 from dmotion_bench.wording import shown
 
 _MOST_NAMED: Final = 5
@@ -24,13 +25,18 @@ def finished_result(
     Args:
         run: Its folder may be changed.
         note, warn: Told in a sentence what was found; and that the model's code was changed since.
+
+    Raises:
+        FolderInUse: Another training of the run is going on.
+        RunMismatch: Another command has begun a run with other settings in the folder since this one was looked up.
     """
     if run.result is not None:
-        try:
-            run.weights()
-        except (RunMissing, RunCorrupt) as error:
-            note(f"{error}\ntraining {run.path} anew.")
-            run.begin_anew()
+        if (damage := _damage(run)) is not None:
+            note(f"{damage}\ntraining {run.path} anew.")
+            with held(run.path):
+                run.read_again()
+                if run.result is not None and _damage(run) is not None:  # else another command was faster
+                    run.begin_anew()
         else:
             note(f"{run.path} is already trained; here is its result.")
             tell_changes(run, warn)
@@ -41,6 +47,15 @@ def finished_result(
     elif run.last.exists():
         note(f"going on with {run.path}.")
         tell_changes(run, warn)
+    return None
+
+
+def _damage(run: Run) -> RunMissing | RunCorrupt | None:
+    """Why the weights of a finished run cannot be used; None if they can."""
+    try:
+        run.weights()
+    except (RunMissing, RunCorrupt) as error:
+        return error
     return None
 
 

@@ -112,11 +112,7 @@ class Run:
         """
         if (path / RUN_MANIFEST).exists():
             run = cls.open(path)
-            if differing := run.differences(spec, threads):
-                raise RunMismatch(
-                    f"{str(path)!r} holds another run: {'; '.join(differing)}. "
-                    "Name another folder with '--out DIR', or delete this one."
-                )
+            run._require_same(spec, threads)
             run.threads = run.threads or threads
             return run
         manifest = {
@@ -128,6 +124,29 @@ class Run:
             "result": None,
         }
         return cls(path, manifest, threads)
+
+    def _require_same(self, spec: RunSpec, threads: int | None) -> None:
+        if differing := self.differences(spec, threads):
+            raise RunMismatch(
+                f"{str(self.path)!r} holds another run: {'; '.join(differing)}. "
+                "Name another folder with '--out DIR', or delete this one."
+            )
+
+    def read_again(self) -> None:
+        """Take up what ``run.json`` says by now; for a process that holds the folder's lock.
+
+        Another command may have begun the run, or finished it, since this process read the file.
+
+        Raises:
+            RunMismatch: The folder holds a run that asks for something else; says what differs.
+            RunCorrupt: The file cannot be read.
+            RunError: It may not be opened.
+        """
+        if not (self.path / RUN_MANIFEST).exists():
+            return
+        there = Run.open(self.path)
+        there._require_same(self.spec, self.threads)
+        self.manifest, self.spec, self.threads = there.manifest, there.spec, there.threads or self.threads
 
     def differences(self, spec: RunSpec, threads: int | None) -> list[str]:
         """The settings in which another request differs from this run; ``threads`` None stands for any number.
@@ -247,6 +266,7 @@ class Run:
         for file in (self.last, self.best, self.watched, self.unadapted, self.metrics):
             file.unlink(missing_ok=True)
         self.manifest |= {"code": code_of(self.spec.model), "result": None}
+        self.manifest.pop("trained_as", None)
         self.write()
 
     def write(self) -> None:

@@ -90,6 +90,7 @@ def train(
         PackageNotInstalled: One that a tracker needs is not there.
         LabelsNotAvailable: The budget asks for labels that are not there; before the first step.
         FolderInUse: Another training of the run is going on.
+        RunMismatch: Another command has begun a run with other settings in the folder since this one was looked up.
         ProcessLost: Another process of several that train together has ended.
         KeyboardInterrupt: After the checkpoint of the step that was interrupted has been written.
     """
@@ -180,8 +181,15 @@ class _Trainer:
 
         return self.companions.of_first(settled)
 
+    def _result(self) -> dict[str, Any] | None:
+        """The run's result, if another command has finished it since it was looked up."""
+        self.run.read_again()
+        return self.run.result
+
     def fit(self, on_step: Callable[[Report], None], trackers: Sequence[str]) -> dict[str, Any]:
-        self.conditions = self._settle()  # here, where nobody else trains the run
+        if (result := self.companions.of_first(self._result)) is not None:  # here, where nobody else trains the run
+            return result
+        self.conditions = self._settle()
         torch.set_num_threads(self.conditions.threads)
         self._resume()
         with contextlib.ExitStack() as opened:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +20,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.lock import held
 
 AFTERWARDS: Final = ("adaptation", "adaptation_steps", "adaptation_rate")
 """Of the training's settings those that concern only what comes after the part without labels."""
@@ -39,24 +41,44 @@ def training_of(run: Run) -> str | None:
 def take_over(run: Run) -> Run | None:
     """Start a new run from the part of another run that needed no labels; the two differ only in their labels.
 
+    ``run.json`` is written first and the checkpoint last. So a killed process leaves a run that has not begun, and the
+    next one takes over the same training, or any other.
+
     Returns:
         Whose training it was; None where there is none, or the run has one of its own.
+
+    Raises:
+        FolderInUse: Another training of the run is going on.
+        RunMismatch: Another command has begun a run with other settings in the folder since this one was looked up.
     """
     if run.result is not None or run.last.exists():
         return None
-    for folder in sorted(run.path.parent.glob("*/")):
-        if (twin := _twin(run, folder)) is None:
-            continue
-        if files := _shared(twin):
-            run.path.mkdir(parents=True, exist_ok=True)
-            for name, source in files.items():
-                write_atomically(run.path / name, source.read_bytes())
-            run.manifest |= {"trained_as": twin.name, "code": twin.manifest.get("code", {})}
-            if twin.conditions is not None:
-                run.begin(twin.conditions)
+    twin, files = next(_sources(run), (None, {}))
+    if twin is None and "trained_as" not in run.manifest:
+        return None
+    run.path.mkdir(parents=True, exist_ok=True)
+    with held(run.path):
+        run.read_again()
+        if run.result is not None or run.last.exists():
+            return None
+        if twin is None:  # the one that a killed process began to take over is gone
+            run.begin_anew()
+            return None
+        run.manifest |= {"trained_as": twin.name, "code": twin.manifest.get("code", {})}
+        if twin.conditions is None:
             run.write()
-            return twin
-    return None
+        else:
+            run.begin(twin.conditions)
+        for name, source in files.items():
+            write_atomically(run.path / name, source.read_bytes())
+    return twin
+
+
+def _sources(run: Run) -> Iterator[tuple[Run, dict[str, Path]]]:
+    """The runs beside this one whose training can be taken over, each with the files of it."""
+    for folder in sorted(run.path.parent.glob("*/")):
+        if (twin := _twin(run, folder)) is not None and (files := _shared(twin)):
+            yield twin, files
 
 
 def _twin(run: Run, folder: Path) -> Run | None:

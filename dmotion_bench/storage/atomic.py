@@ -5,15 +5,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from dmotion_bench.errors import StorageFull
 from dmotion_bench.storage.lock import OPENS_FOLDERS, try_lock
 
 TEMPORARY_SUFFIX = ".part"
+_TEMPORARY: Final = re.compile(rf".+\.[0-9a-f]{{8}}\{TEMPORARY_SUFFIX}")
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a disk, a quota or a file that can take no more."""
 
@@ -91,6 +93,11 @@ def write_atomically(path: Path, data: bytes, *, make_folders: bool = True) -> N
     """Replace a small file in one step; for ``make_folders`` see ``atomic_file``."""
     with atomic_file(path, make_folders=make_folders) as file:
         file.write(data)
+
+
+def is_unused(folder: Path) -> bool:
+    """Whether a folder is missing, empty, or holds nothing but temporary files of a process that was killed."""
+    return not folder.is_dir() or all(_TEMPORARY.fullmatch(path.name) for path in folder.iterdir())
 
 
 def remove_leftovers(folder: Path) -> None:

@@ -15,7 +15,7 @@ from types import TracebackType
 
 from dmotion_bench.errors import DatasetError, RecipeMismatch, UsageError
 from dmotion_bench.specs import IMPORTED, DatasetRecipe, EnvSpec, Episode
-from dmotion_bench.storage.atomic import remove_leftovers
+from dmotion_bench.storage.atomic import is_unused, remove_leftovers
 from dmotion_bench.storage.lock import ANOTHER_FOLDER, FolderLock
 from dmotion_bench.storage.manifest import Manifest, Replay, ShardEntry, record_words
 from dmotion_bench.storage.mcap_reader import DamagedFile
@@ -86,9 +86,6 @@ class DatasetWriter:
         """
         begun = Manifest(recipe=recipe, spec=spec, versions=versions((*_PACKAGES, *packages)))
         begun.require_possible()
-        existing = path.is_dir() and any(path.iterdir())
-        if existing and not (path / DATASET_MANIFEST).is_file():
-            raise UsageError(f"{str(path)!r} is not empty and holds no data set; name another folder with '--out DIR'.")
         try:
             path.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError):
@@ -97,13 +94,14 @@ class DatasetWriter:
             ) from None
         lock = FolderLock(path, ANOTHER_FOLDER)
         try:
+            existing = _is_begun(path)  # looked at here, where nobody else writes
             receipts: list[ShardReceipt] = []
             standing: Manifest | None = None
             if existing:
                 standing = Manifest.read(path)
                 check_recipe(standing, recipe, spec, path)
-                _remove_leftovers(path)
                 receipts = list(_standing_shards(path, recipe, spec))
+            _remove_leftovers(path)
             writer = cls(path, recipe, spec, receipts, lock, packages)
             writer._begun_here = not existing
             if not writer.missing:
@@ -245,6 +243,18 @@ def deleted(path: Path) -> DatasetError:
         f"{shown(str(path))} was deleted, moved or replaced while it was written; run the same command again to begin "
         "anew."
     )
+
+
+def _is_begun(path: Path) -> bool:
+    """Whether a folder holds a data set, finished or not.
+
+    Raises:
+        UsageError: It holds something else.
+    """
+    begun = (path / DATASET_MANIFEST).is_file()
+    if not begun and not is_unused(path):
+        raise UsageError(f"{str(path)!r} is not empty and holds no data set; name another folder with '--out DIR'.")
+    return begun
 
 
 def _remove_leftovers(path: Path) -> None:

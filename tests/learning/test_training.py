@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import json
 import shutil
 from collections.abc import Mapping
@@ -9,15 +11,20 @@ from pathlib import Path
 
 import pytest
 import torch
+from killed_writes import Killed, each_kill, killed_at
 from walking_square import record_walks
 
+from dmotion_bench.api.training import begin, complete
 from dmotion_bench.errors import FolderInUse, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.beginning import finished_result
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve, training_data
 from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.twins import take_over
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.lock import held
 from dmotion_bench.workspace import Workspace
 
 SETTINGS = ("batch_size=4", "epochs=0.4", "validations=3", "ema=0.9")
@@ -321,6 +328,96 @@ def test_a_run_is_trained_by_one_at_a_time(recorded, tmp_path) -> None:
 
     with pytest.raises(Stopped):
         train(run, data, launch("cpu"), train_too)
+
+
+def test_settings_are_compared_with_what_another_command_has_begun_meanwhile(recorded, trained, tmp_path) -> None:
+    run, other = _run(recorded, tmp_path / "run"), _run(recorded, tmp_path / "run", seed=1)
+    shutil.copytree(trained.path, tmp_path / "run")
+    before = _bytes_of(run)
+    with pytest.raises(RunMismatch, match="holds another run: seed is 0 there and 1 here"):
+        _train(other, recorded)
+    _train(run, recorded, stop_at=1)  # was finished meanwhile
+    assert run.result == trained.result
+    assert _bytes_of(run) == before
+
+
+def test_conditions_are_those_that_another_command_has_begun_with(recorded, trained, tmp_path) -> None:
+    run = _run(recorded, tmp_path / "run")
+    with pytest.raises(Stopped):
+        _train(_run(recorded, run.path, threads=3), recorded, stop_at=1)
+    _train(run, recorded)
+    assert Run.open(run.path).conditions.threads == run.result["threads"] == 3
+
+
+def test_no_training_is_taken_over_into_a_folder_that_another_command_has_begun(recorded, trained, tmp_path) -> None:
+    shutil.copytree(trained.path, tmp_path / "one")
+    run = _run(recorded, tmp_path / "two", labels="5-shot")
+    other = _run(recorded, run.path, seed=1)
+    run.path.mkdir()
+    other.write()
+    with pytest.raises(RunMismatch, match="seed is 1 there and 0 here"):
+        finished_result(run)
+    assert [path.name for path in run.path.iterdir()] == ["run.json"]
+    assert Run.open(run.path).spec.seed == 1
+
+
+def test_damaged_weights_are_not_deleted_while_another_command_trains_them_anew(recorded, trained, tmp_path) -> None:
+    damaged = Run.open(shutil.copytree(trained.path, tmp_path / "run"))
+    damaged.best.write_bytes(b"")
+    with held(damaged.path), pytest.raises(FolderInUse):
+        finished_result(damaged)
+    assert damaged.last.exists()
+
+
+def test_a_training_that_was_killed_in_its_first_moments_goes_on(recorded, trained, tmp_path) -> None:
+    request = TrainingRequest(model="dmotion", settings=SETTINGS)
+
+    def work(moment: int) -> Run:
+        run = begin(request, Dataset.open(recorded), Workspace(tmp_path), tmp_path / f"{moment}")
+        with contextlib.suppress(Stopped):
+            _train(run, recorded, stop_at=1)
+        return run
+
+    for moment in itertools.takewhile(lambda moment: moment < 4, each_kill(work)):
+        again = work(moment)
+        assert again.conditions is not None
+        assert not list(again.path.glob("*.part"))
+
+
+def test_a_training_that_was_killed_while_it_took_another_over_goes_on(recorded, trained, tmp_path) -> None:
+    request = TrainingRequest(model="dmotion", labels="5-shot", settings=SETTINGS)
+
+    def work(name: object) -> Run:
+        shutil.copytree(trained.path, tmp_path / f"{name}" / "one", dirs_exist_ok=True)
+        run = begin(request, Dataset.open(recorded), Workspace(tmp_path), tmp_path / f"{name}" / "two")
+        complete(run, Dataset.open(recorded), "cpu")
+        return run
+
+    whole, kills = work("whole"), 0
+    for moment in each_kill(work):
+        again = work(moment)
+        assert again.manifest["trained_as"] == "one"
+        assert again.result == whole.result
+        assert _bytes_of(again) == _bytes_of(whole)
+        kills += 1
+    assert kills > 12
+
+
+def test_a_training_whose_twin_was_deleted_while_it_was_taken_over_begins_anew(recorded, trained, tmp_path) -> None:
+    shutil.copytree(trained.path, tmp_path / "one")
+    with contextlib.suppress(Killed), killed_at(7):
+        take_over(_run(recorded, tmp_path / "two", labels="5-shot"))
+    run = _run(recorded, tmp_path / "two", labels="5-shot")
+    assert run.manifest["trained_as"] == "one"
+    assert run.metrics.exists()
+    shutil.rmtree(tmp_path / "one")
+    assert take_over(run) is None
+    assert "trained_as" not in Run.open(run.path).manifest
+    assert not run.metrics.exists()
+
+
+def _bytes_of(run: Run) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in run.path.iterdir() if path.is_file()}
 
 
 def test_damaged_runs_are_said_in_a_sentence(trained, tmp_path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dmotion_bench.storage import atomic, lock
-from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, atomic_file, remove_leftovers
+from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, atomic_file, is_unused, remove_leftovers
 
 
 def no_locks(_handle: int, *, blocking: bool) -> bool:
@@ -38,6 +38,15 @@ def test_only_what_nobody_writes_any_more_is_deleted(tmp_path: Path) -> None:
     remove_leftovers(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["alive", "folder.part"]
     assert (tmp_path / "alive").read_bytes() == b"whole"
+
+
+def test_a_folder_is_unused_until_something_is_finished_in_it(tmp_path: Path) -> None:
+    assert is_unused(tmp_path / "missing")
+    assert is_unused(tmp_path)
+    _killed_while_writing(tmp_path / "dead")
+    assert is_unused(tmp_path)
+    (tmp_path / "film.mp4.part").touch()  # of another program: it is neither ignored nor deleted
+    assert not is_unused(tmp_path)
 
 
 def test_a_file_that_is_taken_for_a_leftover_before_it_is_locked_is_begun_again(

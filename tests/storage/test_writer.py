@@ -7,12 +7,14 @@ import os
 from pathlib import Path
 
 import pytest
+from killed_writes import each_kill
 from noise_world import files_of, noise_episode, noise_lengths, noise_spec, write_noise
 
 from dmotion_bench.errors import DatasetError, FolderInUse, RecipeMismatch, StorageFull, UsageError
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.lock import FolderLock
 from dmotion_bench.storage.writer import DatasetWriter
 
 SPEC = noise_spec()
@@ -112,6 +114,38 @@ def test_what_a_killed_process_leaves_is_taken_away_or_written_anew(tmp_path: Pa
             write_shard(writer, index)
         writer.finish()
     assert files_of(folder) == whole
+
+
+def record(folder: Path) -> None:
+    with DatasetWriter.create_or_resume(folder, RECIPE, SPEC) as writer:
+        for index in writer.missing:
+            write_shard(writer, index)
+        writer.finish()
+
+
+def test_a_recording_that_was_killed_at_any_moment_goes_on(tmp_path: Path) -> None:
+    whole, kills = files_of(write_noise(tmp_path / "whole").path), 0
+    for moment in each_kill(lambda moment: record(tmp_path / f"{moment}")):
+        record(tmp_path / f"{moment}")
+        assert files_of(tmp_path / f"{moment}") == whole
+        kills += 1
+    assert kills > 20
+
+
+def test_a_recipe_is_compared_with_what_another_writer_has_just_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that held the lock while this one was about to ask for it."""
+
+    def late(path: Path, way_out: str) -> FolderLock:
+        monkeypatch.undo()
+        write_noise(path)
+        return FolderLock(path, way_out)
+
+    monkeypatch.setattr("dmotion_bench.storage.writer.FolderLock", late)
+    with pytest.raises(RecipeMismatch, match="seed is 0 there and 1 here"):
+        DatasetWriter.create_or_resume(tmp_path / "d", dataclasses.replace(RECIPE, seed=1), SPEC)
+    assert len(Dataset.open(tmp_path / "d")) == 7
 
 
 def test_finish_wants_every_shard(tmp_path: Path) -> None:

@@ -58,6 +58,10 @@ class DmbenchError(Exception):
     def __init__(self, said: str = "") -> None:
         super().__init__(sentence(said))
 
+    def add(self, said: str) -> None:
+        """Put another sentence behind those that are there."""
+        self.args = (sentence(f"{str(self).removesuffix('.')}. {said}"),)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (type(self), self.args, self.__dict__)
 
@@ -139,7 +143,7 @@ class PlaceUnreachable(DatasetError):
 
 
 class RecordingFailed(DmbenchError):
-    """An environment or a policy failed in the middle of an episode, so that there can be no such data set."""
+    """An environment or a policy failed in the middle of an episode."""
 
 
 class RecordingImportError(DmbenchError):

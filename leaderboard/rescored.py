@@ -15,7 +15,7 @@ from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL
 from dmotion_bench.scoring.references import REFERENCES
-from dmotion_bench.scoring.report import SAMPLES_FILE
+from dmotion_bench.scoring.report import SAMPLES_FILE, samples_path
 from dmotion_bench.scoring.samples import (
     FIGURE_COLUMNS,
     GAIN,
@@ -51,7 +51,8 @@ _KEY: Final = ("episode", "step", "ahead")
 
 def stored_samples(check: Findings, folder: Path) -> pa.Table | None:
     """The samples beside the run's report."""
-    said, path = check.entry.content["samples"], folder / SAMPLES_FILE
+    said = check.entry.content["samples"]
+    path = samples_path(folder, said["sha256"])
     if not path.is_file():
         check.wrong.append(f"samples: there is no {str(path)!r} to hold the figures against")
         return None

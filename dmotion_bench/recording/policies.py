@@ -68,12 +68,12 @@ def _checked(name: str, policy: Any) -> Policy:
         except Exception as error:
             raise RecordingFailed(
                 f"the policy {shown(name)} raised {type(error).__name__}: {error}; it is called with the environment "
-                "and a numpy.random.Generator. Nothing is recorded."
+                "and a numpy.random.Generator."
             ) from error
         if fault:
             raise RecordingFailed(
                 f"the policy {shown(name)} chose {fault.replace(' in step 0', '')}; it returns one of "
-                f"{env.facts.id!r}'s actions: {env.facts.actions}. Nothing is recorded."
+                f"{env.facts.id!r}'s actions: {env.facts.actions}."
             )
         return action
 

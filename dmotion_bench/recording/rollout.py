@@ -167,9 +167,7 @@ def _recorded(facts: EnvSpec, actions: Sequence[Action]) -> Int[np.ndarray, " s"
         InvalidSetting: The environment names none, or one of them cannot be.
     """
     if facts.actions is None:
-        raise InvalidSetting(
-            f"the environment {facts.id!r} does not say what can be done in it, so nothing is recorded."
-        )
+        raise InvalidSetting(f"the environment {facts.id!r} does not say what can be done in it.")
     taken = np.array(actions, facts.actions.dtype).reshape(len(actions), *facts.actions.shape)
     if fault := facts.actions.fault(taken):
         raise InvalidSetting(f"the policy of {facts.id!r} took {fault}; mend the policy.")

@@ -141,6 +141,13 @@ def record_dataset(
         recipe: What to record.
         executor: Who makes the shards; this process by default.
         on_progress: Called at the start and after each shard.
+
+    Raises:
+        RecordingFailed: The environment or the policy failed; says what is kept.
+        PackageNotInstalled: One that the environment needs is not there.
+        UsageError: The environment cannot be recorded so, or the folder holds something else.
+        RecipeMismatch: The folder holds a data set of another recipe.
+        FolderInUse: Another process records into the folder.
     """
     if (address := remote_address(path)) is not None:
         return _record_elsewhere(address, recipe, executor, on_progress)
@@ -150,8 +157,8 @@ def record_dataset(
     with DatasetWriter.create_or_resume(path, recipe, spec, packages) as writer:
         try:
             progress = _record_missing(writer, executor, on_progress)
-        except (RecordingFailed, PackageNotInstalled, UsageError):  # the same would happen again
-            writer.withdraw()
+        except (RecordingFailed, PackageNotInstalled, UsageError) as error:
+            error.add(writer.withdraw())
             raise
         replay = None if writer.complete is None else writer.complete.replay
         if writer.complete is None and _is_unproven(recipe.environment):

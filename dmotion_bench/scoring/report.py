@@ -41,9 +41,10 @@ import pyarrow as pa
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.samples import read_samples, write_samples
-from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.atomic import sync_folder, write_atomically
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
+from dmotion_bench.storage.lock import held
 from dmotion_bench.wording import shown
 
 PROTOCOL = "dmbench-1"
@@ -79,6 +80,8 @@ REPORT_FILE = "report.json"
 TRANSFERS = "on"
 """Folder in a run's report for those on other data sets, a folder each."""
 SAMPLES_FILE = "samples.parquet"
+_WAITING = "samples-new.parquet"
+"""New samples, until the report that holds their hash is written."""
 
 FigureJson = Mapping[str, float | int | None]
 
@@ -155,16 +158,61 @@ def report_place(dataset: str | None, split: str = "test", column: str | None = 
 
 
 def write_report(folder: Path, report: Report, samples: pa.Table) -> Report:
-    """Write the samples, then the report with their hash; each file is complete or absent."""
-    path = folder / SAMPLES_FILE
+    """Write the samples and the report with their hash.
+
+    The new samples wait under a name of their own until the new report is written, and then replace the old ones. So
+    a process that is killed leaves the old report with its samples, or the new one with its own.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    write_samples(path, samples)
+    settle_samples(folder)
+    waiting = folder / _WAITING
+    write_samples(waiting, samples)
     known = {field.name: getattr(report, field.name) for field in fields(report)}
-    known["samples"] = {"file": SAMPLES_FILE, "rows": len(samples), "sha256": _sha256(path)}
+    known["samples"] = {"file": SAMPLES_FILE, "rows": len(samples), "sha256": _sha256(waiting)}
     complete = Report(**known)
     content = json.dumps({"protocol": PROTOCOL} | known, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     write_atomically(folder / REPORT_FILE, content.encode())
+    waiting.replace(folder / SAMPLES_FILE)
+    sync_folder(folder)
     return complete
+
+
+def settle_samples(folder: Path) -> None:
+    """Finish what a process that was killed began; for the one that holds the folder's lock.
+
+    Samples that wait take the place of the old ones if the report is theirs; if not, they are deleted.
+
+    Raises:
+        RunCorrupt: The report cannot be read.
+    """
+    waiting = folder / _WAITING
+    if not waiting.is_file():
+        return
+    report = read_report(folder)
+    if report is not None and samples_path(folder, report.samples["sha256"]) == waiting:
+        waiting.replace(folder / SAMPLES_FILE)
+        sync_folder(folder)
+    else:
+        waiting.unlink()
+
+
+def settled(folder: Path) -> Path:
+    """The folder, after ``settle_samples`` where a killed process left something; for readers of whole folders.
+
+    Raises:
+        FolderInUse: A report is being written there.
+        RunCorrupt: The report cannot be read.
+    """
+    if (folder / _WAITING).is_file():
+        with held(folder):
+            settle_samples(folder)
+    return folder
+
+
+def samples_path(folder: Path, sha256: str) -> Path:
+    """The file of a report's samples: ``samples.parquet``, or after a kill perhaps the one that still waits."""
+    waiting = folder / _WAITING
+    return waiting if waiting.is_file() and _sha256(waiting) == sha256 else folder / SAMPLES_FILE
 
 
 def read_report(folder: Path) -> Report | None:
@@ -235,8 +283,8 @@ def _require_fields(report: Fields) -> None:
 
 def read_report_samples(folder: Path, report: Report) -> pa.Table | None:
     """The samples that belong to a report; None if they are missing or have another hash."""
-    path = folder / SAMPLES_FILE
-    if not path.is_file() or _sha256(path) != report.samples.get("sha256"):
+    path = samples_path(folder, report.samples["sha256"])
+    if not path.is_file() or _sha256(path) != report.samples["sha256"]:
         return None
     return read_samples(path)
 

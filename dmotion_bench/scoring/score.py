@@ -39,6 +39,7 @@ from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
     Report,
     read_report,
+    settle_samples,
     write_report,
 )
 from dmotion_bench.scoring.run_report import compose_report
@@ -209,6 +210,7 @@ def score_run(
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder):
         remove_leftovers(folder)
+        settle_samples(folder)
         report, samples = standing_report(folder, run, dataset)
         true: tuple[str, ...] = ()
         if report is not None:

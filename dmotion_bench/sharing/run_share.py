@@ -22,7 +22,7 @@ from typing import Any, Final
 from dmotion_bench.errors import RunMissing
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.columns import COLUMNS
-from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, SAMPLES_FILE, TRANSFERS
+from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, SAMPLES_FILE, TRANSFERS, settled
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.sharing.place import HASH, plain_name
 from dmotion_bench.storage.json_fields import Fields
@@ -175,7 +175,7 @@ def _files(run: Run) -> Iterator[Path]:
     yield run.best
     if run.metrics.is_file():
         yield run.metrics
-    for folder in (run.path / REPORT_FOLDER, *transfer_folders(run.path)):
+    for folder in map(settled, (run.path / REPORT_FOLDER, *transfer_folders(run.path))):
         files = [folder / REPORT_FILE, folder / SAMPLES_FILE]
         if all(one.is_file() and _REPORT.fullmatch(one.relative_to(run.path).as_posix()) for one in files):
             yield from files

@@ -167,10 +167,25 @@ class DatasetWriter:
         standing = self._standing
         return standing if standing is not None and standing.complete and standing.recipe == self.recipe else None
 
-    def withdraw(self) -> None:
-        """Delete what was written, if the data set was begun by this writer: there can be no such data set."""
-        if not self._begun_here:
-            return
+    def withdraw(self) -> str:
+        """Delete the folder if this writer began it and no shard is whole: there may be no such data set.
+
+        A shard that is whole stays: where one machine of many fails, the work of the others is not lost.
+
+        Returns:
+            A sentence that says what is kept.
+        """
+        if self._receipts:
+            kept = sum(len(receipt.rows) for receipt in self._receipts.values())
+            return (
+                f"{kept:,} of {self.recipe.episodes:,} episodes are recorded and kept; once the cause is mended, the "
+                "same command goes on where it stopped."
+            )
+        if self._begun_here:
+            self._delete()
+        return "Nothing is recorded."
+
+    def _delete(self) -> None:
         for folder in (VIDEO, LABELS):
             shutil.rmtree(self.path / folder, ignore_errors=True)
         (self.path / DATASET_MANIFEST).unlink(missing_ok=True)

@@ -238,7 +238,7 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             )
             raise RecordingFailed(
                 f"{self.name!r} drew {found} in the render mode {RENDER_MODE!r}, not rows and columns of RGB (uint8), "
-                f"{self._when()}; nothing is recorded."
+                f"{self._when()}."
             )
         if self._drawn is None:
             self._drawn = picture.shape
@@ -246,7 +246,7 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             before, now = (f"{shape[1]}x{shape[0]}" for shape in (self._drawn, picture.shape))
             raise RecordingFailed(
                 f"{self.name!r} changed the size of its pictures from {before} to {now} pixels {self._when()}, and "
-                "frames of a data set have one size; nothing is recorded."
+                "frames of a data set have one size."
             )
         return area_mean(picture, self._size, self._size)
 
@@ -266,5 +266,5 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
                 raise missing from error
             raise RecordingFailed(
                 f"{self.name!r} raised {type(error).__name__} in {what!r} {self._when()}: {error}. "
-                "Nothing is recorded; mend the environment, or give it other settings with '--set'."
+                "Mend the environment, or give it other settings with '--set'."
             ) from error

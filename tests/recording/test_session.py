@@ -16,7 +16,7 @@ import psutil
 import pytest
 from noise_world import files_of
 
-from dmotion_bench.errors import DmbenchError, InvalidSetting, UnknownName
+from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed, UnknownName, UsageError
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.local_executor import LocalExecutor, SerialExecutor
 from dmotion_bench.recording.preset import recipe_for
@@ -148,6 +148,30 @@ def test_an_exception_in_the_middle_keeps_what_was_done(tmp_path: Path, at_once:
     seen: list[Progress] = []
     record_dataset(tmp_path / "d", RECIPE, on_progress=seen.append)
     assert seen[0].episodes == 15  # the fifth shard was whole when the loop broke
+    assert files_of(tmp_path / "d") == at_once
+
+
+@pytest.mark.parametrize("kind", [RecordingFailed, UsageError])
+def test_a_machine_that_fails_takes_no_work_of_the_others_away(
+    tmp_path: Path, at_once: dict[str, bytes], kind: type[DmbenchError]
+) -> None:
+    class Failing(SerialExecutor):
+        def __init__(self, done: int) -> None:
+            self.done = done
+
+        def map_unordered(self, function, jobs: Iterable):  # type: ignore[no-untyped-def, type-arg]
+            for count, job in enumerate(jobs):
+                if count == self.done:
+                    raise kind("gym is not installed.")
+                yield function(job)
+
+    with pytest.raises(kind, match=r"^gym is not installed\. Nothing is recorded\.$"):
+        record_dataset(tmp_path / "d", RECIPE, Failing(0))
+    assert not (tmp_path / "d").exists()
+    with pytest.raises(kind, match=r"12 of 90 episodes are recorded and kept; .* goes on where it stopped\.$"):
+        record_dataset(tmp_path / "d", RECIPE, Failing(4))
+    assert len(list((tmp_path / "d" / "video").iterdir())) == 4
+    record_dataset(tmp_path / "d", RECIPE)
     assert files_of(tmp_path / "d") == at_once
 
 

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import operator
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from killed_writes import Killed, each_kill, killed_at
 
 from dmotion_bench.actions import Continuous
-from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing, StorageFull
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import compare_runs
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.references import PublishedFigure, PublishedResult, published_for
-from dmotion_bench.scoring.report import SCORING_VERSION, read_report
+from dmotion_bench.scoring.report import SCORING_VERSION, read_report, read_report_samples, settled, write_report
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS
 from dmotion_bench.scoring.score import score_model, score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
+from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.dataset import Dataset
 
 from .conftest import Oracle, write_dataset
@@ -114,6 +118,55 @@ def test_the_same_run_gives_the_same_bytes(make_run: MakeRun, tmp_path: Path) ->
         files.append([(run.path / "report" / name).read_bytes() for name in ("report.json", "samples.parquet")])
 
     assert files[0] == files[1]
+
+
+def test_whenever_it_is_killed_a_report_stands_with_its_samples(make_run: MakeRun, tmp_path: Path) -> None:
+    """Of the old report and the new one; and the next command leaves no other file behind."""
+    path = make_run(tmp_path / "run").path / "report"
+    old = score_run(path.parent, settings=QUICK)
+    samples = read_report_samples(path, old)
+    new, fewer, found = replace(old, remarks={"new": "yes"}), samples.slice(1), set()
+
+    def write(moment: int) -> None:
+        shutil.copytree(path, tmp_path / f"{moment}")
+        write_report(tmp_path / f"{moment}", new, fewer)
+
+    def check(folder: Path) -> bool:
+        report = read_report(folder)
+        is_new = report.remarks == new.remarks
+        assert read_report_samples(folder, report).equals(fewer if is_new else samples)
+        return is_new
+
+    for moment in each_kill(write):
+        folder = tmp_path / f"{moment}"
+        found.add(was_new := check(folder))
+        with contextlib.suppress(Killed), killed_at(moment):  # once more
+            write_report(folder, new, fewer)
+        assert check(folder) >= was_new
+        remove_leftovers(folder)
+        assert settled(folder) == folder
+        check(folder)
+        assert sorted(file.name for file in folder.iterdir()) == ["report.json", "samples.parquet"]
+    assert found == {True, False}
+
+
+def test_a_full_disk_between_samples_and_report_loses_no_group_of_figures(
+    make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = make_run(tmp_path / "run").path
+    first = score_run(path, metrics=("rollout",), settings=QUICK)
+
+    def full(path: Path, data: bytes) -> None:
+        raise StorageFull(f"no space left for {path}")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("dmotion_bench.scoring.report.write_atomically", full)
+        with pytest.raises(StorageFull):
+            score_run(path, metrics=("prediction",), settings=QUICK)
+    both = score_run(path, metrics=("prediction",), settings=QUICK)
+    assert both.settings["metrics"] == ["rollout", "prediction"]
+    assert {name: both.figures[name] for name in first.figures} == first.figures
+    assert sorted(file.name for file in (path / "report").iterdir()) == ["report.json", "samples.parquet"]
 
 
 class Work:

@@ -148,6 +148,17 @@ def test_a_recipe_is_compared_with_what_another_writer_has_just_finished(
     assert len(Dataset.open(tmp_path / "d")) == 7
 
 
+def test_only_a_folder_without_a_whole_shard_is_withdrawn(tmp_path: Path) -> None:
+    with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC) as writer:
+        assert writer.withdraw() == "Nothing is recorded."
+        assert not writer.path.exists()
+    with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC) as writer:
+        write_shard(writer, 1)
+        assert "3 of 7 episodes are recorded and kept; once the cause is mended, the same" in writer.withdraw()
+    record(tmp_path / "d")
+    assert files_of(tmp_path / "d") == files_of(write_noise(tmp_path / "whole").path)
+
+
 def test_finish_wants_every_shard(tmp_path: Path) -> None:
     with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC) as writer:
         write_shard(writer, 0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -17,7 +18,7 @@ from typing import Final
 from dmotion_bench.errors import InvalidSetting, RunError
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.run import Run
-from dmotion_bench.registry import model_class
+from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.lock import held
@@ -76,9 +77,28 @@ def take_over(run: Run) -> Run | None:
 
 def _sources(run: Run) -> Iterator[tuple[Run, dict[str, Path]]]:
     """The runs beside this one whose training can be taken over, each with the files of it."""
-    for folder in sorted(run.path.parent.glob("*/")):
+    for folder in _candidates(run):
         if (twin := _twin(run, folder)) is not None and (files := _shared(twin)):
             yield twin, files
+
+
+def _candidates(run: Run) -> Iterator[Path]:
+    """The folders beside a run that may hold a twin, found without opening any: there may be hundreds of runs.
+
+    A twin has the checkpoint that is taken over. A name as ``start.default_path`` makes them tells the model, the data
+    set and the seed, and those of a twin are the run's own. Any other name tells nothing.
+    """
+    spec, needed = run.spec, _checkpoint(run).name
+    usual = re.compile(rf"(?:{'|'.join(map(re.escape, model_names()))})-.+-s[0-9]+")
+    own = re.compile(rf"{re.escape(spec.model)}-(?:.+-)?{re.escape(spec.dataset)}-(?:.+-)?s{spec.seed}")
+    for folder in sorted(run.path.parent.glob("*/")):
+        if (own.fullmatch(folder.name) or not usual.fullmatch(folder.name)) and (folder / needed).is_file():
+            yield folder
+
+
+def _checkpoint(run: Run) -> Path:
+    """The checkpoint of a run with which another one begins."""
+    return run.last if model_class(run.spec.model).supervision is Supervision.NONE else run.watched
 
 
 def _twin(run: Run, folder: Path) -> Run | None:

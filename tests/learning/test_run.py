@@ -105,6 +105,31 @@ def test_its_training_is_taken_over_by_another_budget(tmp_path: Path) -> None:
     assert twin.name == "one"
 
 
+@pytest.mark.parametrize(
+    ("model", "has", "opened"),
+    [
+        ("dmotion", "last.safetensors", ["dmotion-grid-tiny-5-shot-s0", "dmotion-wide-grid-s0", "mine", "sweep-s3"]),
+        ("wm-ae", "watched.safetensors", ["mine", "sweep-s3", "wm-ae-grid-s0"]),
+        ("ed-cnn", "last.safetensors", []),  # it shares nothing, as none of its runs has what could be shared
+    ],
+)
+def test_only_runs_that_can_be_twins_are_opened(
+    model: str, has: str, opened: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name as dmbench gives them tells the model, the data set and the seed; one of the user's own tells nothing."""
+    others = ("dmotion-grid-s1", "dmotion-grid-s10", "dmotion-grids-s0", "dmotion-other-tiny-s0", "wm-ae-grid-s1")
+    for name in (*others, "dmotion-grid-tiny-5-shot-s0", "dmotion-wide-grid-s0", "wm-ae-grid-s0", "mine", "sweep-s3"):
+        _stored(tmp_path / name, _asked())
+        (tmp_path / name / has).touch()
+    _stored(tmp_path / "begun", _asked())
+    asked = dataclasses.replace(_asked(), model=model, seed=0, config={}, training={})
+    run = Run.create_or_open(tmp_path / "new", asked, dataset_path=Path("data/grid"), versions={})
+    found, read = [], Run.open
+    monkeypatch.setattr(Run, "open", lambda path: found.append(path.name) or read(path))
+    assert take_over(run) is None
+    assert found == opened
+
+
 def test_a_setting_that_this_version_does_not_know_is_named(tmp_path: Path) -> None:
     stored = _stored(tmp_path / "one", _asked(whirl=2))
     with pytest.raises(InvalidSetting, match="whirl"):

@@ -110,7 +110,7 @@ def remove_leftovers(folder: Path) -> None:
             if not OPENS_FOLDERS:
                 leftover.unlink()  # Windows refuses while anybody has it open
                 continue
-            handle = os.open(leftover, os.O_RDONLY | os.O_NONBLOCK)
+            handle = os.open(leftover, os.O_RDWR | os.O_NONBLOCK)  # read-only, NFS would not lock it
             try:
                 if try_lock(handle):
                     leftover.unlink()

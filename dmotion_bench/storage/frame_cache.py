@@ -10,13 +10,14 @@ the file is then made anew, and whoever asked gets the frame of the new one.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
 import mmap
 import os
 import shutil
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
@@ -27,6 +28,7 @@ from jaxtyping import Bool, Int, UInt8, UInt32
 
 from dmotion_bench.errors import CacheNotWritable, DatasetCorrupt, StorageFull
 from dmotion_bench.storage.atomic import atomic_file, remove_leftovers
+from dmotion_bench.storage.lock import in_turn
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import ANOTHER_CACHE
 
@@ -159,13 +161,27 @@ class CacheFile:
             file.seek(places[_SUMS])
             file.write(sums.data)
 
-    def _require_space(self) -> None:
+    @contextlib.contextmanager
+    def making(self) -> Iterator[None]:
+        """Hold the lock for making the file within the block; another process that makes it is waited for.
+
+        Raises:
+            CacheNotWritable: The folder can take no file.
+        """
+        self._require_writable()
+        with in_turn(self.path):
+            yield
+
+    def _require_writable(self) -> None:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise self._not_writable(str(error.strerror)) from None
         if not os.access(self.folder, os.W_OK):
             raise self._not_writable("it is read-only")
+
+    def _require_space(self) -> None:
+        self._require_writable()
         free = shutil.disk_usage(self.folder).free
         if self.bytes > free:
             raise StorageFull(
@@ -246,7 +262,7 @@ class FrameCache:
     def _check(self, places: Int[np.ndarray, " p"]) -> None:
         if not all(map(self._mapped.is_sound, places.tolist())):
             _log.warning("the cache %s is damaged; it is made anew.", shown(str(self._file.path)))
-            self._mapped = self._made()
+            self._mapped = self._made(places)
             self._sound[:], self._left = False, self._file.count
             if not all(map(self._mapped.is_sound, places.tolist())):
                 raise DatasetCorrupt(
@@ -256,9 +272,13 @@ class FrameCache:
         self._sound[places] = True
         self._left -= len(places)
 
-    def _made(self) -> Mapped:
-        self._make()
-        mapped = self._file.map()
+    def _made(self, places: Int[np.ndarray, " p"] | None = None) -> Mapped:
+        """The file, made anew unless another process has done so; of that one the frames at the places are sound."""
+        with self._file.making():
+            mapped = self._file.map()
+            if mapped is None or (places is not None and not all(map(mapped.is_sound, places.tolist()))):
+                self._make()
+                mapped = self._file.map()
         assert mapped is not None, "a cache that was just written can be mapped"
         return mapped
 

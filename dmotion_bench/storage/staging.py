@@ -15,10 +15,11 @@ from typing import Final
 
 from dmotion_bench.errors import StorageFull, UsageError
 from dmotion_bench.storage.atomic import FULL
-from dmotion_bench.storage.lock import ANOTHER_FOLDER, FolderLock
+from dmotion_bench.storage.lock import ANOTHER_FOLDER, FolderLock, lock_beside
 
 MARKER: Final = "unfinished.txt"
 CONTENT: Final = "content"
+_LOCK: Final = lock_beside(Path(CONTENT)).name  # of whoever wrote there, where that was killed
 _TEXT: Final = "Left behind by a dmbench that was killed. The same command deletes this folder; so may you.\n"
 
 
@@ -104,7 +105,7 @@ def _claim(outer: Path, keep: bool = False) -> FolderLock:
 
 def _empty(outer: Path, keep: bool) -> None:
     inside = {path.name for path in outer.iterdir()}
-    if inside - {MARKER, CONTENT} or (inside and MARKER not in inside):
+    if inside - {MARKER, CONTENT, _LOCK} or (inside and MARKER not in inside):
         raise _in_the_way(outer)
     if CONTENT in inside and not keep:
         shutil.rmtree(outer / CONTENT)
@@ -118,6 +119,7 @@ def _delete(outer: Path) -> None:
     """The marker goes last, so that whatever is left can still be told for what it is."""
     shutil.rmtree(outer / CONTENT, ignore_errors=True)
     if not (outer / CONTENT).exists():
+        (outer / _LOCK).unlink(missing_ok=True)
         (outer / MARKER).unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             outer.rmdir()

@@ -8,6 +8,7 @@ import pickle
 import shutil
 import tracemalloc
 from collections import namedtuple
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache, Mapped
+from dmotion_bench.storage.lock import in_turn
 
 
 def flip(path: Path, place: int, bit: int = 3) -> None:
@@ -78,6 +80,29 @@ def test_a_stale_or_foreign_cache_is_made_anew(tmp_path: Path, caplog: pytest.Lo
     np.testing.assert_array_equal(Dataset.open(new.path).cache().episode(4), new.video(4))
     assert [record.levelno for record in caplog.records] == [logging.WARNING] * 2
     assert "is made anew" in caplog.text
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_cache_that_another_process_has_just_made_is_taken(
+    damaged: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset = write_noise(tmp_path / "d")
+    file, made = dataset.cache_file, []
+    if damaged:
+        dataset.cache()
+        flip(file.path, file.path.read_bytes().index(truth(dataset)[0].tobytes()))
+        dataset = Dataset.open(dataset.path)
+        dataset.cache()  # mapped, not looked at
+
+    def late(path: Path) -> AbstractContextManager[None]:
+        file.build([truth(dataset)])  # by the one that was waited for
+        made.append(path.stat().st_ino)
+        return in_turn(path)
+
+    monkeypatch.setattr("dmotion_bench.storage.frame_cache.in_turn", late)
+    np.testing.assert_array_equal(dataset.cache().frames, truth(dataset))
+    assert made == [file.path.stat().st_ino]
+    assert list(file.folder.iterdir()) == [file.path]
 
 
 def test_a_cache_of_the_version_without_checksums_is_made_anew(tmp_path: Path) -> None:

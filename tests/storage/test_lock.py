@@ -1,9 +1,13 @@
-"""A folder's lock: one holder, none after its process is gone, no trace in the folder."""
+"""A folder's lock: one holder, none after its process is gone, no trace in the folder or beside it."""
 
 from __future__ import annotations
 
+import errno
+import fcntl
+import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -11,7 +15,8 @@ from filelock import lock_descriptor
 
 from dmotion_bench.errors import FolderInUse
 from dmotion_bench.storage import lock
-from dmotion_bench.storage.lock import FolderLock, held
+from dmotion_bench.storage.atomic import remove_leftovers
+from dmotion_bench.storage.lock import FolderLock, held, in_turn
 
 HOLD = """
 import sys, time
@@ -47,8 +52,10 @@ def test_a_killed_process_holds_no_lock(folder: Path, opens: bool, monkeypatch: 
         finally:
             process.kill()
     assert said == "held\n"
+    assert (folder.parent / ".d.lock").exists()
     with held(folder):
         pass
+    assert list(folder.parent.iterdir()) == [folder]
 
 
 @each_system
@@ -85,9 +92,6 @@ def test_a_folder_that_replaced_the_locked_one_is_told_from_it(
 
 def test_the_lock_is_the_one_of_filelock_and_of_earlier_versions(folder: Path) -> None:
     """So that two versions of dmbench, whoever wrote the lock, do not share a folder."""
-    import fcntl
-    import os
-
     handle = os.open(folder, os.O_RDONLY)
     with held(folder):
         with pytest.raises(BlockingIOError):
@@ -99,10 +103,83 @@ def test_the_lock_is_the_one_of_filelock_and_of_earlier_versions(folder: Path) -
     os.close(handle)
 
 
-def test_a_file_system_without_locks_is_used_all_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def by_nfs(handle: int, *, blocking: bool) -> bool:
+    """Locks as NFS gives them: only on what is open for writing."""
+    if fcntl.fcntl(handle, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+        raise OSError(errno.EBADF, "Bad file descriptor")
+    return lock_descriptor(handle, blocking=blocking)
+
+
+def test_two_machines_that_share_a_disk_by_nfs_do_not_share_a_folder(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(lock, "lock_descriptor", by_nfs)
+    (folder.parent / "link").symlink_to(folder)
+    with held(folder):
+        for name in ("d", "link"):
+            with pytest.raises(FolderInUse):
+                FolderLock(folder.parent / name)
+    with held(folder):
+        pass
+    (folder / "x.0123abcd.part").touch()
+    remove_leftovers(folder)
+    assert not list(folder.iterdir())
+    assert not caplog.records
+
+
+def test_a_lock_file_that_its_holder_deletes_is_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    try_lock, first = lock.try_lock, FolderLock(folder)
+
+    def late(handle: int) -> bool | None:
+        first.release()  # after the file was opened
+        return try_lock(handle)
+
+    monkeypatch.setattr(lock, "OPENS_FOLDERS", False)  # so that only the file is locked
+    monkeypatch.setattr(lock, "try_lock", late)
+    with held(folder), pytest.raises(FolderInUse):
+        FolderLock(folder)
+
+
+def test_where_no_file_can_be_made_beside_it_the_folder_alone_is_locked(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def read_only(self: object) -> bool:
+        raise PermissionError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("dmotion_bench.storage.lock._LockFile.acquire", read_only)
+    with held(folder), pytest.raises(FolderInUse):
+        FolderLock(folder)
+    with in_turn(folder / "x"):
+        pass
+    assert not caplog.records
+
+
+def test_who_makes_the_same_file_is_waited_for(folder: Path) -> None:
+    order = []
+
+    def make() -> None:
+        with in_turn(folder / "x"):
+            order.append("second")
+
+    second = threading.Thread(target=make)
+    with in_turn(folder / "x"):
+        second.start()
+        second.join(0.3)
+        order.append("first")
+    second.join()
+    assert order == ["first", "second"]
+    assert not list(folder.iterdir())
+
+
+def test_a_file_system_without_locks_is_used_all_the_same_and_named_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     def no_locks(_handle: int, *, blocking: bool) -> bool:
-        raise OSError(38, "Function not implemented")
+        raise OSError(errno.ENOSYS, "Function not implemented")
 
     monkeypatch.setattr(lock, "lock_descriptor", no_locks)
     with held(folder), held(folder):
         pass
+    (said,) = caplog.messages
+    assert said.startswith(f"the disk of '{folder.parent}' knows no locks")
+    assert list(folder.parent.iterdir()) == [folder]

@@ -62,7 +62,7 @@ def test_what_a_killed_one_leaves_is_cleaned_by_the_next(command: str, recording
     process = caught_writing(command, recording, workspace)
     process.send_signal(signal.SIGKILL)
     finish(process)
-    assert names(workspace) == [f"made.{command}ing"]
+    assert names(workspace) == [f".made.{command}ing.lock", f"made.{command}ing"]
     nowhere = finish(start_dmbench(["data", "info", str(workspace / "made")], workspace))
     assert "no data set named" in nowhere.sentence()
 

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
+
+from dmotion_bench.errors import DatasetError
+from dmotion_bench.wording import shown
 
 PACKAGES = ("dmbench", "torch", "numpy", "mcap", "pyarrow", "pybullet", "pymunk", "gymnasium", "rerun-sdk")
 
@@ -17,3 +21,19 @@ def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+def require_same(stated: Mapping[str, str]) -> None:
+    """Check that this machine has the versions that a data set is to state; packages that it lacks do not count.
+
+    Raises:
+        DatasetError: It has others; names them and the machine.
+    """
+    here = versions(tuple(stated))
+    differing = [name for name in stated if here.get(name, stated[name]) != stated[name]]
+    if differing:
+        found, wanted = (" and ".join(f"{name} {of[name]}" for name in differing) for of in (here, stated))
+        raise DatasetError(
+            f"the machine {shown(platform.node())} has {found}, and the data set is made with {wanted}; install the "
+            "same versions on all machines and run the same command again: it goes on where it stopped."
+        )

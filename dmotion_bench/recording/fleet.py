@@ -14,11 +14,12 @@ import contextlib
 import itertools
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from dmotion_bench import versions
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
@@ -62,6 +63,7 @@ class ShardsJob:
         sources: The recordings that they are of, by their numbers.
         options: Of the import.
         keep_times: See ``ImportPlan.keeps_times``.
+        versions: Of packages, which the data set states; None: any will do.
         progress: The file in which the job says how far it is; None: nowhere.
     """
 
@@ -74,6 +76,7 @@ class ShardsJob:
     sources: dict[int, Source]
     options: ImportOptions
     keep_times: bool
+    versions: Mapping[str, str] | None = None
     progress: Path | None = None
 
 
@@ -93,7 +96,12 @@ class ShardsMade:
 
 
 def shards_job(job: ShardsJob) -> ShardsMade:
-    """Make shards in the present process; those of recordings that cannot be unpacked are left out."""
+    """Make shards in the present process; those of recordings that cannot be unpacked are left out.
+
+    Raises:
+        DatasetError: This machine has other versions of packages than the data set states.
+    """
+    versions.require_same(job.versions or {})
     told, receipts = ProgressFile(job.progress), list[ShardReceipt]()
     waiting = iter(job.episodes)
     try:
@@ -197,6 +205,7 @@ def import_fleet(
     Raises:
         RecordingImportError: A recording cannot be imported; with ``skip_damaged`` only if none can.
         RecipeMismatch: The folder holds another data set.
+        DatasetError: A machine that makes shards has other versions of packages than this one.
         UsageError: The folder holds something else.
     """
     standing, executor = standing_in(out), executor or SerialExecutor()
@@ -274,7 +283,7 @@ def _written(
         total = plan.recipe.episodes
         done = total - sum(len(writer.episodes_of(shard)) for shard in writer.missing)
         progress("importing", done, total)
-        results = executor.map_unordered(shards_job, _parts(folder, plan, sound, options, writer.missing, jobs))
+        results = executor.map_unordered(shards_job, _parts(writer, plan, sound, options, jobs))
         with contextlib.closing(results):
             for made in results:
                 for receipt in made.receipts:
@@ -305,14 +314,14 @@ def _writer(folder: Path, plan: ImportPlan) -> DatasetWriter:
 
 
 def _parts(
-    folder: Path,
+    writer: DatasetWriter,
     plan: ImportPlan,
     sound: Sequence[Surveyed],
     options: ImportOptions,
-    missing: Sequence[int],
     jobs: Path | None,
 ) -> list[ShardsJob]:
     """The missing shards in parts; with ``salvage`` all shards in one, where a damaged picture is the one before it."""
+    missing = writer.missing
     size = -(-len(missing) // MOST_PARTS)
     parts = [tuple(missing[first : first + size]) for first in range(0, len(missing), size or 1)]
     if options.salvage and missing:
@@ -322,7 +331,7 @@ def _parts(
         episodes = tuple(plan.episodes[one] for shard in shards for one in shard_range(plan.recipe, shard))
         made.append(
             ShardsJob(
-                dataset=folder.absolute(),
+                dataset=writer.path.absolute(),
                 recipe=plan.recipe,
                 spec=plan.spec,
                 shards=shards,
@@ -331,6 +340,7 @@ def _parts(
                 sources={one.recording: sound[one.recording].source for one in episodes},
                 options=options,
                 keep_times=plan.keeps_times,
+                versions=writer.versions,
                 progress=None if jobs is None else jobs / f"shards-{number}.json",
             )
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from dmotion_bench.storage.manifest import Manifest, Replay
 from dmotion_bench.storage.remote_copy import RemoteCopy, copy_folder, upload
 from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
 from dmotion_bench.storage.writer import DatasetWriter, check_recipe, deleted
+from dmotion_bench.versions import require_same
 from dmotion_bench.workspace import DATASET_MANIFEST, AnyPath
 
 SHARD_EPISODES = 20  # small enough that a killed recording of a slow environment loses seconds
@@ -30,12 +31,20 @@ SHARD_EPISODES = 20  # small enough that a killed recording of a slow environmen
 
 @dataclass(frozen=True, kw_only=True)
 class ShardJob:
-    """One shard to be made; plain values, so that it can be sent anywhere."""
+    """One shard to be made; plain values, so that it can be sent anywhere.
+
+    Attributes:
+        dataset: The folder.
+        recipe, spec: Of the data set.
+        index: The shard's number.
+        versions: Of packages, which the data set states; None: any will do.
+    """
 
     dataset: Path
     recipe: DatasetRecipe
     spec: EnvSpec
     index: int
+    versions: Mapping[str, str] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,8 +102,10 @@ def record_shard(job: ShardJob) -> ShardReceipt:
     """Make one shard in the present process.
 
     Raises:
-        DatasetError: The data set's folder is not there any more; it is not made again, as what it held is lost.
+        DatasetError: This machine has other versions of packages than the data set states. Or the data set's folder is
+            not there any more; it is not made again, as what it held is lost.
     """
+    require_same(job.versions or {})
     kind = environment_class(job.recipe.environment)
     episodes = record_episodes(kind, job.recipe, shard_range(job.recipe, job.index))
     with contextlib.closing(episodes):
@@ -147,6 +158,7 @@ def record_dataset(
         PackageNotInstalled: One that the environment needs is not there.
         UsageError: The environment cannot be recorded so, or the folder holds something else.
         RecipeMismatch: The folder holds a data set of another recipe.
+        DatasetError: A machine that makes shards has other versions of packages than this one.
         FolderInUse: Another process records into the folder.
     """
     if (address := remote_address(path)) is not None:
@@ -229,7 +241,7 @@ def _record_missing(writer: DatasetWriter, executor: Executor, on_progress: Call
     progress = Progress(episodes=episodes, total=recipe.episodes, frames=0, seconds=0.0)
     on_progress(progress)
     jobs = [
-        ShardJob(dataset=writer.path.absolute(), recipe=recipe, spec=writer.spec, index=index)
+        ShardJob(dataset=writer.path.absolute(), recipe=recipe, spec=writer.spec, index=index, versions=writer.versions)
         for index in writer.missing
     ]
     for receipt in executor.map_unordered(record_shard, jobs):

@@ -50,6 +50,7 @@ class DatasetWriter:
     Attributes:
         path, recipe, spec: Of the data set.
         missing: The shards that are still to be written.
+        versions: Of the packages, which ``dataset.json`` states.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class DatasetWriter:
         packages: tuple[str, ...] = (),
     ) -> None:
         self.path, self.recipe, self.spec = path, recipe, spec
-        self._packages = (*_PACKAGES, *(name for name in packages if name not in _PACKAGES))
+        self.versions = versions((*_PACKAGES, *(name for name in packages if name not in _PACKAGES)))
         self._begun_here = False
         self._receipts = {receipt.index: receipt for receipt in receipts}
         self._lock: FolderLock | None = lock
@@ -223,7 +224,7 @@ class DatasetWriter:
                 spec=self.spec,
                 complete=True,
                 salvaged=salvaged,
-                versions=made_with or versions(self._packages),
+                versions=made_with or self.versions,
                 replay=replay,
                 tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
                 shards=tuple(

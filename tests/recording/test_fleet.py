@@ -21,7 +21,7 @@ from pretend_slurm import install_slurm
 from storage.foreign import compressed, foxglove_compressed_file, foxglove_file, steady, video
 from storage.foreign_video import video_file
 
-from dmotion_bench.errors import DatasetCorrupt, RecordingImportError
+from dmotion_bench.errors import DatasetCorrupt, DatasetError, RecordingImportError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.recording import fleet, surveys
@@ -90,6 +90,15 @@ def deadly(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.slow
+def test_a_machine_with_another_version_of_a_package_makes_no_shard(recordings: Path, tmp_path: Path) -> None:
+    with (
+        patch("dmotion_bench.storage.writer.versions", lambda _: {"numpy": "0.1"}),
+        pytest.raises(DatasetError, match=r"has numpy .*, and the data set is made with numpy 0\.1; install the same"),
+    ):
+        import_fleet([recordings], tmp_path / "d", OPTIONS)
+    assert not list(tmp_path.rglob("shard-*"))
+
+
 def test_whoever_imports_them_the_bytes_are_the_same(
     recordings: Path,
     in_turn: dict[str, bytes],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import platform
 import random
 import subprocess
 import sys
@@ -16,11 +17,12 @@ import psutil
 import pytest
 from noise_world import files_of
 
-from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed, UnknownName, UsageError
+from dmotion_bench import versions
+from dmotion_bench.errors import DatasetError, DmbenchError, InvalidSetting, RecordingFailed, UnknownName, UsageError
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.local_executor import LocalExecutor, SerialExecutor
 from dmotion_bench.recording.preset import recipe_for
-from dmotion_bench.recording.session import Progress, environment_facts, record_dataset
+from dmotion_bench.recording.session import Progress, ShardJob, environment_facts, record_dataset, record_shard
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
 
@@ -173,6 +175,36 @@ def test_a_machine_that_fails_takes_no_work_of_the_others_away(
     assert len(list((tmp_path / "d" / "video").iterdir())) == 4
     record_dataset(tmp_path / "d", RECIPE)
     assert files_of(tmp_path / "d") == at_once
+
+
+def test_a_machine_with_another_version_of_a_package_makes_no_shard(
+    tmp_path: Path, at_once: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that a data set is never made by two versions and states one."""
+    version, here = versions.version, versions.version("numpy")
+
+    class OtherMachine(SerialExecutor):
+        def map_unordered(self, function, jobs: Iterable):  # type: ignore[no-untyped-def, type-arg]
+            for count, job in enumerate(jobs):
+                if count == 2:
+                    monkeypatch.setattr(versions, "version", lambda name: "1.2" if name == "numpy" else version(name))
+                    monkeypatch.setattr(versions.platform, "node", lambda: "node-7")
+                yield function(job)
+
+    said = rf"the machine 'node-7' has numpy 1\.2, and the data set is made with numpy {here}; install the same"
+    with pytest.raises(DatasetError, match=said):
+        record_dataset(tmp_path / "d", RECIPE, OtherMachine())
+    monkeypatch.undo()
+    assert len(list((tmp_path / "d" / "video").iterdir())) == 2
+    record_dataset(tmp_path / "d", RECIPE)
+    assert files_of(tmp_path / "d") == at_once
+
+
+def test_a_job_of_an_earlier_version_names_no_packages(tmp_path: Path) -> None:
+    (tmp_path / "d").mkdir()
+    spec = environment_facts(RECIPE)
+    assert record_shard(ShardJob(dataset=tmp_path / "d", recipe=RECIPE, spec=spec, index=1)).index == 1
+    versions.require_same({"python": platform.python_version(), "a package that is not here": "1.0"})
 
 
 def test_a_worker_that_is_killed_is_a_sentence(tmp_path: Path) -> None:

@@ -21,6 +21,8 @@
       remarks        what to bear in mind of each reference, and what could not be scored
       samples        file, rows and hash of samples.parquet
 
+A killed process may leave its samples as ``samples-new.parquet`` (``write_report``).
+
 Until version 1 a report held hashes of the code instead, which any change of a comment changed: ``code`` of the code
 that scores, and ``control_code`` among the settings of the code that plans. ``SCORING_OF_CODE``
 and ``CONTROL_OF_CODE`` say which versions the published hashes are; any other is an earlier version without a number.

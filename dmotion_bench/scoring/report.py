@@ -211,7 +211,7 @@ def settled(folder: Path) -> Path:
     return folder
 
 
-def samples_path(folder: Path, sha256: str) -> Path:
+def samples_path(folder: Path, sha256: str | None) -> Path:
     """The file of a report's samples: ``samples.parquet``, or after a kill perhaps the one that still waits."""
     waiting = folder / _WAITING
     return waiting if waiting.is_file() and _sha256(waiting) == sha256 else folder / SAMPLES_FILE
@@ -285,8 +285,9 @@ def _require_fields(report: Fields) -> None:
 
 def read_report_samples(folder: Path, report: Report) -> pa.Table | None:
     """The samples that belong to a report; None if they are missing or have another hash."""
-    path = samples_path(folder, report.samples["sha256"])
-    if not path.is_file() or _sha256(path) != report.samples["sha256"]:
+    sha256 = report.samples.get("sha256")  # none in a report that was never written
+    path = samples_path(folder, sha256)
+    if not path.is_file() or _sha256(path) != sha256:
         return None
     return read_samples(path)
 

@@ -93,7 +93,7 @@ def content(root: Path) -> dict[str, object]:
     found: dict[str, object] = {}
     for path in sorted(root.glob("data/*/video/*.mcap")) + sorted(root.glob("runs/*/report/samples.parquet")):
         found[str(path.relative_to(root))] = path.read_bytes()
-    for path in sorted(root.glob("runs/*")):
+    for path in sorted(root.glob("runs/*/")):  # a killed process may leave a lock file beside them
         result = Run.open(path).result or {}
         found[path.name] = result.get("weights"), result.get("labels_total")
     for path in sorted(root.glob("reports/**/entries/*.json")):

@@ -243,7 +243,7 @@ class Run:
     def changed_modules(self) -> list[str]:
         """The modules of the model whose code was changed since the training began, by name (``source.py``).
 
-        Runs of older versions and models of notebooks say nothing of theirs.
+        Runs of older versions say nothing of theirs, nor of the classes of a notebook.
         """
         return changed_modules(self.manifest.get("code", {}), self.spec.model)
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import linecache
+import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
@@ -98,6 +102,113 @@ def test_of_a_script_its_classes_and_functions_count(
     assert changed_modules(recorded, "mine") == ["__main__"]
 
 
+NOTEBOOK = """
+from dataclasses import dataclass
+
+from baselines.lapo import Lapo
+
+SCALE = 2
+
+
+def distance(x):
+    return x * 2
+
+
+class Mine(Lapo):
+    'A model of a notebook.'
+    width = [3, 4]
+
+    @dataclass(frozen=True, kw_only=True)
+    class Extra:
+        depth: int = 3
+
+    def losses(self, batch):
+        # the distance alone
+        total = super().losses(batch)
+        return [distance(one) for one in (total,) if one in {"a", "b"}]
+"""
+
+
+def _defined(text: str, *, known: bool) -> dict[str, str]:
+    """The hashes of the model of a notebook; its source is known as in IPython, or not."""
+    file = f"<cell {hash(text)}>"
+    if known:
+        linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)
+    sys.modules["a_notebook"] = notebook = ModuleType("a_notebook")
+    try:
+        exec(compile(text, file, "exec", dont_inherit=True), vars(notebook))
+        register_model("mine", notebook.Mine)
+        return code_of("mine")
+    finally:
+        del sys.modules["a_notebook"]
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(
+    ("before", "after", "counts"),
+    [
+        ("super().losses(batch)", "super().losses(batch.clone())", True),
+        ('"a", "b"', '"a", "c"', True),
+        ("x * 2", "x * 3", True),
+        ("[3, 4]", "[3, 5]", True),
+        ("depth: int = 3", "depth: int = 4", True),
+        ("(self, batch)", "(self, batch, more=1)", True),
+        ("class Mine(Lapo)", "class Mine(Lapo, object)", False),
+        ("A model", "Another model", False),
+        ("# the distance", "# not the distance", False),
+        ("SCALE = 2", "SCALE = 3\n\n\n", False),
+    ],
+)
+def test_of_a_notebook_the_class_counts(package: Path, known: bool, before: str, after: str, counts: bool) -> None:
+    recorded = _defined(NOTEBOOK, known=known)
+    assert "baselines.lapo" in recorded
+    assert _defined(NOTEBOOK, known=known) == recorded
+    assert before in NOTEBOOK
+    now = _defined(NOTEBOOK.replace(before, after, 1), known=known)
+    assert [name for name, told in now.items() if recorded[name] != told] == (
+        ["classes of a_notebook"] if counts else []
+    )
+
+
+def test_another_class_under_the_same_name_counts(package: Path) -> None:
+    recorded = _defined(NOTEBOOK, known=True)
+    _defined(NOTEBOOK.replace("Mine", "Other").replace("x * 2", "x * 3") + "\nMine = Other\n", known=True)
+    assert changed_modules(recorded, "mine") == ["classes of a_notebook"]
+
+
+def test_what_a_class_holds_of_the_function_around_it_counts(package: Path) -> None:
+    text = """
+from baselines.lapo import Lapo
+def made(weight):
+    class Mine(Lapo):
+        def losses(self, batch):
+            return super().losses(batch) * weight
+    return Mine
+Mine = made(1)
+"""
+    recorded = _defined(text, known=False)
+    _defined(text.replace("made(1)", "made(2)"), known=False)
+    assert changed_modules(recorded, "mine") == ["classes of a_notebook"]
+
+
+def test_the_hash_of_a_notebook_s_class_is_the_same_in_every_process(package: Path) -> None:
+    script = f"text = {NOTEBOOK!r}\nexec(text)\nfrom dmotion_bench.learning.source import code_of\n"
+    script += (
+        "import dmotion_bench as dm\ndm.register_model('mine', Mine)\nprint(code_of('mine')['classes of __main__'])"
+    )
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(told) == 1
+
+
 def _trained(package: Path, folder: Path) -> Run:
     """A finished run of the model 'edited', begun by the code as it is."""
     config, training = to_json(model_class("lapo").Config()), to_json(TrainingConfig(epochs=1))
@@ -125,6 +236,16 @@ def test_training_it_again_says_so(package: Path, tmp_path: Path) -> None:
     (package / "parts.py").write_text("WIDTH = 5\n")
     assert "was changed since that training began (edited_models.parts); to train the model as it is" in _told(run)
     assert f"delete {str(run.path)!r} first" in _told(run)
+
+
+def test_a_class_that_a_notebook_defines_again_is_told(package: Path, tmp_path: Path) -> None:
+    _defined(NOTEBOOK, known=True)
+    register_model("edited", model_class("mine"))
+    run = _trained(package, tmp_path / "runs" / "one")
+    assert _told(run) == f"{run.path} is already trained; here is its result."
+    _defined(NOTEBOOK.replace("x * 2", "x * 3"), known=True)
+    register_model("edited", model_class("mine"))
+    assert "was changed since that training began (classes of a_notebook); to train the model as it is" in _told(run)
 
 
 def test_so_does_a_budget_that_takes_the_training_over(package: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from dmotion_bench.errors import UsageError
+from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
@@ -29,6 +29,10 @@ class Dataset(stored.Dataset):
     ``labels(episode)``, and ``triplets`` for torch.
     """
 
+    def __repr__(self) -> str:
+        """Its name, its episodes and frames, and where they are from."""
+        return f"<Dataset {self.name!r}: {len(self)} episodes, {self.lengths.sum()} frames, {self.recipe.environment}>"
+
     def triplets(
         self,
         split: SplitName = "train",
@@ -42,7 +46,7 @@ class Dataset(stored.Dataset):
         Args:
             split: ``"train"``, ``"validation"`` or ``"test"``.
             labels: A label budget, such as ``"10%"``, ``"all"`` or ``64``: only the triplets whose actions it pays
-                for, and those actions. None: all triplets, without actions; ``labels/`` is not opened.
+                for, and those actions. None or ``"none"``: all triplets, without actions; ``labels/`` is not opened.
             seed: Of the budget.
             protocol: ``"episode"`` keeps whole episodes apart; ``"paper"`` shuffles triplets as the paper does.
 
@@ -60,7 +64,8 @@ class Dataset(stored.Dataset):
         """
         self.split(split)  # an unknown name is said here
         chosen = TripletSet.of_split(self, split, protocol)
-        if labels is None:
+        request = LabelRequest("none") if labels is None else LabelRequest.parse(str(labels))
+        if request.kind == "none":
             return TripletDataset(chosen)
         purpose: Literal["training", "validation"]
         if split == "train":
@@ -72,7 +77,12 @@ class Dataset(stored.Dataset):
                 f"labels={labels!r} was asked for the test split, whose labels no model may learn from; "
                 "leave out labels, or take the split 'train' or 'validation'. dm.score reads them to judge a model."
             )
-        budget = LabelBudget(self, LabelRequest.parse(str(labels)), seed)
+        if request.kind not in ("share", "count"):
+            raise LabelsNotAvailable(
+                f"labels={labels!r} are demonstrations, which a training draws; ask for a number of triplets such as "
+                'labels=64, a share such as labels="10%", or labels="all".'
+            )
+        budget = LabelBudget(self, request, seed)
         labelled = budget.actions(chosen, purpose)
         return TripletDataset(labelled.triplets, labelled.actions)
 

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.api.datasets import Dataset
-from dmotion_bench.errors import RunMissing, UnknownName, UsageError
+from dmotion_bench.errors import DatasetMissing, RunMismatch, RunMissing, UnknownName, UsageError
 from dmotion_bench.learning import run as runs
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report
@@ -40,8 +40,15 @@ class Run(runs.Run):
 
         Raises:
             DatasetMissing: It is not there any more.
+            RunMismatch: Another one is there now.
         """
-        return Dataset.open(self.dataset_path)
+        found = Dataset.open(self.dataset_path)
+        if found.fingerprint != self.spec.fingerprint:
+            raise RunMismatch(
+                f"the data set {str(self.dataset_path)!r} has changed since the run {self.name!r} was trained on it; "
+                "open it as it is now with dm.open_dataset, or train again with dm.train."
+            )
+        return found
 
     @property
     def report(self) -> Report:
@@ -56,6 +63,10 @@ class Run(runs.Run):
             raise RunMissing(f"the run {self.name!r} has no report; score it with {score}, or dm.score.")
         return found
 
+    def __repr__(self) -> str:
+        trained = "trained" if self.result is not None else "not trained"
+        return f"<Run {self.name!r}: {self.spec.model}, labels {self.spec.labels}, {trained}>"
+
     def predict(self, previous: Images, current: Images, action: Any) -> Images:
         """The frames after ``current`` if ``action`` is taken.
 
@@ -68,6 +79,8 @@ class Run(runs.Run):
             RunMissing: The training is not finished.
             LabelsNotAvailable: It was trained without labels, so it does not know which action is which.
             UnknownName: No action has this name.
+            DatasetMissing, RunMismatch: An action is named, the run is of a version that kept no names, and its data
+                set is gone or another one.
             UsageError: Frames or actions of another shape or kind.
 
         Example:
@@ -93,7 +106,7 @@ class Run(runs.Run):
             UInt8[b t h w 3], or Float[b t c h w] in [-1, 1].
 
         Raises:
-            RunMissing, LabelsNotAvailable, UnknownName, UsageError: As ``predict``.
+            RunMissing, LabelsNotAvailable, UnknownName, DatasetMissing, RunMismatch, UsageError: As ``predict``.
 
         Example:
             >>> run = dm.load_run("tiny")
@@ -136,17 +149,32 @@ class Run(runs.Run):
         return latent.numpy() if _is_stored(current) else latent
 
     def _actions(self, given: Any) -> Any:
-        """Numbers in the place of names; everything else as it is."""
-        if not isinstance(given, str | Sequence):
-            return given
-        spec = self.dataset.spec.actions
+        """Numbers in the place of names, and where they can be checked; everything else as it is."""
+        if isinstance(given, Tensor):
+            return given.cpu()
         if isinstance(given, str):
-            if not isinstance(spec, Discrete):
-                raise UsageError(f"the action is named {given!r}, and this model's actions are {spec}; give numbers.")
-            if given not in spec.names:
-                raise UnknownName("action", given, spec.names)
-            return spec.names.index(given)
-        return [self._actions(one) for one in given]
+            return self._number(given)
+        return [self._actions(one) for one in given] if isinstance(given, Sequence) else given
+
+    def _number(self, name: str) -> int:
+        """The number of a discrete action."""
+        spec = self.spec.action_spec
+        if not isinstance(spec, Discrete):
+            raise UsageError(f"the action is named {name!r}, and this model's actions are {spec}; give numbers.")
+        named = self.named_actions or self._names_of_dataset(spec, name)
+        assert isinstance(named, Discrete), "as the run's are"
+        if name not in named.names:
+            raise UnknownName("action", name, named.names)
+        return named.names.index(name)
+
+    def _names_of_dataset(self, numbered: Discrete, name: str) -> ActionSpec | None:
+        """The actions of a run of before, which has no names; of one without its data set they are numbers."""
+        try:
+            return self.dataset.spec.actions
+        except DatasetMissing:
+            if name not in numbered.names:
+                raise
+            return numbered
 
 
 def load_run(run: AnyPath | None = None, *, workspace: AnyPath | None = None) -> Run:

@@ -128,8 +128,7 @@ def _actions(model: ForwardModel[Any], method: str, value: Any, like: Tensor, se
         and len(actions) == rows
         and actions.shape[axes - len(spec.shape) :] == spec.shape
     ):
-        checked = not isinstance(value, Tensor) or (bool(spec.shape) and value.device.type == "cpu")
-        if checked and actions.numel():
+        if actions.device.type == "cpu" and actions.numel():  # reading them elsewhere would wait for the device
             numbers = actions.detach().reshape(-1, *spec.shape)
             if fault := spec.fault(numbers.double() if spec.shape else numbers, "in row"):
                 raise UsageError(f"{type(model).__name__}.{method} was given {fault}.")

@@ -3,8 +3,8 @@
 ::
 
     runs/dmotion-grid_world-small-s0/
-      run.json            what decides the result (RunSpec, Conditions), the versions, hashes of the model's code, and
-                          the result once there is one
+      run.json            what decides the result (RunSpec, Conditions), the versions, hashes of the model's code, the
+                          names of discrete actions, and the result once there is one
       metrics.jsonl       a row every few steps: losses, learning rate, triplets/s; a row a validation
       last.safetensors    all that resuming needs
       best.safetensors    the weights that validated best, with the actions aligned once training is done
@@ -23,15 +23,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
+import torch
 from torch import Tensor
 
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunError, RunMismatch, RunMissing
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.labels import first_budget
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.precision import AUTO
-from dmotion_bench.learning.run_manifest import RUN_FORMAT, Conditions, RunSpec, read_manifest
+from dmotion_bench.learning.run_manifest import ACTION_NAMES, RUN_FORMAT, Conditions, RunSpec, read_manifest
 from dmotion_bench.learning.settings import from_json
 from dmotion_bench.learning.source import changed_modules, code_of
 from dmotion_bench.storage.atomic import write_atomically
@@ -97,6 +99,7 @@ class Run:
         dataset_path: Path | str,
         versions: Mapping[str, str],
         threads: int | None = None,
+        actions: ActionSpec | None = None,
     ) -> AnyRun:
         """The run of this folder if it asks for the same, else a new one, which is on disk once training begins.
 
@@ -106,6 +109,7 @@ class Run:
             dataset_path: Of the data set, or its address.
             versions: Of the packages, for a new run.
             threads: Asked for; None takes those of the run, or in a new one torch's own number.
+            actions: Of the data set; a new run keeps the names of discrete ones, which ``spec`` does not hold.
 
         Raises:
             RunMismatch: The folder holds a run that asks for something else; says what differs.
@@ -115,7 +119,7 @@ class Run:
             run._require_same(spec, threads)
             run.threads = run.threads or threads
             return run
-        manifest = {
+        manifest: dict[str, Any] = {
             "format": RUN_FORMAT,
             "spec": dataclasses.asdict(spec),
             "dataset_path": str(dataset_path),
@@ -123,6 +127,8 @@ class Run:
             "code": code_of(spec.model),
             "result": None,
         }
+        if isinstance(actions, Discrete):
+            manifest[ACTION_NAMES] = list(actions.names)
         return cls(path, manifest, threads)
 
     def _require_same(self, spec: RunSpec, threads: int | None) -> None:
@@ -213,6 +219,14 @@ class Run:
         self.manifest["conditions"] = dataclasses.asdict(conditions)
         self.threads = conditions.threads
         self.write()
+
+    @property
+    def named_actions(self) -> ActionSpec | None:
+        """The actions of the data set with their names; None if they are not known, or in older runs if discrete."""
+        if isinstance(self.spec.action_spec, Discrete):
+            names = self.manifest.get(ACTION_NAMES)
+            return None if names is None else Discrete(tuple(names))
+        return self.spec.action_spec
 
     @property
     def last(self) -> Path:
@@ -314,12 +328,13 @@ class Run:
             RunCorrupt: The weights do not fit the model; and what ``weights`` raises.
         """
         self._require_result()
-        weights = self._weights(self.forms(self.best))
-        model = self.spec.build()
-        try:
-            model.load_state_dict(weights)
-        except RuntimeError as error:
-            raise RunCorrupt(f"the weights in {str(self.best)!r} do not fit {self.spec.model!r}: {error}") from None
+        with torch.inference_mode(False):  # whoever asks for it first, it can be trained further
+            weights = self._weights(self.forms(self.best))
+            model = self.spec.build()
+            try:
+                model.load_state_dict(weights)
+            except RuntimeError as error:
+                raise RunCorrupt(f"the weights in {str(self.best)!r} do not fit {self.spec.model!r}: {error}") from None
         return model.eval()
 
     def _require_result(self) -> dict[str, Any]:

@@ -36,8 +36,10 @@ from dmotion_bench.wording import shown
 RUN_FORMAT: Final = "dmbench-run/1"
 PARTS: Final = "parts"
 """In the place of joint actions: how many each agent has."""
+ACTION_NAMES: Final = "action_names"
+"""Of ``run.json``: the names of discrete actions. They stand beside the spec, since no training depends on them."""
 
-_LARGEST: Final = 2**20  # bytes of a run.json that are read
+_LARGEST: Final = 2**23  # bytes of a run.json that are read; the longest names of the most actions take half of them
 _COUNTS: Final = range(2**53)
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
@@ -293,6 +295,10 @@ def read_manifest(path: Path) -> dict[str, Any]:
         from_json(RunResult, manifest["result"])
     if "conditions" in manifest:
         from_json(Conditions, fields.pairs("conditions"))
+    if ACTION_NAMES in manifest:
+        known, named = spec.action_spec, Discrete(fields.texts(ACTION_NAMES))
+        if not named.fits(known):
+            raise ValueError(f"it names {len(named)} actions and is of {shown(spec.actions)}")
     for name, told in fields.pairs("code").items() if "code" in manifest else ():
         if len(name) > LONGEST_TEXT or type(told) is not str or not _SHA256.fullmatch(told):
             raise ValueError(f"its code of {shown(name)} is {shown(told)}, no SHA-256")

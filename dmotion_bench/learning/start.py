@@ -179,7 +179,14 @@ def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, work
     spec = resolve(request, dataset)
     folder = path or default_path(request, spec, workspace)
     spec = _streamed_where_needed(request, spec, dataset, folder)
-    return Run.create_or_open(folder, spec, dataset_path=dataset.where, versions=versions(), threads=request.threads)
+    return Run.create_or_open(
+        folder,
+        spec,
+        dataset_path=dataset.where,
+        versions=versions(),
+        threads=request.threads,
+        actions=dataset.spec.actions,
+    )
 
 
 def _streaming(request: TrainingRequest, training: TrainingConfig) -> TrainingConfig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import urllib.request
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,12 @@ import dmotion_bench as dm
 from dmotion_bench.api import demonstration
 from dmotion_bench.api.settings import as_texts
 from dmotion_bench.errors import (
+    DatasetMissing,
     FolderInUse,
     InvalidSetting,
     LabelsNotAvailable,
     ModelContractBroken,
+    RunMismatch,
     RunMissing,
     UnknownName,
     UsageError,
@@ -149,6 +152,15 @@ def test_labels_of_triplets_are_those_that_the_budget_pays_for(workspace: Path) 
         dataset.triplets("tset")  # type: ignore[arg-type]
 
 
+def test_no_labels_and_demonstrations_are_asked_for_in_python_s_words(workspace: Path) -> None:
+    dataset = dm.open_dataset()
+    for split in ("train", "test"):
+        assert dataset.triplets(split, labels="none")[0].keys() == {"previous", "current", "next", "episode"}
+        assert len(dataset.triplets(split, labels="none")) == len(dataset.triplets(split))
+    with pytest.raises(LabelsNotAvailable, match=r"labels='one-shot' are demonstrations.*or labels=\"all\"\."):
+        dataset.triplets("train", labels="one-shot")
+
+
 def test_video_alone_is_read_where_there_are_no_labels(workspace: Path) -> None:
     for file in (workspace / "data" / "grid_world-tiny" / "labels").glob("*"):
         file.unlink()
@@ -200,6 +212,74 @@ def test_a_rollout_begins_with_the_prediction_and_takes_a_sequence_for_each(work
         assert np.abs(first[0].astype(int) - together[row, 0].astype(int)).max() <= 1
     with pytest.raises(UnknownName, match="did you mean 'up'"):
         run.predict(frames[0], frames[1], "upp")
+
+
+def _run_of(workspace: Path) -> dm.Run:
+    """The run, trained on the data set of this workspace alone."""
+    run = dm.load_run("tiny")
+    run.manifest["dataset_path"] = "data/grid_world-tiny"
+    run.write()
+    return run
+
+
+def test_a_run_predicts_by_the_names_that_it_keeps_without_its_data_set(workspace: Path) -> None:
+    run = _run_of(workspace)
+    frames = run.dataset.video(0)
+    left = run.predict(frames[0], frames[1], "left")
+    shutil.rmtree(workspace / "data")
+    alone = dm.load_run("tiny")
+    assert np.array_equal(alone.predict(frames[0], frames[1], "left"), left)
+    assert alone.rollout(frames[0], frames[1], ["left", "up"]).shape == (1, 2, 128, 128, 3)
+    del alone.manifest["action_names"]  # as in a run of before
+    alone.write()
+    before = dm.load_run("tiny")
+    assert np.array_equal(before.predict(frames[0], frames[1], "2"), left)
+    with pytest.raises(DatasetMissing):
+        before.predict(frames[0], frames[1], "left")
+
+
+def test_another_data_set_in_the_place_of_a_run_s_own_is_noticed(workspace: Path) -> None:
+    run = _run_of(workspace)
+    frames = run.dataset.video(0)
+    expected = run.predict(frames[0], frames[1], "left")
+    shutil.rmtree(workspace / "data" / "grid_world-tiny")
+    dm.record("grid_world", "tiny", seed=1, episodes=4, out="data/grid_world-tiny")
+    with pytest.raises(RunMismatch, match=r"has changed since the run 'tiny' was trained on it; open it as it is now"):
+        _ = run.dataset
+    assert np.array_equal(run.predict(frames[0], frames[1], "left"), expected)
+    del run.manifest["action_names"]
+    with pytest.raises(RunMismatch, match="has changed"):
+        run.predict(frames[0], frames[1], "left")
+
+
+def test_actions_of_tensors_are_checked(workspace: Path) -> None:
+    run = dm.load_run("tiny")
+    frames = run.dataset.video(0)
+    for number in (-1, 99):
+        with pytest.raises(UsageError, match=f"given action {number} in row 0; there are 4"):
+            run.predict(frames[0], frames[1], torch.tensor([number]))
+        with pytest.raises(UsageError, match=f"given action {number} in row 1; there are 4"):
+            run.rollout(frames[0], frames[1], torch.tensor([[0, number]]))
+
+
+def test_a_model_that_was_first_asked_for_a_prediction_can_be_trained_further(workspace: Path) -> None:
+    run = dm.load_run("tiny")
+    frames = run.dataset.video(0)
+    run.predict(frames[0], frames[1], "up")
+    batch = next(iter(DataLoader(run.dataset.triplets("train"), batch_size=4)))
+    run.model.train().losses(TripletBatch(**batch)).total.backward()
+    assert any(one.grad is not None and bool(one.grad.any()) for one in run.model.parameters())
+    with torch.inference_mode():
+        other = dm.load_run("tiny").model
+    assert not any(one.is_inference() for one in (*other.parameters(), *other.buffers()))
+
+
+def test_a_run_and_a_data_set_say_what_they_are(workspace: Path) -> None:
+    run = dm.load_run("tiny")
+    assert repr(run) == "<Run 'tiny': dmotion, labels one-shot, trained>"
+    run.manifest["result"] = None
+    assert repr(run) == "<Run 'tiny': dmotion, labels one-shot, not trained>"
+    assert repr(run.dataset) == "<Dataset 'grid_world-tiny': 20 episodes, 240 frames, grid_world>"
 
 
 def test_latent_actions_are_the_model_s_and_not_every_model_has_them(workspace: Path) -> None:

@@ -142,3 +142,12 @@ def test_continuous_actions_are_rows_of_numbers_within_their_bounds() -> None:
     ):
         with pytest.raises(UsageError, match=said):
             model.predict(IMAGES, IMAGES, wrong)
+
+
+@pytest.mark.parametrize(("action", "said"), [([-1, 0, 0], "action -1 in row 0"), ([0, 99, 0], "action 99 in row 1")])
+def test_tensors_of_actions_are_checked_as_numbers_are(model: DMotion, action: list[int], said: str) -> None:
+    for given in (torch.tensor(action), np.array(action)):
+        with pytest.raises(UsageError, match=rf"given {said}; there are 4, numbered from 0"):
+            model.predict(IMAGES, IMAGES, given)
+        with pytest.raises(UsageError, match=said):
+            model.advance(model.begin(IMAGES, IMAGES), given)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import shutil
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import torch
 from known_model import result_of, spec_with
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.errors import InvalidSetting, RunMismatch
+from dmotion_bench.errors import InvalidSetting, RunCorrupt, RunMismatch
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.run import Run, RunSpec
@@ -158,3 +159,25 @@ def test_a_run_remembers_how_many_actions_each_of_several_agents_has(tmp_path: P
 def test_parts_that_cannot_be_are_named(parts: object) -> None:
     with pytest.raises(InvalidSetting, match="the parts of the actions are"):
         dataclasses.replace(_asked(), actions={"parts": parts})
+
+
+def test_a_run_keeps_the_names_of_its_actions_beside_what_decides_the_training(tmp_path: Path) -> None:
+    names = ("up", "down", "left", "right")
+    opened = functools.partial(Run.create_or_open, dataset_path=Path("data/grid"), versions={})
+    run = opened(tmp_path / "one", _asked(), actions=Discrete(names))
+    run.path.mkdir()
+    run.write()
+    read = Run.open(run.path)
+    assert read.named_actions == Discrete(names)
+    assert read.spec == _asked()
+    assert opened(run.path, _asked(), actions=Discrete.numbered(4)).named_actions == Discrete(names)
+    assert _stored(tmp_path / "before", _asked()).named_actions is None
+
+
+@pytest.mark.parametrize("names", [["up"], ["up", "up", "left", "right"], [1, 2, 3, 4], "up", None])
+def test_other_names_than_it_has_actions_are_refused(tmp_path: Path, names: object) -> None:
+    run = _stored(tmp_path / "one", _asked())
+    run.manifest["action_names"] = names
+    run.write()
+    with pytest.raises(RunCorrupt, match=r"run\.json' cannot be read"):
+        Run.open(run.path)

@@ -9,6 +9,7 @@
     moments.py     where something can be gained, and what each of some fixed action sequences truly brings there
     journal.py     the progress of control, on disk
     choices.py     solvers and objectives by their names, with every field settable, and as a report holds them
+    contract.py    what a solver or an objective breaks of its contract, in a sentence
     columns.py     the frozen planners and the test tasks of the table of control
     dynamics/      what actions lead to: a forward model, the true simulator
     objectives/    what is minimised: centres, pixels, features; for arms that push objects on a table, tabletop/

@@ -20,10 +20,12 @@ from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import Environment, HasScript, Script
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken, PlannerContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.planning.contract import calling
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.dynamics.simulator import Simulation, SimulatorDynamics
 from dmotion_bench.planning.objectives.base import Evaluator, Objective, Taken
+from dmotion_bench.planning.objectives.checked import checked_reset
 from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
 from dmotion_bench.planning.tasks import World
@@ -97,7 +99,7 @@ class PlanningAgent(Agent):
 
     def reset(self, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]) -> None:
         """The objective begins anew."""
-        self._evaluator = self._objective.reset(self._spec, first, goals)
+        self._evaluator = checked_reset(self._objective, self._spec, first, goals)
 
     def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """The objective may remember it."""
@@ -108,10 +110,12 @@ class PlanningAgent(Agent):
         """The first action of the best plan, in the units of the environment.
 
         Raises:
-            PlannerContractBroken: The solver returns no plan, or no action for each task.
+            PlannerContractBroken: The solver raises an error, returns no plan, or no action for each task.
         """
         assert self._evaluator is not None, "reset comes first"
-        plan, spec = self._solver.plan(dynamics, self._evaluator, context), dynamics.actions
+        with calling(self._solver, "plan"):
+            plan = self._solver.plan(dynamics, self._evaluator, context)
+        spec = dynamics.actions
         if not isinstance(plan, Plan):
             raise PlannerContractBroken(f"the solver returns {shown(type(plan).__name__)}; it must return a Plan.")
         action = _checked_action(plan.action, spec, len(context.generators))

@@ -37,6 +37,7 @@ from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.dynamics.simulator import Simulation, SimulatorDynamics
 from dmotion_bench.planning.moments import Moment, carried_out, find_moment, fixed_sequences
 from dmotion_bench.planning.objectives.base import Objective, taught
+from dmotion_bench.planning.objectives.checked import checked_reset
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.planning.solvers.rollouts import Rollouts
 from dmotion_bench.planning.solvers.search import Search
@@ -253,7 +254,7 @@ def _picks(
     problems = [moment.problem for moment in moments]
     goals = np.stack([problem.goal_frame for problem in problems])
     seen = [_seen(dataset, moment) for moment in moments]
-    evaluator = objective.reset(dataset.spec, np.stack([frames[0] for frames in seen]), goals)
+    evaluator = checked_reset(objective, dataset.spec, np.stack([frames[0] for frames in seen]), goals)
     spec, longest = known_actions(dataset.spec), max(map(len, seen))
     recorded = [dataset.states(problem.task.episode).actions[problem.task.start :] for problem in problems]
     current = np.stack([frames[0] for frames in seen])

@@ -3,6 +3,7 @@
 ::
 
     base.py       the contract: settings, and a memory over an episode; costs in named parts
+    checked.py    an objective whose methods are checked as they are called
     centres.py    the paper's: squared distances of the objects' centres
     tracked.py    the same with a memory: a hidden object is where it was last seen
     tracked_risk.py  the same, and the risk that the next action makes an object disappear

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.planning.contract import calling
 from dmotion_bench.planning.dynamics.base import Actions, Dynamics, State
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.storage.readable import ReadableDataset
@@ -108,7 +109,10 @@ class LearnsFromVideo(Protocol):
 
 def taught(objective: Objective, video: ReadableDataset) -> Objective:
     """An objective that has learned from a data set's video what it wants to know; most want nothing."""
-    return objective.learned(video) if isinstance(objective, LearnsFromVideo) else objective
+    if not isinstance(objective, LearnsFromVideo):
+        return objective
+    with calling(objective, "learned"):
+        return objective.learned(video)
 
 
 class Memoryless:

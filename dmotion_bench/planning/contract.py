@@ -1,0 +1,46 @@
+"""What a solver or an objective breaks of its contract is said in a sentence that names its class and method."""
+
+from __future__ import annotations
+
+import contextlib
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+
+from dmotion_bench.errors import DmbenchError, PlannerContractBroken
+
+
+@contextlib.contextmanager
+def calling(part: object, method: str) -> Iterator[None]:
+    """Turn an error of a solver, an objective or an evaluator into one that names the method.
+
+    Raises:
+        PlannerContractBroken: The method raised something else than a ``DmbenchError``.
+    """
+    try:
+        yield
+    except (DmbenchError, MemoryError, torch.OutOfMemoryError):
+        raise
+    except Exception as error:  # somebody else's part may raise anything
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        told = f"raised {type(error).__name__} in line {place.lineno} of {Path(place.filename).name}"
+        raise broken(part, method, f"{told}: {str(error).rstrip('.')}") from error
+
+
+def require(part: object, method: str, holds: bool, sentence: str) -> None:
+    """Raise an error that says what a method did wrong, unless the condition holds.
+
+    Raises:
+        PlannerContractBroken: It does not.
+    """
+    if not holds:
+        raise broken(part, method, sentence)
+
+
+def broken(part: object, method: str, sentence: str) -> PlannerContractBroken:
+    """The error for a breach."""
+    return PlannerContractBroken(
+        f"{type(part).__qualname__}.{method} {sentence}. The contract is in docs/your_planner.md."
+    )

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from dmotion_bench.api.settings import whole
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model
@@ -16,6 +17,7 @@ from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage import dataset as stored
+from dmotion_bench.storage.shard import EpisodeRow
 from dmotion_bench.workspace import AnyPath, Workspace
 
 Triplet = dict[str, torch.Tensor]
@@ -32,6 +34,14 @@ class Dataset(stored.Dataset):
     def __repr__(self) -> str:
         """Its name, its episodes and frames, and where they are from."""
         return f"<Dataset {self.name!r}: {len(self)} episodes, {self.lengths.sum()} frames, {self.recipe.environment}>"
+
+    def row(self, episode: int) -> EpisodeRow:
+        """Where an episode is and how it came about.
+
+        Raises:
+            UsageError: There is none of this number, or that is no number.
+        """
+        return super().row(whole("episode", episode))
 
     def triplets(
         self,
@@ -82,7 +92,7 @@ class Dataset(stored.Dataset):
                 f"labels={labels!r} are demonstrations, which a training draws; ask for a number of triplets such as "
                 'labels=64, a share such as labels="10%", or labels="all".'
             )
-        budget = LabelBudget(self, request, seed)
+        budget = LabelBudget(self, request, whole("seed", seed, 0))
         labelled = budget.actions(chosen, purpose)
         return TripletDataset(labelled.triplets, labelled.actions)
 

@@ -14,7 +14,7 @@ import torch
 from dmotion_bench.actions import Discrete
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.scoring import control_scoring
-from dmotion_bench.api.settings import Settings
+from dmotion_bench.api.settings import Settings, whole
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.driving import predicted
@@ -105,8 +105,8 @@ def plan(
 
     Raises:
         RunMissing, UnknownName: There is no such run, task, planner or objective.
-        UsageError: The data set was imported, so nobody can act in it; ``save`` is no such file; or a column and a
-            planner are named.
+        UsageError: The data set was imported, so nobody can act in it; ``save`` is no such file; a number is out of its
+            bounds; or a column and a planner are named.
         DatasetError: The data set stores no tasks.
 
     Example:
@@ -115,6 +115,7 @@ def plan(
         (1.0, 2)
     """
     require_known_suffix("save", save)
+    task, steps, seed = whole("task", task, 0), whole("steps", steps, 1), whole("seed", seed, 0)
     chosen = control_scoring(
         None, planner, planner_settings, objective, objective_settings, steps=steps, seed=seed, group=1, column=column
     )

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dmotion_bench.api.progress import Progress, telling
-from dmotion_bench.api.settings import Settings, as_preset, as_texts
-from dmotion_bench.errors import UsageError
+from dmotion_bench.api.settings import LARGEST_SEED, Settings, as_preset, as_texts, whole
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress
@@ -47,7 +46,7 @@ def record(
     Args:
         environment: Its name, or ``gym:ID`` for any Gymnasium environment.
         preset: How much: ``"tiny"``, ``"small"`` or ``"paper"``.
-        episodes, frames, tasks: Instead of the preset's: episodes, frames in each at most, control tasks.
+        episodes, frames, tasks: Instead of the preset's: episodes, frames in each at most (3 or more), control tasks.
         seed: The same seed records the same bytes.
         vary: Names of factors that differ between episodes.
         ranges: What they are drawn from: ``"in-distribution"`` or ``"shifted"``.
@@ -66,7 +65,7 @@ def record(
         What was recorded; it can be given to every function that takes a data set.
 
     Raises:
-        UnknownName, InvalidSetting: A name or a value that is not allowed.
+        UnknownName, UsageError, InvalidSetting: A name or a value that is not allowed.
         RecipeMismatch: The folder holds another data set.
         RecordingFailed: The environment or the policy failed.
 
@@ -75,21 +74,20 @@ def record(
         >>> recorded.episodes, recorded.frames
         (12, 144)
     """
-    if workers < 1:
-        raise UsageError(f"workers is {workers}; a recording needs 1 or more.")
+    workers = whole("workers", workers, 1)
     recipe = recipe_for(
         environment,
         as_preset(preset),
-        episodes=episodes,
-        frames=frames,
-        tasks=tasks,
-        seed=seed,
+        episodes=whole("episodes", episodes, 1),
+        frames=whole("frames", frames, 3),
+        tasks=whole("tasks", tasks, 0),
+        seed=whole("seed", seed, 0, LARGEST_SEED),
         vary=[vary] if isinstance(vary, str) else vary,
         ranges=ranges,
         policy=policy,
         settings=as_texts(settings),
-        size=size,
-        frame_skip=frame_skip,
+        size=whole("size", size, 16, 1024),
+        frame_skip=whole("frame_skip", frame_skip, 1),
     )
     place = Workspace.current() if workspace is None else Workspace(workspace)
     folder = default_folder(recipe, as_preset(preset), place) if out is None else Path(out)

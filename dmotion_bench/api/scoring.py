@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from dmotion_bench.api.progress import Progress, telling
-from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of
+from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of, whole
 from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
@@ -58,7 +58,7 @@ def score(
     data: AnyPath | None = None,
     batch_size: int = 64,
     precision: Precision = "float32",
-    device: str = "auto",
+    device: str | torch.device = "auto",
     renew: bool = True,
     workspace: AnyPath | None = None,
     progress: Progress = None,
@@ -103,10 +103,11 @@ def score(
     """
     require_one_of("split", split, ("test", "validation"))
     require_one_of("precision", precision, ("float32", "bf16"))
+    batch_size, tasks = whole("batch_size", batch_size, 1), whole("tasks", tasks, 1)
     place = Workspace.current() if workspace is None else Workspace(workspace)
     settings = ScoreSettings(
         split=split,
-        horizon=horizon,
+        horizon=whole("horizon", horizon, 1),
         precision=precision,
         control=control_scoring(tasks, planner, planner_settings, objective, objective_settings, column=column),
     )
@@ -116,7 +117,7 @@ def score(
         None if metrics is None else as_metrics([metrics] if isinstance(metrics, str) else metrics),
         settings,
         batch_size=batch_size,
-        device=device,
+        device=str(device),  # torch's own may be given, too
         keep=not renew,
         data=None if data is None else place.dataset(data),
         progress=progress,

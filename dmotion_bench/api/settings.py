@@ -1,11 +1,17 @@
-"""Settings as Python writes them, ``{"epochs": 5}``, as the texts that the command line takes, ``epochs=5``."""
+"""Arguments as Python writes them: settings, ``{"epochs": 5}``, as the texts that the command line takes, and numbers.
+
+A whole number may be one of NumPy's. The bounds are those of the command line's options.
+"""
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final, overload
 
-from dmotion_bench.errors import InvalidSetting, UnknownName
+import numpy as np
+
+from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
 from dmotion_bench.specs import Preset, SplitName
 from dmotion_bench.wording import shown
 
@@ -15,7 +21,35 @@ Settings = Mapping[str, object] | Sequence[str] | None
 DEVICES: Final = ("auto", "cpu", "cuda")
 SPLITS: Final[tuple[SplitName, ...]] = ("train", "validation", "test")
 SPLIT_PROTOCOLS: Final = ("episode", "paper")
+LARGEST_SEED: Final = 2**53 - 1
 TRACKERS: Final = ("tensorboard", "wandb")
+
+
+@overload
+def whole(name: str, given: int, least: int | None = ..., most: int | None = ...) -> int: ...
+@overload
+def whole(name: str, given: None, least: int | None = ..., most: int | None = ...) -> None: ...
+def whole(name: str, given: Any, least: int | None = None, most: int | None = None) -> int | None:
+    """A whole number as Python's own, or None where None was given.
+
+    Args:
+        name: Of the argument.
+        given: Its value; ``True`` and ``False`` are no numbers.
+        least, most: Its bounds; both can be taken.
+
+    Raises:
+        UsageError: It is no whole number, or out of its bounds.
+    """
+    if given is None:
+        return None
+    try:
+        number = None if isinstance(given, bool | np.bool_) else operator.index(given)
+    except TypeError:
+        number = None
+    if number is None or (least is not None and number < least) or (most is not None and number > most):
+        bounds = "" if least is None else f" of {least} or more" if most is None else f" from {least} to {most}"
+        raise UsageError(f"{name} is {shown(given)}; it must be a whole number{bounds}.")
+    return number
 
 
 def require_one_of(kind: str, given: str, allowed: Iterable[str]) -> None:

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.runs import Run
-from dmotion_bench.api.settings import DEVICES, SPLIT_PROTOCOLS, TRACKERS, Settings, as_preset, as_texts, require_one_of
+from dmotion_bench.api.settings import (
+    DEVICES,
+    LARGEST_SEED,
+    SPLIT_PROTOCOLS,
+    TRACKERS,
+    Settings,
+    as_preset,
+    as_texts,
+    require_one_of,
+    whole,
+)
 from dmotion_bench.errors import DmbenchError, ModelContractBroken, RunMissing, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
@@ -35,13 +45,14 @@ from dmotion_bench.learning.training import Report
 from dmotion_bench.learning.training import train as train_steps
 from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.registry import MODELS, is_built_in, model_class
-from dmotion_bench.specs import Preset
+from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.atomic import is_unused
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_before_training
 from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace
 
 if TYPE_CHECKING:
+    import torch
     from lightning_fabric import Fabric
 
 __all__ = [
@@ -72,7 +83,7 @@ def train(
     threads: int | None = None,
     stream: bool | None = None,
     loaders: int | None = None,
-    device: str = "auto",
+    device: str | torch.device = "auto",
     log: Sequence[str] = (),
     workspace: AnyPath | None = None,
     progress: Progress = None,
@@ -117,17 +128,19 @@ def train(
         4
     """
     require_one_of("split", split, SPLIT_PROTOCOLS)
+    device = str(device)  # torch's own may be given, too
     require_one_of("device", device, DEVICES)
+    loaders = whole("loaders", loaders, 1, MOST_THREADS)
     trackers = known_trackers([log] if isinstance(log, str) else log)
     request = TrainingRequest(
         model=model,
         labels=None if labels is None else str(labels),
         preset=None if preset is None else as_preset(preset),
         arch=arch,
-        seed=seed,
+        seed=whole("seed", seed, 0, LARGEST_SEED),
         settings=as_texts(settings),
         protocol=split,
-        threads=threads,
+        threads=whole("threads", threads, 1, MOST_THREADS),
         stream=stream,
     )
     where = Workspace.current() if workspace is None else Workspace(workspace)

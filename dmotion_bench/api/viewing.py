@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from dmotion_bench.api.settings import SPLITS, require_one_of
+from dmotion_bench.api.settings import SPLITS, require_one_of, whole
 from dmotion_bench.errors import DmbenchError, UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
@@ -34,6 +34,7 @@ from dmotion_bench.viewing.run import run_scene
 from dmotion_bench.viewing.scene import Scene, write_scene
 from dmotion_bench.viewing.target import Target, find_target
 from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import AnyPath, Workspace
 
 __all__ = [
@@ -119,7 +120,7 @@ def view(
 
     Raises:
         UnknownName: There is nothing of this name.
-        UsageError: It cannot be shown in this way.
+        UsageError: It cannot be shown in this way, or a number is out of its bounds.
         ViewerError: The file cannot be written, or there is no display for a window.
 
     Example:
@@ -128,6 +129,8 @@ def view(
     """
     if split is not None:
         require_one_of("split", split, SPLITS)
+    steps = whole("steps", steps, 1)
+    episodes = _numbers_of(episodes)
     file = None if save is None else Path(save)
     if file is not None and file.suffix not in (".rrd", *ANIMATED):
         raise UsageError(
@@ -159,6 +162,17 @@ def view(
         write_scene_of(targets, written, episodes, split, other, place)
         served = None if file is not None else show(written, web=web, stack=stack)
     return served if file is None else file
+
+
+def _numbers_of(episodes: object) -> list[int]:
+    """The numbers of episodes.
+
+    Raises:
+        UsageError: They are no list of whole numbers.
+    """
+    if isinstance(episodes, str) or not isinstance(episodes, Iterable):
+        raise UsageError(f"episodes is {shown(episodes)}; give a list of their numbers, such as [0].")
+    return [whole("episode", one, 0) for one in episodes]
 
 
 def show(file: Path, *, web: bool, stack: contextlib.ExitStack | None = None) -> Served | None:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -52,13 +53,22 @@ def check_model(
         size: Side of the frames that it is tried on [px]; if left out, 64, or 128 if it refuses 64.
         actions: What can be done: so many discrete actions, or a specification, such as ``CONTINUOUS``.
 
+    A model whose predictions no action changes is no breach, but a warning.
+
     Raises:
         ModelContractBroken: At the first breach.
     """
     _check_class(kind)
     arch = arch or kind.architectures[0]
     spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
-    _check(ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec)))
+    subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec))
+    _check(subject)
+    if not any(_tells_actions_apart(subject, steps) for steps in (0, WARM_UP)):
+        warnings.warn(
+            f"{subject.name}: after {WARM_UP} steps of training predict gives the same frames whatever the action is; "
+            "a model that takes no notice of actions cannot be planned with.",
+            stacklevel=2,
+        )
 
 
 def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs, config: Any = None) -> None:
@@ -87,8 +97,8 @@ def _check(subject: ModelTrial) -> None:
     for phase in subject.build().phases():
         _check_losses(subject, phase)
         _check_validation(subject, phase)
-    _check_alignment(subject)
     _check_prediction(subject)
+    _check_alignment(subject)
     _check_rollout(subject)
     if any(kind.training_defaults(preset, subject.arch).channels_last for preset in Preset):
         packed = ModelTrial(kind, subject.arch, subject.inputs, channels_last=True, config=subject.config)
@@ -351,19 +361,31 @@ def _check_prediction(subject: ModelTrial) -> None:
     before = previous.clone(), current.clone(), action.clone()
     with torch.no_grad(), subject.calling("predict(previous, current, action)"):
         frames = model.predict(previous, current, action)
-        again = model.predict(previous, current, action)
-        alone = torch.cat(
-            [model.predict(previous[i : i + 1], current[i : i + 1], action[i : i + 1]) for i in range(BATCH)]
-        )
     _check_frames(subject, "predict(previous, current, action)", frames, current.shape)
     subject.require(
         all(map(torch.equal, before, (previous, current, action))), "predict changes its arguments in place"
     )
+    with torch.no_grad(), subject.calling("predict(previous, current, action)"):
+        again = model.predict(previous, current, action)
     subject.require(torch.equal(frames, again), "predict differs from one call to the next with the same arguments")
+    with torch.no_grad(), subject.calling("predict(previous, current, action)"):
+        alone = torch.cat(
+            [model.predict(previous[i : i + 1], current[i : i + 1], action[i : i + 1]) for i in range(BATCH)]
+        )
     subject.require(
         torch.allclose(frames, alone, atol=1e-3),
         "predict gives a frame that depends on the other frames of the batch",
     )
+
+
+def _tells_actions_apart(subject: ModelTrial, steps: int) -> bool:
+    """Whether the frames that a model predicts after so many steps of training depend on the action."""
+    model, _ = _aligned(subject, steps=steps)
+    previous, current, usual = subject.images(BATCH, 1), subject.images(BATCH, 2), subject.actions(BATCH)
+    others = [other for shift in range(1, 4) if not torch.equal(other := subject.actions(BATCH, shift), usual)]
+    with torch.no_grad(), subject.calling("predict(previous, current, action)"):
+        frames = model.eval().predict(previous, current, usual)
+        return not others or any(not torch.equal(model.predict(previous, current, one), frames) for one in others)
 
 
 def _check_rollout(subject: ModelTrial) -> None:

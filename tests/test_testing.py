@@ -333,6 +333,18 @@ BREACHES: dict[str, tuple[Any, str]] = {
         _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a) + torch.randn(1)),
         r"predict differs from one call to the next",
     ),
+    "nothing": (
+        _breaks(SoundVideo, predict=lambda self, *given: None),
+        r"predict\(previous, current, action\) gave a NoneType, not frames of the shape",
+    ),
+    "in place, of video": (
+        _breaks(SoundVideo, predict=lambda self, p, c, a: SoundVideo.predict(self, p, c.mul_(0.5), a)),
+        r"predict changes its arguments in place",
+    ),
+    "noisy, of video": (
+        _breaks(SoundVideo, predict=lambda self, *given: SoundVideo.predict(self, *given) + torch.randn(1)),
+        r"predict differs from one call to the next",
+    ),
     "batch": (
         _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c - c.mean(0), a)),
         r"depends on the other frames of the batch",
@@ -378,3 +390,14 @@ def test_every_breach_is_said(name: str) -> None:
     with pytest.raises(ModelContractBroken, match=sentence) as raised:
         check_model(kind, size=16)
     assert "contract" in str(raised.value) or "ForwardModel" in str(raised.value)
+
+
+@pytest.mark.parametrize("kind", [Sound, SoundVideo])
+def test_predictions_that_no_action_changes_are_a_warning(kind: type) -> None:
+    still = _breaks(kind, predict=lambda self, p, c, a: kind.predict(self, p, c, torch.zeros_like(a)))
+    with pytest.warns(UserWarning, match="after 3 steps of training predict gives the same frames whatever the action"):
+        check_model(still, size=16)
+
+
+def test_of_one_action_no_prediction_can_depend() -> None:
+    check_model(Sound, size=16, actions=1)

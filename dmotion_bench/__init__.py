@@ -37,7 +37,14 @@ if TYPE_CHECKING:
     from dmotion_bench.errors import DmbenchError
     from dmotion_bench.execution.job_progress import JobProgress
     from dmotion_bench.recording.session import Recorded
-    from dmotion_bench.registry import environment_names, model_names, register_environment, register_model
+    from dmotion_bench.registry import (
+        environment_names,
+        model_names,
+        register_environment,
+        register_model,
+        register_objective,
+        register_solver,
+    )
     from dmotion_bench.scoring.report import Report
     from dmotion_bench.workspace import Workspace
 
@@ -68,6 +75,8 @@ __all__ = [
     "record",
     "register_environment",
     "register_model",
+    "register_objective",
+    "register_solver",
     "reproduce",
     "score",
     "share_list",
@@ -98,6 +107,8 @@ _HOMES: Final = {
     "record": "api.recording",
     "register_environment": "registry",
     "register_model": "registry",
+    "register_objective": "registry",
+    "register_solver": "registry",
     "reproduce": "api.reproducing",
     "score": "api.scoring",
     "share_list": "api.sharing",

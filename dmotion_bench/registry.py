@@ -8,6 +8,7 @@ Nothing is imported until a name is asked for, so listing names costs no torch a
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import difflib
 import functools
 import re
@@ -47,7 +48,12 @@ LISTED = {
 }
 """The commands that list the names of each group."""
 
-_REGISTERING: Final = {ENVIRONMENTS: "register_environment", MODELS: "register_model"}
+_REGISTERING: Final = {
+    ENVIRONMENTS: "register_environment",
+    MODELS: "register_model",
+    OBJECTIVES: "register_objective",
+    SOLVERS: "register_solver",
+}
 """The functions that make a class known in one process."""
 
 
@@ -139,6 +145,53 @@ def register_environment(name: str, kind: type[Environment]) -> None:
     if not (isinstance(kind, type) and hasattr(kind, "default_policy") and hasattr(kind, "step")):
         raise UsageError(f"{shown(kind)} is no class of environments; see dmotion_bench.environment.Environment.")
     add(ENVIRONMENTS, name, kind)
+
+
+def register_solver(name: str, kind: type[Solver]) -> None:
+    """Make a class of solvers known in this process.
+
+    Args:
+        name: By which it plans. Registering it again replaces it.
+        kind: The class, a frozen dataclass with a method ``plan``; ``docs/your_planner.md`` says what it has to do.
+
+    Raises:
+        UsageError: The name is a package's or cannot be one, or this is no such class.
+
+    Example:
+        >>> from dmotion_bench.registry import solver_class
+        >>> dm.register_solver("my-cem", solver_class("cem"))
+        >>> dm.plan("oracle", steps=2, planner="my-cem", planner_settings={"horizon": 1}).planner
+        'my-cem'
+    """
+    _add_planner(SOLVERS, "solvers", "plan", name, kind)
+
+
+def register_objective(name: str, kind: type[Objective]) -> None:
+    """Make a class of objectives known in this process.
+
+    Args:
+        name: By which it is planned with. Registering it again replaces it.
+        kind: The class, a frozen dataclass with a method ``reset``; ``docs/your_planner.md`` says what it has to do.
+
+    Raises:
+        UsageError: The name is a package's or cannot be one, or this is no such class.
+
+    Example:
+        >>> from dmotion_bench.registry import objective_class
+        >>> dm.register_objective("my-pixel", objective_class("pixel"))
+        >>> len(dm.plan("oracle", steps=2, objective="my-pixel", planner_settings={"horizon": 1}).actions)
+        2
+    """
+    _add_planner(OBJECTIVES, "objectives", "reset", name, kind)
+
+
+def _add_planner(group: str, many: str, method: str, name: str, kind: object) -> None:
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind) and hasattr(kind, method)):
+        raise UsageError(
+            f"{shown(kind)} is no class of {many}; give a frozen dataclass with a method '{method}', as "
+            "docs/your_planner.md describes it."
+        )
+    add(group, name, kind)
 
 
 def names(group: str) -> list[str]:

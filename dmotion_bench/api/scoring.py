@@ -27,6 +27,7 @@ from dmotion_bench.scoring.settings import METRICS, Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import AnyPath, Workspace
 
 __all__ = [
@@ -243,8 +244,14 @@ def control_scoring(
 
     Raises:
         UnknownName, InvalidSetting: A name or a value that is not allowed.
-        UsageError: A column and a planner or an objective are named.
+        UsageError: A column and a planner or an objective are named, or what is given is no name.
     """
+    for what, given, known in (("planner", planner, "solver"), ("objective", objective, "objective")):
+        if given is not None and not isinstance(given, str):
+            raise UsageError(
+                f"{what} is {shown(given)}; give a name. A class of your own has one once dm.register_{known} was "
+                f"called, and {what}_settings sets its fields."
+            )
     if column is not None and any((planner, planner_settings, objective, objective_settings)):
         raise UsageError(
             f"the column {column!r} says how to plan; leave out the planner, the objective and their settings."

@@ -6,6 +6,7 @@ import json
 import shutil
 import urllib.request
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,9 @@ from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.planning.objectives.base import Memoryless, StepCost
+from dmotion_bench.planning.solvers.base import Plan
+from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.storage.lock import FolderLock
@@ -413,6 +417,55 @@ def test_a_model_of_a_notebook_is_trained_and_scored_by_its_name(
         dm.register_model("other", object)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="no class of environments"):
         dm.register_environment("other", kind)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Always:
+    """A solver that takes one action, and an objective of which every state costs as much."""
+
+    number: int = 1
+
+    def plan(self, dynamics: Any, evaluator: Any, context: Any) -> Plan:
+        tree = PrefixTree(dynamics, evaluator, context.observation, 1)
+        best = np.full((len(context.generators), 1, 1), self.number)
+        costs = tree.costs(best).min(axis=2)
+        return tree.plan(best, costs, [costs[:, 0]])
+
+    def reset(self, spec: Any, first: Any, goals: Any) -> Any:
+        return _Indifferent()
+
+
+class _Indifferent(Memoryless):
+    def step(self, dynamics: Any, state: Any, task: Any, action: Any, cost_state: Any) -> Any:
+        return StepCost.of(torch.zeros(len(task))), ()
+
+
+def test_a_planner_of_a_notebook_plans_and_scores_by_its_name(workspace: Path) -> None:
+    dm.register_solver("always", Always)
+    dm.register_objective("indifferent", Always)
+    planned = dm.plan("oracle", steps=2, planner="always", objective="indifferent", planner_settings={"number": 3})
+    assert planned.actions == ["right", "right"]
+    report = dm.score("tiny", "control", tasks=1, planner="always", objective="indifferent")
+    assert report.settings["control_planner"] == "always"
+    with pytest.raises(UsageError, match=r"planner is Always\(number=1\); give a name.*dm\.register_solver was called"):
+        dm.plan("oracle", planner=Always())  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"objective is <class .*; give a name.*dm\.register_objective was called"):
+        dm.score("tiny", "control", objective=Always)  # type: ignore[arg-type]
+    for register, many, method in (
+        (dm.register_solver, "solvers", "plan"),
+        (dm.register_objective, "objectives", "reset"),
+    ):
+        for wrong in (object, _Indifferent, Always(), dm.JobProgress):
+            with pytest.raises(UsageError, match=f"is no class of {many}; give a frozen dataclass .* '{method}'"):
+                register("other", wrong)  # type: ignore[arg-type]
+        with pytest.raises(UsageError, match="cannot be a name here"):
+            register("a b", Always)
+    with pytest.raises(UsageError, match="registered by a package already"):
+        dm.register_solver("cem", Always)
+    with pytest.raises(UsageError, match="registered by a package already"):
+        dm.register_objective("pixel", Always)
+    with pytest.raises(UnknownName, match="where register_solver was called"):
+        dm.plan("oracle", planner="xyzzy")
 
 
 @pytest.mark.parametrize(

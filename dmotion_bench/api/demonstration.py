@@ -11,6 +11,7 @@ from typing import Any
 from dmotion_bench.api.progress import Progress
 from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import score_runs
+from dmotion_bench.api.settings import LARGEST_SEED, whole
 from dmotion_bench.api.training import begin, complete
 from dmotion_bench.api.viewing import scene_of
 from dmotion_bench.learning.start import TrainingRequest
@@ -79,7 +80,11 @@ def demo(
         say: Told in a line what happens.
         note: Told in a sentence what is worth knowing beside.
         progress: A function that is told how far each part is, or True for a bar.
+
+    Raises:
+        UsageError: A number is none, or out of its bounds.
     """
+    seed, workers = whole("seed", seed, 0, LARGEST_SEED), whole("workers", workers, 1)
     began, workspace = time.monotonic(), Workspace(out)
     say(f"1/4 recording {EPISODES} episodes of {ENVIRONMENT}")
     recipe = recipe_for(ENVIRONMENT, Preset.SMALL, episodes=EPISODES, tasks=0, seed=seed)

@@ -528,6 +528,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "plan's seed": (lambda: dm.plan("random", seed=-1), "seed is -1; .* of 0 or more"),
     "plan's task": (lambda: dm.plan("random", task=-1), "task is -1; .* of 0 or more"),
     "plan's steps": (lambda: dm.plan("random", steps=0), "steps is 0; .* of 1 or more"),
+    "demo's seed": (lambda: dm.demo("new", seed=True), "seed is True; it must be a whole"),
     "batch": (lambda: dm.score("tiny", batch_size=0), "batch_size is 0; .* of 1 or more"),
     "half a step": (lambda: dm.score("tiny", horizon=2.5), "horizon is 2.5; .* of 1 or more"),  # type: ignore[arg-type]
     "tasks scored": (lambda: dm.score("tiny", "control", tasks=0), "tasks is 0; .* of 1 or more"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dmotion_bench.api.settings import as_preset
+from dmotion_bench.api.settings import LARGEST_SEED, as_preset
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
 from dmotion_bench.cli.stdout import print_json
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from dmotion_bench.viewing.follow import Follower
 
 
-LARGEST_SEED = 2**53 - 1
 """The largest whole number that every reader of JSON reads exactly."""
 
 

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmotion_bench.api.settings import DEVICES, TRACKERS, as_preset, require_one_of
+from dmotion_bench.api.settings import DEVICES, LARGEST_SEED, TRACKERS, as_preset, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import AsJson, Device, listed
-from dmotion_bench.cli.record import LARGEST_SEED
 from dmotion_bench.cli.stdout import own_stdout, print_json
 from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
 from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset

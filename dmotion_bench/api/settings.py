@@ -22,6 +22,7 @@ DEVICES: Final = ("auto", "cpu", "cuda")
 SPLITS: Final[tuple[SplitName, ...]] = ("train", "validation", "test")
 SPLIT_PROTOCOLS: Final = ("episode", "paper")
 LARGEST_SEED: Final = 2**53 - 1
+"""The largest whole number that every reader of JSON reads exactly."""
 TRACKERS: Final = ("tensorboard", "wandb")
 
 

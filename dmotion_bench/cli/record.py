@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from dmotion_bench.viewing.follow import Follower
 
 
-"""The largest whole number that every reader of JSON reads exactly."""
-
-
 def register(app: typer.Typer) -> None:
     """Add the command."""
     app.command()(record)

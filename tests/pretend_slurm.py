@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
+
+import pytest
+
+from dmotion_bench.execution import slurm_executor
 
 _COMMANDS = {
     "sbatch": """
@@ -43,6 +48,12 @@ for job in sys.argv[1:]:
             os.killpg(int(task.read_text()), signal.SIGKILL)
 """,
 }
+
+
+def use_slurm(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put Slurm on the PATH; its disk shows at once what a job wrote, and is not waited for."""
+    monkeypatch.setenv("PATH", f"{install_slurm(folder)}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setitem(slurm_executor._PATIENCE, "slurm", 1.0)
 
 
 def install_slurm(folder: Path) -> Path:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import os
 import shlex
 import shutil
 import subprocess
@@ -25,7 +24,7 @@ import pytest
 from dmbench_command import dmbench
 from known_model import result_of
 from object_storage import object_storage
-from pretend_slurm import install_slurm
+from pretend_slurm import use_slurm
 from storage.foreign import foxglove_file, steady, video
 from test_documentation import MODELS, PAGES, ROOT, _commands, _is_example
 from walk import BLOCK, assert_printed, run_python, save, steps
@@ -235,7 +234,7 @@ def test_a_tutorial_can_be_followed_from_an_empty_folder(
     _shorten(monkeypatch, planning=page.stem not in PLANNED_IN_FULL)
     machines = contextlib.ExitStack()
     if page.stem == "cluster":
-        monkeypatch.setenv("PATH", f"{install_slurm(tmp_path / 'slurm')}{os.pathsep}{os.environ['PATH']}")
+        use_slurm(tmp_path / "slurm", monkeypatch)
         for name, value in machines.enter_context(object_storage()).environment.items():
             monkeypatch.setenv(name, value)
     monkeypatch.chdir(tmp_path)

@@ -3,7 +3,7 @@
 What an unsupervised model learns does not depend on the budget (the tests compare the bits), only the alignment after
 the training does. So the 5-shot run takes over the one-shot run's last checkpoint and is aligned for itself, or
 fine-tuned (``adaptation.py``). Of a world model the autoencoder comes first and sees video alone: another budget goes
-on from where it ended. A training by code that was changed since is left alone.
+on from where it ended.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def _twin(run: Run, folder: Path) -> Run | None:
             return None
         adapted = {name: getattr(other.spec.training_config, name) for name in AFTERWARDS}
         wanted = dataclasses.replace(run.spec, labels=other.spec.labels, training={**run.spec.training, **adapted})
-        return None if other.differences(wanted, run.threads) or other.changed_modules else other
+        return None if other.differences(wanted, run.threads) else other
     except (RunError, InvalidSetting):
         return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -46,6 +47,18 @@ def build() -> Callable[..., Any]:
             )
 
     return built
+
+
+@pytest.fixture
+def predicted_by_rows() -> Callable[..., torch.Tensor]:
+    """What a model predicts for each triplet where the rows of its table are one latent action for each."""
+
+    def predicted(model: ForwardModel[Any], video: TripletBatch, latent: torch.Tensor) -> torch.Tensor:
+        model.table.rows = latent
+        model.inputs = dataclasses.replace(model.inputs, actions=Discrete.numbered(len(latent)))
+        return model.predict(video.previous, video.current, torch.arange(len(latent)))
+
+    return predicted
 
 
 @pytest.fixture

@@ -52,12 +52,13 @@ def _packed(*frames: torch.Tensor) -> list[torch.Tensor]:
     return [pack(frame) for frame in frames]
 
 
-def test_the_stepwise_loss_is_the_error_of_a_prediction_with_the_true_latent_action(build, video) -> None:
+def test_the_stepwise_loss_is_the_error_of_a_prediction_with_the_true_latent_action(
+    build, predicted_by_rows, video
+) -> None:
     model = build(Clasp).eval()
     with torch.no_grad():
         losses = model.losses(video)
-        model.table.rows = model.latent_action(video.previous, video.current, video.next)  # a row for each triplet
-        frames = model.predict(video.previous, video.current, torch.arange(6))
+        frames = predicted_by_rows(model, video, model.latent_action(video.previous, video.current, video.next))
     torch.testing.assert_close(losses.per_triplet, (frames - video.next).square().mean((1, 2, 3)))
 
 

@@ -28,7 +28,7 @@ from mortal_workers import (
     raises_at_one,
 )
 from noise_world import files_of
-from pretend_slurm import install_slurm
+from pretend_slurm import use_slurm
 
 from dmotion_bench import errors
 from dmotion_bench.errors import DmbenchError, JobsLost, PackageNotInstalled, UnknownName
@@ -183,7 +183,7 @@ def test_what_a_job_raises_arrives_and_stops_the_others(tmp_path: Path) -> None:
 @pytest.fixture
 def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where a pretended Slurm keeps the scripts that it was given."""
-    monkeypatch.setenv("PATH", f"{install_slurm(tmp_path / 'slurm')}{os.pathsep}{os.environ['PATH']}")
+    use_slurm(tmp_path / "slurm", monkeypatch)
     return tmp_path / "slurm"
 
 

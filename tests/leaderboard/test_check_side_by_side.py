@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import time
 from pathlib import Path
@@ -12,7 +11,7 @@ import psutil
 import pytest
 from dmbench_command import finish, start_dmbench
 from mortal_workers import Deadly, Losing
-from pretend_slurm import install_slurm
+from pretend_slurm import use_slurm
 
 from dmotion_bench.errors import UnknownName
 from dmotion_bench.execution.executors import make_executor
@@ -47,7 +46,7 @@ def test_a_killed_worker_changes_no_verdict(
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent.parent))
     if name == "slurm":
-        monkeypatch.setenv("PATH", f"{install_slurm(tmp_path / 'slurm')}{os.pathsep}{os.environ['PATH']}")
+        use_slurm(tmp_path / "slurm", monkeypatch)
     nowhere, counted = Workspace(tmp_path / "nowhere"), list[tuple[int, int]]()
     in_turn = check_paths([entries], nowhere)
     executor = Deadly(make_executor(name, 2, tmp_path / "scratch"), tmp_path / "died")

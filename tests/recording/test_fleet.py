@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import time
 from dataclasses import replace
@@ -17,7 +16,7 @@ import pytest
 from dmbench_command import finish, start_dmbench
 from mortal_workers import Deadly
 from noise_world import files_of
-from pretend_slurm import install_slurm
+from pretend_slurm import use_slurm
 from storage.foreign import compressed, foxglove_compressed_file, foxglove_file, steady, video
 from storage.foreign_video import video_file
 
@@ -85,7 +84,7 @@ def deadly(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
         return None
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent.parent))
     if request.param == "slurm":
-        monkeypatch.setenv("PATH", f"{install_slurm(tmp_path / 'slurm')}{os.pathsep}{os.environ['PATH']}")
+        use_slurm(tmp_path / "slurm", monkeypatch)
     return Deadly(make_executor(request.param, 2, tmp_path / "scratch"), tmp_path / "died")
 
 

@@ -98,11 +98,30 @@ def load(
         RunCorrupt: It is cut short or changed, it is no checkpoint, or it holds other tensors.
         RunError: The file may not be opened.
     """
+    while True:  # safetensors opens the file twice, and a training that goes on may put another one there in between
+        there = _identity(path)
+        try:
+            return _load(path, required, optional or {})
+        except RunCorrupt:
+            if _identity(path) == there:
+                raise
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Tells a file from one that takes its place; None if there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
+
+
+def _load(path: Path, required: Forms | None, optional: Forms) -> tuple[dict[str, Tensor], dict[str, Any]]:
     _require_readable(path)
     try:
         with safetensors.safe_open(path, framework="pt") as opened:
             found = _header(opened)
-            _require_forms(path, found, required, optional or {})
+            _require_forms(path, found, required, optional)
             facts = parse_json((opened.metadata() or {}).get(FACTS, "null"), largest=_LARGEST_FACTS)
             tensors = {name: opened.get_tensor(name) for name in found}
     except (safetensors.SafetensorError, ValueError, OSError) as error:

@@ -66,3 +66,18 @@ def test_the_hash_sees_every_bit_and_no_layout() -> None:
     assert checkpoint.weights_hash(weights) == checkpoint.weights_hash(same)
     other = {**weights, "b": torch.tensor([-0.0])}
     assert checkpoint.weights_hash(weights) != checkpoint.weights_hash(other)
+
+
+def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(tmp_path, monkeypatch) -> None:
+    """As a training that goes on does; safetensors opens the file once for its header and once for its tensors."""
+    path, header = tmp_path / "last.safetensors", checkpoint._header
+    checkpoint.save(path, {"a": torch.zeros(3)}, {"step": 1})
+
+    def replaced(opened: object) -> object:
+        monkeypatch.setattr(checkpoint, "_header", header)
+        checkpoint.save(path, {"a": torch.ones(4)}, {"step": 2})
+        raise ValueError("the header does not fit the file")
+
+    monkeypatch.setattr(checkpoint, "_header", replaced)
+    tensors, facts = checkpoint.load(path)
+    assert (tensors["a"].tolist(), facts) == ([1.0] * 4, {"step": 2})

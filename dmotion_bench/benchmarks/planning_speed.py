@@ -27,6 +27,7 @@ from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.mpc import GROUP
 from dmotion_bench.planning.objectives.base import Evaluator
+from dmotion_bench.planning.objectives.checked import checked_reset
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Sequences
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.registry import model_class
@@ -115,7 +116,7 @@ class PlanningOneByOne:
         self._seen = _observation(images, 1)
         solver, objective = HEADLINE.made(spec, needs_pixels=model.needs_pixels)
         assert isinstance(solver, CrossEntropy), "whose candidates are counted here"
-        self._evaluator = objective.reset(spec, self._seen.current, self._seen.goals)
+        self._evaluator = checked_reset(objective, spec, self._seen.current, self._seen.goals)
         actions = len(require_discrete(spec.actions, "planning"))
         drawn = np.random.default_rng(0).integers(0, actions, (1000, solver.horizon))
         self._candidates, self._count = itertools.cycle(drawn), solver.samples * solver.iterations

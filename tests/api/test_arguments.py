@@ -1,0 +1,73 @@
+"""Arguments of functions in Python: bounds as on the command line, and NumPy's whole numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from api.test_use_cases import bytes_of
+
+import dmotion_bench as dm
+from dmotion_bench.errors import (
+    UsageError,
+)
+
+REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
+    "a true seed": (lambda: dm.record("grid_world", "tiny", seed=True, out="new"), "seed is True; it must be a whole"),
+    "half a seed": (lambda: dm.record("grid_world", "tiny", seed=1.5, out="new"), "seed is 1.5; it must be a whole"),  # type: ignore[arg-type]
+    "seed": (lambda: dm.record("grid_world", "tiny", seed=-1, out="new"), "a whole number from 0 to 9007199254740991"),
+    "one frame": (lambda: dm.record("grid_world", "tiny", frames=1, out="new"), "frames is 1; .* of 3 or more"),
+    "two frames": (lambda: dm.record("grid_world", "tiny", frames=2, out="new"), "frames is 2; .* of 3 or more"),
+    "episodes": (lambda: dm.record("grid_world", "tiny", episodes=0, out="new"), "episodes is 0; .* of 1 or more"),
+    "tasks": (lambda: dm.record("grid_world", "tiny", tasks=-1, out="new"), "tasks is -1; .* of 0 or more"),
+    "size": (lambda: dm.record("gym:CartPole-v1", "tiny", size=8, out="new"), "size is 8; .* from 16 to 1024"),
+    "skip": (lambda: dm.record("gym:CartPole-v1", "tiny", frame_skip=0, out="new"), "frame_skip is 0; .* of 1 or"),
+    "workers": (lambda: dm.record("grid_world", "tiny", workers=0, out="new"), "workers is 0; .* of 1 or more"),
+    "threads": (lambda: dm.train("lapo", threads=0, out="new"), "threads is 0; .* from 1 to 1024"),
+    "loaders": (lambda: dm.train("lapo", loaders=0, out="new"), "loaders is 0; .* from 1 to 1024"),
+    "true seed": (lambda: dm.train("lapo", seed=np.bool_(1), out="new"), r"seed is .*True.*; it must be a whole"),  # type: ignore[arg-type]
+    "device": (lambda: dm.train("lapo", device=torch.device("meta"), out="new"), "no device named 'meta'"),
+    "no steps": (lambda: dm.view("tiny", save="new.gif", steps=0), "steps is 0; .* of 1 or more"),
+    "fewer steps": (lambda: dm.view("tiny", save="new.gif", steps=-3), "steps is -3; .* of 1 or more"),
+    "episode": (lambda: dm.view("tiny", save="new.rrd", episodes=3), r"episodes is 3; give a list .* such as \[0\]"),  # type: ignore[arg-type]
+    "episode's name": (lambda: dm.view("tiny", save="new.rrd", episodes="3"), "episodes is '3'; give a list"),  # type: ignore[arg-type]
+    "half an episode": (lambda: dm.view("tiny", save="new.rrd", episodes=[0.5]), "episode is 0.5; it must be"),  # type: ignore[list-item]
+    "plan's seed": (lambda: dm.plan("random", seed=-1), "seed is -1; .* of 0 or more"),
+    "plan's task": (lambda: dm.plan("random", task=-1), "task is -1; .* of 0 or more"),
+    "plan's steps": (lambda: dm.plan("random", steps=0), "steps is 0; .* of 1 or more"),
+    "demo's seed": (lambda: dm.demo("new", seed=True), "seed is True; it must be a whole"),
+    "batch": (lambda: dm.score("tiny", batch_size=0), "batch_size is 0; .* of 1 or more"),
+    "half a step": (lambda: dm.score("tiny", horizon=2.5), "horizon is 2.5; .* of 1 or more"),  # type: ignore[arg-type]
+    "tasks scored": (lambda: dm.score("tiny", "control", tasks=0), "tasks is 0; .* of 1 or more"),
+    "a text": (lambda: dm.open_dataset().video("0"), "episode is '0'; it must be a whole number"),  # type: ignore[arg-type]
+    "none": (lambda: dm.open_dataset().labels(-1), "has no episode -1; it has 0 to 19"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_numbers_out_of_the_command_line_s_bounds_are_refused(workspace: Path, name: str) -> None:
+    call, said = REFUSED[name]
+    with pytest.raises(UsageError, match=said):
+        call()
+    assert not [*workspace.glob("new*")]
+
+
+def test_whole_numbers_may_be_numpy_s(workspace: Path) -> None:
+    recorded = dm.record(
+        "grid_world",
+        "tiny",
+        seed=np.int64(3),
+        episodes=np.int32(4),
+        frames=np.uint8(6),
+        out="data/four",
+    )  # type: ignore[call-overload]
+    dm.record("grid_world", "tiny", seed=3, episodes=4, frames=6, out="data/same")
+    assert (recorded.episodes, recorded.frames) == (4, 24)
+    assert bytes_of(workspace / "data" / "four") == bytes_of(workspace / "data" / "same") != {}
+    run = dm.train("lapo", "grid_world-tiny", seed=np.int64(5), device=torch.device("cpu"), settings={"epochs": 0.1})  # type: ignore[arg-type]
+    assert dm.load_run(run).spec.seed == 5
+    assert len(dm.open_dataset("four").video(np.int64(0))) == 6  # type: ignore[arg-type]

@@ -1,0 +1,144 @@
+"""What solvers and objectives of one's own do wrong is a sentence that names the class and the method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+from planning.test_mpc import SMALL, solve
+
+from dmotion_bench.errors import (
+    PlannerContractBroken,
+)
+from dmotion_bench.planning.agents import (
+    OracleAgent,
+)
+from dmotion_bench.planning.dynamics.simulator import SimulatorDynamics
+from dmotion_bench.planning.objectives.base import Memoryless, StepCost, taught
+from dmotion_bench.planning.solvers.cem import CrossEntropy
+from dmotion_bench.planning.tasks import Problem
+from dmotion_bench.storage.dataset import Dataset
+from recorders.grid_things import FACTS
+from recorders.grid_world import GridWorld
+
+pytestmark = pytest.mark.slow
+
+
+class Choosing(CrossEntropy):
+    """Plans as always, and then chooses something else."""
+
+    chosen: ClassVar[Any] = None
+
+    def plan(self, *given: Any) -> Any:
+        plan = super().plan(*given)
+        object.__setattr__(plan, "action", np.array(self.chosen))  # past the check of shapes that tests have
+        return None if self.chosen is None else plan
+
+
+@pytest.mark.parametrize(
+    ("chosen", "said"),
+    [
+        (None, "the solver returns 'NoneType'; it must return a Plan"),
+        ([-1], r"chooses the actions '\[-1\]'; it must be 1 whole numbers from 0 to 3"),
+        ([4], "chooses the actions"),
+        ([0, 1], "chooses the actions"),
+        ([0.5], "chooses the actions"),
+    ],
+)
+def test_what_a_solver_chooses_is_checked(
+    problems: list[Problem], chosen: Any, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Choosing, "chosen", chosen)
+    with pytest.raises(PlannerContractBroken, match=said):
+        solve(OracleAgent(FACTS, Choosing(samples=3, horizon=2, elites=2), GridWorld), problems[:1], steps=1)
+
+
+def test_costs_that_are_no_numbers_are_refused(problems: list[Problem], monkeypatch: pytest.MonkeyPatch) -> None:
+    as_it_is = SimulatorDynamics.true_costs
+    monkeypatch.setattr(SimulatorDynamics, "true_costs", lambda *given: as_it_is(*given) * float("nan"))
+    with pytest.raises(PlannerContractBroken, match=r"costs that are not numbers \(NaN\)"):
+        solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=1)
+
+
+class Odd(Memoryless):
+    """An objective and its evaluator, one of whose methods returns something else."""
+
+    def __init__(self, method: str = "", answer: Callable[[int], Any] = len) -> None:
+        self._method, self._answer = method, answer
+
+    def _of(self, method: str, count: int, usual: Any) -> Any:
+        return self._answer(count) if method == self._method else usual
+
+    def reset(self, spec: Any, first: Any, goals: Any) -> Any:
+        return self._of("reset", len(first), self)
+
+    def observe(self, actions: Any, frames: Any) -> Any:
+        return self._of("observe", len(frames), None)
+
+    def begin(self, dynamics: Any) -> Any:
+        return self._of("begin", 1, ())
+
+    def step(self, dynamics: Any, state: Any, task: Any, action: Any, cost_state: Any) -> Any:
+        return self._of("step", len(task), (StepCost.of(torch.zeros(len(task))), ()))
+
+
+def _raising(_: int) -> Any:
+    raise ValueError("no such luck.")
+
+
+def _cost(count: int, **shapes: tuple[int, ...]) -> Any:
+    parts = {name: torch.zeros(shapes.get(name, (count,))) for name in ("distance", "risk", "bonus", "total")}
+    cost = StepCost.of(torch.zeros(count))
+    for name, part in parts.items():
+        object.__setattr__(cost, name, part)  # past the check of shapes that tests have
+    return cost, ()
+
+
+@pytest.mark.parametrize(
+    ("method", "answer", "said"),
+    [
+        (
+            "reset",
+            _raising,
+            r"Odd\.reset raised ValueError in line \d+ of test_planner_contract\.py: no such luck\. The contract",
+        ),
+        ("observe", _raising, r"Odd\.observe raised ValueError"),
+        ("begin", _raising, r"Odd\.begin raised ValueError"),
+        ("step", _raising, r"Odd\.step raised ValueError"),
+        ("reset", lambda _: None, r"Odd\.reset returned None, which has no observe and no begin and no step"),
+        ("begin", lambda _: None, r"Odd\.begin returned None to carry on; it must be a tuple of tensors"),
+        ("step", lambda _: None, r"Odd\.step returned None; it must return a StepCost and a tuple of tensors"),
+        ("step", lambda count: _cost(count)[0], r"Odd\.step returned a StepCost; it must return a StepCost and"),
+        ("step", lambda count: (torch.zeros(count), ()), r"Odd\.step returned a tuple of 2; it must return a StepCost"),
+        ("step", lambda count: (_cost(count)[0], None), r"Odd\.step returned None to carry on"),
+        ("step", lambda count: _cost(count, distance=()), r"returned the distance as a tensor of the shape \(\); it"),
+        ("step", lambda count: _cost(count, risk=(1,)), r"the risk as a tensor of the shape \(1,\); it must be"),
+        ("step", lambda count: _cost(count, bonus=(count, 1)), r"the bonus as a tensor of the shape \(\d, 1\); it"),
+        (
+            "step",
+            lambda count: _cost(count, total=(count // 2,)),
+            r"the total as .* must be .* a number for each state",
+        ),
+    ],
+)
+def test_what_an_objective_returns_is_checked(
+    problems: list[Problem], method: str, answer: Callable[[int], Any], said: str
+) -> None:
+    solve(OracleAgent(FACTS, SMALL, GridWorld, Odd()), problems[:1], steps=1)
+    with pytest.raises(PlannerContractBroken, match=said):
+        solve(OracleAgent(FACTS, SMALL, GridWorld, Odd(method, answer)), problems[:1], steps=1)
+
+
+def test_errors_of_a_solver_and_of_what_learns_from_video_name_them(problems: list[Problem], dataset: Dataset) -> None:
+    class Failing:
+        plan = learned = reset = staticmethod(lambda *_: _raising(0))
+
+    with pytest.raises(
+        PlannerContractBroken, match=r"Failing\.plan raised ValueError in line \d+ of test_planner_contract"
+    ):
+        solve(OracleAgent(FACTS, Failing(), GridWorld), problems[:1], steps=1)
+    with pytest.raises(PlannerContractBroken, match=r"Failing\.learned raised ValueError"):
+        taught(Failing(), dataset)

@@ -26,6 +26,8 @@ from dmotion_bench.gymnasium_ids import register_ids
 if TYPE_CHECKING:
     from dmotion_bench.api.datasets import Dataset, TripletDataset, open_dataset
     from dmotion_bench.api.demonstration import demo
+    from dmotion_bench.api.importing import export_dataset, import_recordings
+    from dmotion_bench.api.leaderboard import leaderboard_build, leaderboard_check, leaderboard_compare
     from dmotion_bench.api.planning import Planned, plan
     from dmotion_bench.api.recording import record
     from dmotion_bench.api.reproducing import Reproduced, reproduce
@@ -68,6 +70,11 @@ __all__ = [
     "__version__",
     "demo",
     "environment_names",
+    "export_dataset",
+    "import_recordings",
+    "leaderboard_build",
+    "leaderboard_check",
+    "leaderboard_compare",
     "load_run",
     "model_names",
     "open_dataset",
@@ -100,6 +107,11 @@ _HOMES: Final = {
     "Workspace": "workspace",
     "demo": "api.demonstration",
     "environment_names": "registry",
+    "export_dataset": "api.importing",
+    "import_recordings": "api.importing",
+    "leaderboard_build": "api.leaderboard",
+    "leaderboard_check": "api.leaderboard",
+    "leaderboard_compare": "api.leaderboard",
     "load_run": "api.runs",
     "model_names": "registry",
     "open_dataset": "api.datasets",

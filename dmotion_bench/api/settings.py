@@ -19,6 +19,7 @@ Settings = Mapping[str, object] | Sequence[str] | None
 """Settings by name, or ``KEY=VALUE`` texts."""
 
 DEVICES: Final = ("auto", "cpu", "cuda")
+EXECUTORS: Final = ("local", "ray", "slurm")
 SPLITS: Final[tuple[SplitName, ...]] = ("train", "validation", "test")
 SPLIT_PROTOCOLS: Final = ("episode", "paper")
 LARGEST_SEED: Final = 2**53 - 1

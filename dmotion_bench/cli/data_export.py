@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,14 +10,11 @@ import typer
 
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.cli.stdout import print_json
-from dmotion_bench.errors import Interrupted, UnknownName
+from dmotion_bench.errors import Interrupted
 
 if TYPE_CHECKING:
-    from dmotion_bench.storage.dataset import Dataset
+    from dmotion_bench.execution.job_progress import JobProgress
     from dmotion_bench.storage.exports.lerobot import ExportReport
-    from dmotion_bench.storage.video.codecs import Codec
-
-FORMATS = ("lerobot",)
 
 
 def register(data: typer.Typer) -> None:
@@ -53,43 +49,34 @@ def data_export(
 
     The command also decodes the video that it wrote and prints how much the codec lost.
     """
-    from dmotion_bench.storage.dataset import Dataset
-    from dmotion_bench.storage.video.codecs import CODECS
-    from dmotion_bench.workspace import Workspace
-
-    for option, given, allowed in (("format", format_, FORMATS), ("codec", codec, tuple(CODECS))):
-        if given not in allowed:
-            raise UnknownName(option, given, allowed)
-    workspace = Workspace.current()
-    source = Dataset.open(workspace.dataset(dataset))
-    folder = out or workspace.root / "exports" / f"{source.name}-lerobot"
-    report = _export_with_progress(source, folder, CODECS[codec], labels=not video_only)
-    if as_json:
-        print_json(dataclasses.asdict(report) | {"path": str(report.path), "lossless": not report.mse})
-    else:
-        typer.echo(_summary(report))
-
-
-def _export_with_progress(dataset: Dataset, folder: Path, codec: Codec, *, labels: bool) -> ExportReport:
+    from dmotion_bench.api.importing import export_dataset
     from dmotion_bench.cli.progress import note, progress_bar
-    from dmotion_bench.storage.exports.lerobot import export_lerobot, has_labels
 
-    os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder talks on stderr, past every log
-    if labels and not has_labels(dataset):
-        note("the data set has no labels, so only its video is exported.")
-        labels = False
     with progress_bar() as bar:
         task = bar.add_task("writing", total=None, status="")
 
-        def progress(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
+        def show(told: JobProgress) -> None:
+            bar.update(task, description=told.what, completed=told.done, total=told.total)
 
         try:
-            return export_lerobot(dataset, folder, codec=codec, labels=labels, progress=progress)
+            report = export_dataset(
+                dataset,
+                format=format_,
+                codec=codec,
+                labels=False if video_only else None,
+                out=out,
+                progress=show,
+            )
         except KeyboardInterrupt:
             raise Interrupted(
                 "interrupted; the unfinished export was removed. Run the same command again to start over."
             ) from None
+    if not (report.labels or video_only):
+        note("the data set has no labels, so only its video was exported.")
+    if as_json:
+        print_json(dataclasses.asdict(report) | {"path": str(report.path), "lossless": not report.mse})
+    else:
+        typer.echo(_summary(report))
 
 
 def _summary(report: ExportReport) -> str:

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from dmotion_bench.api.settings import require_one_of
-from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
+from dmotion_bench.api.settings import EXECUTORS
+from dmotion_bench.cli.options import AsJson, listed
 from dmotion_bench.cli.stdout import print_json
-from dmotion_bench.errors import Interrupted, UnknownName
+from dmotion_bench.errors import Interrupted
 from dmotion_bench.wording import command, sentence
 
 if TYPE_CHECKING:
-    from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
+    from dmotion_bench.execution.job_progress import JobProgress
+    from dmotion_bench.storage.imports.options import ImportReport
 
 
-_CLUSTER_GIGABYTES: Final = 8
-_CLUSTER_MINUTES: Final = 24 * 60
 _SHOWN: Final = 20  # recordings that are left out and named
 MODELS_TAKE = 16
 """The models of this package need frames whose side is a multiple of this."""
@@ -140,107 +138,56 @@ def data_import(
 
     The command checks the times and sizes of all recordings first. If one cannot be imported, it writes nothing.
     """
-    from dmotion_bench.storage.imports.continuous_commands import Reduce
-    from dmotion_bench.storage.imports.fitting import Fit
-    from dmotion_bench.storage.imports.limits import MIB, ImportLimits
-    from dmotion_bench.storage.imports.options import ImportOptions
-    from dmotion_bench.storage.imports.recording import Clock
-    from dmotion_bench.workspace import Workspace
-
-    for option, given, allowed in (
-        ("fit", fit, list(Fit)),
-        ("clock", clock, list(Clock)),
-        ("action-reduce", action_reduce, list(Reduce)),
-    ):
-        if given not in allowed:
-            raise UnknownName(option, given, [str(choice) for choice in allowed])
-    options = ImportOptions(
-        camera=camera,
-        actions=actions,
-        action_fields=() if action_fields is None else tuple(name.strip() for name in action_fields.split(",")),
-        action_reduce=Reduce(action_reduce),
-        size=size,
-        hz=hz,
-        fit=Fit(fit),
-        clock=Clock(clock),
-        max_gap_s=max_gap,
-        min_frames=min_frames,
-        frames_per_episode=frames_per_episode,
-        seed=seed,
-        salvage=salvage,
-        source_hz=source_hz,
-        limits=ImportLimits(chunk_bytes=max_chunk * MIB, reader_bytes=max_memory * MIB),
-    )
-    folder = out or Workspace.current().data / f"imported-{_plain(recordings[0])}"
-    if executor is not None:
-        require_one_of("executor", executor, EXECUTORS)
-    if executor is None and workers in (None, 1) and not skip_damaged:
-        report = _import_with_progress(recordings, folder, options)
-    else:
-        report = _import_fleet(recordings, folder, options, executor, workers, skip_damaged=skip_damaged)
-    if as_json:
-        print_json(_as_json(report))
-    else:
-        typer.echo(_summary(report, options))
-
-
-def _import_with_progress(recordings: list[Path], folder: Path, options: ImportOptions) -> ImportReport:
+    from dmotion_bench.api.importing import import_recordings
     from dmotion_bench.cli.progress import progress_bar
-    from dmotion_bench.storage.imports.importing import import_recordings
 
+    many = workers if workers or executor else 1
+    at_once = skip_damaged or executor not in (None, "local") or many != 1
     with progress_bar() as bar:
         task = bar.add_task("importing", total=None, status="")
 
-        def progress(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
+        def show(told: JobProgress) -> None:
+            bar.update(task, description=told.what, completed=told.done, total=told.total)
 
         try:
-            return import_recordings(recordings, folder, options, progress)
+            report = import_recordings(
+                recordings,
+                camera=camera,
+                actions=actions,
+                action_fields=() if action_fields is None else [name.strip() for name in action_fields.split(",")],
+                action_reduce=action_reduce,
+                size=size,
+                hz=hz,
+                source_hz=source_hz,
+                fit=fit,
+                clock=clock,
+                max_gap_s=max_gap,
+                min_frames=min_frames,
+                frames_per_episode=frames_per_episode,
+                seed=seed,
+                salvage=salvage,
+                skip_damaged=skip_damaged,
+                max_chunk_mib=max_chunk,
+                max_memory_mib=max_memory,
+                out=out,
+                workers=many,
+                executor=executor or "local",
+                progress=show,
+                watch=lambda running: bar.show_jobs(task, running),
+            )
         except KeyboardInterrupt:
-            raise Interrupted(
-                "interrupted; the unfinished import was removed. Run the same command again to start over."
-            ) from None
-
-
-def _import_fleet(
-    recordings: list[Path],
-    folder: Path,
-    options: ImportOptions,
-    executor: str | None,
-    workers: int | None,
-    *,
-    skip_damaged: bool,
-) -> ImportReport:
-    """Import by an executor, and show how far all of its jobs are."""
-    from dmotion_bench.cli.progress import progress_bar
-    from dmotion_bench.execution.executor import JobSize
-    from dmotion_bench.execution.executors import make_executor
-    from dmotion_bench.execution.job_progress import jobs_folder, watching
-    from dmotion_bench.execution.local_executor import available_workers
-    from dmotion_bench.recording.fleet import import_fleet
-    from dmotion_bench.workspace import Workspace
-
-    with jobs_folder(Workspace.current()) as jobs, progress_bar() as bar:
-        task = bar.add_task("importing", total=None, status="")
-
-        def progress(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
-
-        many = workers if executor or workers else 1
-        if many is None and executor == "local":
-            many = available_workers(options.limits.reader_bytes / 2**30)
-        size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
-        hands = make_executor(executor or "local", many, scratch=jobs / (executor or "local"), size=size)
-        try:
-            with watching(jobs, lambda running: bar.show_jobs(task, running)):
-                return import_fleet(
-                    recordings, folder, options, hands, skip_damaged=skip_damaged, progress=progress, jobs=jobs
+            if at_once:
+                told = (
+                    "what is finished stands beside the data set's place. Run the same command again to go on where it "
+                    "stopped."
                 )
-        except KeyboardInterrupt:
-            raise Interrupted(
-                "interrupted; what is finished stands beside the data set's place. Run the same command again to go "
-                "on where it stopped."
-            ) from None
+            else:
+                told = "the unfinished import was removed. Run the same command again to start over."
+            raise Interrupted(f"interrupted; {told}") from None
+    if as_json:
+        print_json(_as_json(report))
+    else:
+        typer.echo(_summary(report, size, hz))
 
 
 def _as_json(report: ImportReport) -> dict[str, Any]:
@@ -249,24 +196,14 @@ def _as_json(report: ImportReport) -> dict[str, Any]:
     return dataclasses.asdict(report) | {"path": str(report.path), "actions": actions_to_json(report.actions)}
 
 
-def _plain(path: Path) -> str:
-    """A file's name as a folder's name: letters, digits, dots, dashes, and no suffix of a recording."""
-    from dmotion_bench.storage.imports.sources import SUFFIXES
-
-    name = path.resolve().name
-    if path.is_file():
-        name = name[: -max((len(suffix) for suffix in SUFFIXES if name.lower().endswith(suffix)), default=0) or None]
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "recording"
-
-
-def _summary(report: ImportReport, options: ImportOptions) -> str:
+def _summary(report: ImportReport, size: int, hz: float) -> str:
     lines = [
         f"{report.path}",
-        f"  {report.episodes} episodes, {report.frames} frames of {options.size}x{options.size} pixels at "
-        f"{options.hz:g} Hz, from {report.source_frames} pictures of {report.source_width}x{report.source_height} at "
+        f"  {report.episodes} episodes, {report.frames} frames of {size}x{size} pixels at "
+        f"{hz:g} Hz, from {report.source_frames} pictures of {report.source_width}x{report.source_height} at "
         f"{report.source_hz:.1f} Hz",
     ]
-    if options.size % MODELS_TAKE:
+    if size % MODELS_TAKE:
         lines.append(
             f"  the models here take frames whose side is a multiple of {MODELS_TAKE}; import with another '--size'"
         )

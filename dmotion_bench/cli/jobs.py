@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dmotion_bench.cli.options import EXECUTORS, listed
+from dmotion_bench.api.settings import EXECUTORS
+from dmotion_bench.cli.options import listed
 
 if TYPE_CHECKING:
     from rich.progress import TaskID

@@ -7,22 +7,18 @@ The core knows no leaderboard: what the commands call comes through entry points
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmotion_bench.api.settings import require_one_of
+from dmotion_bench.api.settings import EXECUTORS, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
-from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
+from dmotion_bench.cli.options import AsJson, listed
 from dmotion_bench.cli.stdout import print_json
 
 if TYPE_CHECKING:
-    from dmotion_bench.workspace import Workspace
-
-_GIGABYTES: Final = 2.0  # that checking takes beside others
-_CLUSTER_GIGABYTES: Final = 16
-_CLUSTER_MINUTES: Final = 24 * 60
-FOLDER = "leaderboard"
+    from dmotion_bench.execution.job_progress import JobProgress
+    from dmotion_bench.specs import SplitName
 
 group = typer.Typer(help="Compare runs, build the leaderboard's page, and check entries.", no_args_is_help=True)
 
@@ -48,18 +44,11 @@ def build(
     as_json: AsJson = False,
 ) -> None:
     """Write a web page that compares scored runs with each other and with published results."""
+    from dmotion_bench.api.leaderboard import leaderboard_build
     from dmotion_bench.cli.progress import progress_bar
-    from dmotion_bench.workspace import Workspace
 
-    workspace = Workspace.current()
-    paths = [workspace.run(run) for run in runs] if runs else workspace.all_runs()
     with progress_bar() as bar:
-        task = bar.add_task("building", total=None, status="")
-
-        def show(what: str, done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total, status=what)
-
-        built = _part("build")(paths, entries or [], out or workspace.reports / FOLDER, on_progress=show)
+        built = leaderboard_build(runs or None, entries=entries or (), out=out, progress=bar.tell)
     if as_json:
         print_json(built.to_json())
         return
@@ -122,32 +111,41 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Check that the figures of entries are right: score them again from their weights and data."""
+    from dmotion_bench.api.leaderboard import leaderboard_check
     from dmotion_bench.cli.progress import progress_bar
-    from dmotion_bench.errors import RunError, UsageError
-    from dmotion_bench.workspace import Workspace
+    from dmotion_bench.errors import Interrupted, RunError
 
     use_cache(cache)
-    workspace = Workspace.current()
-    built = workspace.reports / FOLDER / "entries"
-    if not paths and not built.is_dir():
-        raise UsageError(
-            f"nothing to check: there is no '{built}'; build it with 'dmbench leaderboard build', or name entries."
-        )
-    if executor is not None:
-        require_one_of("executor", executor, EXECUTORS)
-    asked, how = paths or [built], {"quick": quick, "differing": differing, "draw": draw}
-    if place is not None:
-        _fetch(asked, place)
+    many = workers if workers or executor else 1
+    finished: tuple[float, float | None] = 0, None
     with progress_bar() as bar:
         task = bar.add_task("checking", total=None, status="")
-        if executor is None and workers in (None, 1):
 
-            def show(what: str, done: int, total: int) -> None:
-                bar.update(task, completed=done, total=total, status=what)
+        def show(told: JobProgress) -> None:
+            nonlocal finished
+            finished = told.done, told.total
+            bar.update(task, description=told.what, completed=told.done, total=told.total, status=told.status)
 
-            verdicts = _part("check")(asked, workspace, **how, on_progress=show)
-        else:
-            verdicts = _checked_side_by_side(asked, workspace, executor or "local", workers, bar, task, **how)
+        try:
+            verdicts = leaderboard_check(
+                paths or None,
+                quick=quick,
+                differing=differing,
+                draw=draw,
+                workers=many,
+                executor=executor or "local",
+                place=place,
+                progress=show,
+                watch=lambda jobs: bar.show_jobs(task, jobs),
+                warn=lambda told: typer.echo(told, err=True),
+            )
+        except KeyboardInterrupt:
+            if many == 1 and executor in (None, "local"):
+                raise
+            raise Interrupted(
+                f"interrupted after {finished[0]} of {finished[1]} entries; the same command checks all of them again, "
+                "'dmbench leaderboard check PATH' some of them."
+            ) from None
     if as_json:
         print_json({"verdicts": [verdict.to_json() for verdict in verdicts]})
     else:
@@ -159,46 +157,6 @@ def check(
     told += [f"{unknown} of {len(verdicts)} could not be checked here"] if unknown else []
     if told:
         raise RunError("; ".join(told) + ".")
-
-
-def _fetch(paths: list[Path], place: str) -> None:
-    """Fetch what the entries need; what is not there is said, and found missing by the check."""
-    from dmotion_bench.api.sharing import pull_entries
-    from dmotion_bench.cli.progress import BarOnDemand
-
-    with BarOnDemand() as bar:
-        missing = pull_entries(paths, place, progress=bar)
-    for why in missing:
-        typer.echo(f"not fetched: {why}", err=True)
-
-
-def _checked_side_by_side(
-    paths: list[Path], workspace: Workspace, executor: str, workers: int | None, bar: Any, task: Any, **how: Any
-) -> Any:
-    """The verdicts on entries that an executor checks; shows how far all of its jobs are."""
-    from dmotion_bench.errors import Interrupted
-    from dmotion_bench.execution.executor import JobSize
-    from dmotion_bench.execution.executors import make_executor
-    from dmotion_bench.execution.job_progress import jobs_folder, watching
-    from dmotion_bench.execution.local_executor import available_workers
-
-    finished = [0, 0]
-
-    def count(done: int, total: int) -> None:
-        finished[:] = done, total
-        bar.update(task, completed=done, total=total)
-
-    with jobs_folder(workspace) as folder, watching(folder, lambda jobs: bar.show_jobs(task, jobs)):
-        many = workers or (available_workers(_GIGABYTES) if executor == "local" else None)
-        size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
-        hands = make_executor(executor, many, scratch=folder / executor, size=size)
-        try:
-            return _part("check")(paths, workspace, executor=hands, progress=folder, on_verdict=count, **how)
-        except KeyboardInterrupt:
-            raise Interrupted(
-                f"interrupted after {finished[0]} of {finished[1]} entries; the same command checks all of them again, "
-                "'dmbench leaderboard check PATH' some of them."
-            ) from None
 
 
 @group.command()
@@ -216,12 +174,13 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Tell which of two runs is better, by their difference on the same frames and its interval."""
+    from dmotion_bench.api.leaderboard import leaderboard_compare
     from dmotion_bench.workspace import Workspace
 
     require_one_of("split", split, ("test", "validation"))
-    workspace = Workspace.current()
-    one, other = (workspace.run(run) for run in (first, second))
-    differences = _part("compare")(one, other, None if data is None else workspace.dataset(data).name, split)
+    one, other = (Workspace.current().run(run) for run in (first, second))
+    chosen: SplitName = "validation" if split == "validation" else "test"
+    differences = leaderboard_compare(one, other, data=data, split=chosen)
     if as_json:
         print_json({"first": str(one), "second": str(other), "differences": list(map(_plain, differences))})
         return
@@ -246,10 +205,10 @@ def results(
     ] = False,
 ) -> None:
     """Write the leaderboard's tables into pages, between '<!-- results:NAME -->' and '<!-- /results -->'."""
+    from dmotion_bench.api.leaderboard import built_page
     from dmotion_bench.errors import DmbenchError
-    from dmotion_bench.workspace import Workspace
 
-    changed = _part("results")(folder or Workspace.current().reports / FOLDER, pages, check=check)
+    changed = _part("results")(folder or built_page(), pages, check=check)
     if check and changed:
         differing = ", ".join(map(str, changed))
         raise DmbenchError(f"results differ from the entries in {differing}; run the same command without --check.")
@@ -270,10 +229,10 @@ def serve(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the server; 0 takes a free one.")] = 8000,
 ) -> None:
     """Show the page in browsers of this machine."""
+    from dmotion_bench.api.leaderboard import built_page
     from dmotion_bench.cli.progress import note
-    from dmotion_bench.workspace import Workspace
 
-    with _part("serve")(folder or Workspace.current().reports / FOLDER, port) as server:
+    with _part("serve")(folder or built_page(), port) as server:
         typer.echo(server.url)
         note(
             "Open it in a browser on this machine, or on another one after running there "

@@ -30,7 +30,6 @@ OBJECTIVES: Final = (
 COLUMNS: Final = ("generic-risk", "generic-belief", "generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
-EXECUTORS: Final = ("local", "ray", "slurm")
 TABLES: Final = ("control", "labels", "paper")
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dmotion_bench.api.settings import LARGEST_SEED, as_preset
+from dmotion_bench.api.settings import EXECUTORS, LARGEST_SEED, as_preset
 from dmotion_bench.cli.live import Live, LiveTo, following
-from dmotion_bench.cli.options import EXECUTORS, AsJson, listed
+from dmotion_bench.cli.options import AsJson, listed
 from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.specs import Preset
 from dmotion_bench.wording import command

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dmotion_bench.api.settings import DEVICES, as_preset, require_one_of
+from dmotion_bench.api.settings import DEVICES, EXECUTORS, as_preset, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
-from dmotion_bench.cli.options import EXECUTORS, TABLES, AsJson, Device, listed
+from dmotion_bench.cli.options import TABLES, AsJson, Device, listed
 from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.specs import Preset
 

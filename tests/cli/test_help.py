@@ -16,6 +16,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from dmotion_bench.api.settings import EXECUTORS
 from dmotion_bench.cli import options
 from dmotion_bench.cli.app import app, register_commands
 from dmotion_bench.errors import UnknownName
@@ -68,7 +69,7 @@ def test_the_listed_names_are_those_that_there_are() -> None:
     assert list(options.OBJECTIVES) == objective_names()
     assert tuple(COLUMNS) == options.COLUMNS
     assert (options.REFERENCES, options.METRICS) == (REFERENCES, METRICS)
-    with pytest.raises(UnknownName, match=f"known: {', '.join(sorted(options.EXECUTORS))}"):
+    with pytest.raises(UnknownName, match=f"known: {', '.join(sorted(EXECUTORS))}"):
         make_executor("?")
 
 

@@ -16,6 +16,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from dmotion_bench import registry
+from dmotion_bench.api import leaderboard
 from dmotion_bench.cli import leaderboard as command
 from dmotion_bench.errors import DmbenchError, RunError, UnknownName, UsageError
 from dmotion_bench.scoring.statistics import Estimate
@@ -71,7 +72,8 @@ def parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Parts:
         (tmp_path / "runs" / name).mkdir(parents=True)
         (tmp_path / "runs" / name / "run.json").write_text("{}")
     parts = Parts()
-    monkeypatch.setattr(command, "_part", lambda name: getattr(parts, name))
+    for home in (registry, leaderboard):
+        monkeypatch.setattr(home, "leaderboard_part", lambda name: getattr(parts, name))
     return parts
 
 

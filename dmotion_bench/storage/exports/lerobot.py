@@ -76,6 +76,10 @@ class ExportReport:
         """[dB]; infinite without loss."""
         return math.inf if not self.mse else 10 * math.log10(255**2 / self.mse)
 
+    def __fspath__(self) -> str:
+        """The folder that was written."""
+        return str(self.path)
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Placed:

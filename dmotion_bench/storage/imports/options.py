@@ -129,3 +129,7 @@ class ImportReport:
     actions: ActionSpec | None
     advice: tuple[str, ...]
     skipped: tuple[tuple[str, str], ...] = ()
+
+    def __fspath__(self) -> str:
+        """The data set's folder: what was imported may stand wherever a path may."""
+        return str(self.path)

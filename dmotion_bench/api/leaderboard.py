@@ -1,0 +1,250 @@
+"""The leaderboard: its page, the check of its entries, and the difference of two runs.
+
+The core knows no leaderboard: what makes and checks entries comes through entry points of ``dmbench.leaderboard``.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from dmotion_bench.api.progress import Progress, telling
+from dmotion_bench.api.settings import EXECUTORS, require_one_of, whole
+from dmotion_bench.api.sharing import pull_entries
+from dmotion_bench.errors import UsageError
+from dmotion_bench.execution.executor import JobSize
+from dmotion_bench.execution.executors import make_executor
+from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
+from dmotion_bench.execution.local_executor import available_workers
+from dmotion_bench.pairing import Difference
+from dmotion_bench.registry import leaderboard_part
+from dmotion_bench.specs import SplitName
+from dmotion_bench.wording import shown
+from dmotion_bench.workspace import AnyPath, Workspace
+
+_GIGABYTES: Final = 2.0  # that checking takes beside others
+_CLUSTER_GIGABYTES: Final = 16
+_CLUSTER_MINUTES: Final = 24 * 60
+_LOG = logging.getLogger(__name__)
+
+
+class Built(Protocol):
+    """A leaderboard that was built.
+
+    Attributes:
+        page: The page's file.
+        measured, published: Entries of each kind.
+        left_out: By the runs' names, why they have no entry.
+    """
+
+    page: Path
+    measured: int
+    published: int
+    left_out: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it, as JSON writes it."""
+        ...
+
+
+class Verdict(Protocol):
+    """What checking an entry found.
+
+    Attributes:
+        entry: Its name.
+        findings: What does not hold; empty for a sound entry.
+        missing: What would be needed to check it and is not here.
+        remarks: What is to be borne in mind.
+        figures, samples: How many were held against a new scoring.
+    """
+
+    entry: str
+    findings: tuple[str, ...]
+    missing: tuple[str, ...]
+    remarks: tuple[str, ...]
+    figures: int
+    samples: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether everything was checked and nothing was found."""
+        ...
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it, as JSON writes it."""
+        ...
+
+
+def leaderboard_build(
+    runs: AnyPath | Sequence[AnyPath] | None = None,
+    *,
+    entries: AnyPath | Sequence[AnyPath] = (),
+    out: AnyPath | None = None,
+    workspace: AnyPath | None = None,
+    progress: Progress = None,
+) -> Built:
+    """Write a web page that compares scored runs with each other and with published results.
+
+    Args:
+        runs: Scored runs, by folder or name. Default: every run of the workspace.
+        entries: Entries of other people: files or folders.
+        out: The folder to write; ``reports/leaderboard`` of the workspace by default.
+        workspace: The folder with ``data/`` and ``runs/``; the current one by default.
+        progress: A function that is told how many runs are done, or True for a bar.
+
+    Raises:
+        UnknownName, RunMissing: There is no such run. A run that has not been scored is left out, and the result says
+            why.
+        EntryInvalid: A given entry is none.
+        UsageError: The folder holds a page of another kind.
+
+    Example:
+        >>> report = dm.score("tiny", "prediction")
+        >>> built = dm.leaderboard_build("tiny", out="page")
+        >>> built.page.as_posix(), built.measured
+        ('page/index.html', 1)
+    """
+    place = _workspace(workspace)
+    paths = place.all_runs() if runs is None else [place.run(one) for one in _listed(runs)]
+    with telling(progress) as tell:
+        made: Built = leaderboard_part("build")(
+            paths,
+            [Path(one) for one in _listed(entries)],
+            built_page(place) if out is None else Path(out),
+            on_progress=_told(tell, "building"),
+        )
+    return made
+
+
+def leaderboard_check(
+    paths: AnyPath | Sequence[AnyPath] | None = None,
+    *,
+    quick: bool = False,
+    differing: float = 0.0,
+    draw: int | None = None,
+    workers: int | None = 1,
+    executor: str = "local",
+    place: AnyPath | None = None,
+    workspace: AnyPath | None = None,
+    progress: Progress = None,
+    watch: Callable[[Mapping[str, JobProgress]], None] = lambda jobs: None,
+    warn: Callable[[str], None] = _LOG.warning,
+) -> list[Verdict]:
+    """Check that the figures of entries are right: score them again from their weights and data.
+
+    Args:
+        paths: Entries, folders of entries, or runs. Default: the entries that ``leaderboard_build`` wrote.
+        quick: Compare the figures with the stored samples only, without scoring again.
+        differing: Share of samples that may differ, because processors round differently.
+        draw: Draws the control tasks that are planned anew, as an earlier check did. Default: drawn now, so that
+            nobody knew them.
+        workers: How many entries are checked at a time; None: as many as there are processors and memory for. More
+            than one need ``if __name__ == "__main__":`` in a script. The verdicts are the same for any number.
+        executor: Where they are checked: ``"local"``, ``"ray"`` or ``"slurm"``.
+        place: Fetch the runs and data sets that the entries need from there first (``share_pull``).
+        workspace: The folder with ``data/`` and ``runs/``; the current one by default.
+        progress: A function that is told how far it is, or True for a bar.
+        watch: A function that is told, now and then and by another thread, how far the jobs of an executor are, by
+            their names.
+        warn: Told in a sentence what could not be fetched.
+
+    Raises:
+        UnknownName: A path stands for nothing.
+        UsageError: There is nothing to check, or a value is not allowed.
+
+    Example:
+        >>> report = dm.score("tiny", "prediction")
+        >>> [verdict] = dm.leaderboard_check("tiny", quick=True)
+        >>> verdict.holds, verdict.findings
+        (True, ())
+    """
+    require_one_of("executor", executor, EXECUTORS)
+    workers, draw = whole("workers", workers, 1), whole("draw", draw, 0)
+    if not 0 <= differing <= 1:
+        raise UsageError(f"differing is {shown(differing)}; it must be a share from 0 to 1.")
+    home = _workspace(workspace)
+    built = built_page(home) / "entries"
+    if paths is None and not built.is_dir():
+        raise UsageError(
+            f"nothing to check: there is no {shown(str(built))}; build it with 'dmbench leaderboard build', or name "
+            "entries."
+        )
+    asked = [built] if paths is None else [Path(one) for one in _listed(paths)]
+    if place is not None:
+        for why in pull_entries(asked, place, workspace=workspace, progress=progress):
+            warn(f"not fetched: {why}")
+    check = leaderboard_part("check")
+    how = {"quick": quick, "differing": differing, "draw": draw}
+    with telling(progress) as tell:
+        verdicts: list[Verdict]
+        if executor == "local" and workers == 1:
+            verdicts = check(asked, home, **how, on_progress=_told(tell, "checking"))
+            return verdicts
+
+        def count(done: int, total: int) -> None:
+            tell(JobProgress(what="checking", done=done, total=total))
+
+        many = available_workers(_GIGABYTES) if workers is None and executor == "local" else workers
+        size = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
+        with jobs_folder(home) as jobs, watching(jobs, watch):
+            hands = make_executor(executor, many, scratch=jobs / executor, size=size)
+            verdicts = check(asked, home, executor=hands, progress=jobs, on_verdict=count, **how)
+            return verdicts
+
+
+def leaderboard_compare(
+    first: AnyPath,
+    second: AnyPath,
+    *,
+    data: AnyPath | None = None,
+    split: SplitName = "test",
+    workspace: AnyPath | None = None,
+) -> list[Difference]:
+    """Which of two runs is better, by their difference on the same frames and its interval.
+
+    Args:
+        first, second: Scored runs, by folder or name.
+        data: Another data set that both were scored on. Default: the one of the training.
+        split: ``"test"`` or ``"validation"``: which episodes both were scored on.
+        workspace: The folder with ``data/`` and ``runs/``; the current one by default.
+
+    Returns:
+        The difference of each figure that both have: ``difference`` with its 95% interval over episodes, and
+        ``verdict``.
+
+    Raises:
+        UnknownName, RunMissing: There is no such run.
+        RunMismatch: They were not scored on the same frames.
+
+    Example:
+        >>> report = dm.score("tiny", "prediction")
+        >>> differences = dm.leaderboard_compare("tiny", "tiny")
+        >>> differences[0].figure, differences[0].difference.mean, differences[0].verdict
+        ('mse', 0.0, 'tied')
+    """
+    require_one_of("split", split, ("test", "validation"))
+    place = _workspace(workspace)
+    name = None if data is None else place.dataset(data).name
+    differences: list[Difference] = leaderboard_part("compare")(place.run(first), place.run(second), name, split)
+    return differences
+
+
+def _workspace(given: AnyPath | None) -> Workspace:
+    return Workspace.current() if given is None else Workspace(given)
+
+
+def built_page(workspace: Workspace | None = None) -> Path:
+    """Where a workspace's page is built if nobody names a folder."""
+    return (workspace or Workspace.current()).reports / "leaderboard"
+
+
+def _listed(given: AnyPath | Sequence[AnyPath]) -> list[AnyPath]:
+    return [given] if isinstance(given, str | os.PathLike) else list(given)
+
+
+def _told(tell: Callable[[JobProgress], None], verb: str) -> Callable[[str, int, int], None]:
+    """Tells of a run at work as the leaderboard's functions do."""
+    return lambda what, done, total: tell(JobProgress(what=verb, done=done, total=total, status=what))

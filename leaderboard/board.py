@@ -34,13 +34,14 @@ from leaderboard.value import values_of
 RANKED_BY: Final = "mse"
 OTHER_PLANNER: Final = "another planner"
 """Marks a row of control that is not compared."""
+AGENT_MOVES: Final = "agent_moves"
 ORACLE: Final = "oracle"
 _CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
 _T = TypeVar("_T")
 
 REFERENCE_WORDS: Final = {
     "copy_last": "copy the last frame",
-    "agent_moves": "only the agent moves",
+    AGENT_MOVES: "only the agent moves",
     "idle": "idle",
     "random": "random actions",
     ORACLE: "true simulator as the model",

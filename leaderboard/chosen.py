@@ -4,7 +4,7 @@
 
     [[row]]
     name = "control"                   # how a sentence of the page refers to it
-    title = "control"                  # what is measured, in words
+    title = "control tasks"            # what is measured, in words that follow a number
     model_title = "DMotion"            # the model, in words
     board = "robot_push-small"         # the data set's name; with "@" and a fingerprint's beginning where two share it
     model = "dmotion"                  # registry name
@@ -25,10 +25,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import UsageError
-from leaderboard.board import REFERENCE_WORDS, Board
+from leaderboard.board import AGENT_MOVES, REFERENCE_WORDS, Board
 from leaderboard.board_tables import labels, trainings, tuned, world
 from leaderboard.column_table import Outcome
-from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import between, figure, mean
 from leaderboard.row import Row
@@ -63,6 +62,7 @@ class Chosen:
         choice: What was asked for.
         board, row: Where it stands.
         value, baseline: Its figure, and the same of the baseline, if it asks for one.
+        agent_alone: The same of the reference that moves only the agent, where the board has it.
         paper: What was published of the same model and budget, if anything was.
     """
 
@@ -71,6 +71,7 @@ class Chosen:
     row: Row
     value: Value
     baseline: Value | None
+    agent_alone: Value | None
     paper: Value | None
 
     @property
@@ -140,6 +141,7 @@ def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
         if choice.baseline
         else None
     )
+    agent_alone = references.get(REFERENCE_WORDS[AGENT_MOVES])
     paper = [
         one for one in board.rows if one.kind == "published" and (one.model, one.labels) == (row.model, row.labels)
     ]
@@ -149,6 +151,7 @@ def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
         row=row,
         value=row.figures[choice.figure],
         baseline=baseline.figures[choice.figure] if baseline else None,
+        agent_alone=agent_alone.figures[choice.figure] if agent_alone else None,
         paper=paper[0].figures.get(choice.figure) if paper else None,
     )
 
@@ -203,22 +206,23 @@ def _only(choice: Choice, kind: str, wanted: object, found: Sequence[Any], known
 
 def chosen_table(rows: Sequence[Chosen]) -> list[str]:
     """The lines of the table of the chosen rows, with a note where a planner was tuned on their tasks."""
-    head = ["World", "Measured on", "Model", "Labels", "Trainings", "Error (95% interval)", "Reference", "Paper"]
+    measured = ["World", "Measured on", "Model", "Labels", "Trainings", "Error (95% interval)"]
+    head = [*measured, "Reference", "Agent alone", "Paper"]
     shown = [row for row in rows if row.choice.in_table]
     lines = table(head, [_cells(row) for row in shown], words=3)
     return [*lines, "", TUNED_NOTE] if any(row.tuned for row in shown) else lines
 
 
 def _cells(one: Chosen) -> list[str]:
-    unit = "tasks" if one.choice.figure.startswith(CONTROLLED) else "frames"
     return [
         world(one.board),
-        f"{one.choice.title}, {one.value.samples or 0:,} {unit}",
+        f"{one.value.samples or 0:,} {one.choice.title}",
         one.choice.model_title,
         labels(one.row),
         trainings(one.row, one.choice.figure).partition(":")[0],
         figure(one.value) + (f"\u00a0{TUNED_MARK}" if one.tuned else ""),
         mean(one.baseline),
+        mean(one.agent_alone),
         mean(one.paper),
     ]
 

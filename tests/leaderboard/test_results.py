@@ -204,6 +204,24 @@ def test_numbers_stand_in_sentences(board: Board, errors: list[np.ndarray], tmp_
     )
 
 
+def test_the_chosen_rows_show_what_moving_the_agent_alone_reaches_where_that_is_known(
+    result: Callable[..., Entry], errors: list[np.ndarray], tmp_path: Path
+) -> None:
+    (tmp_path / "chosen.toml").write_text(CHOSEN)
+    entry = result("a", errors[0], errors[0] / 20)
+    shown = []
+    for more in ({}, {"agent_moves": {"mse": entry.content["reference"]["copy_last"]["mse"] | {"mean": 45.6}}}):
+        reference = {name: value for name, value in entry.content["reference"].items() if name != "agent_moves"} | more
+        head, _, *rows = chosen_table(
+            find_rows(
+                read_choices(tmp_path / "chosen.toml"), make_boards([Entry(entry.content | {"reference": reference})])
+            )
+        )
+        column = head.split(" | ").index("Agent alone")
+        shown.append([row.split("|")[1:-1][column].strip() for row in rows[:2]])
+    assert shown == [["", ""], ["45.6", ""]]
+
+
 def test_a_figure_for_sentences_alone_needs_no_reference_and_no_row(board: Board, tmp_path: Path) -> None:
     own = '[[row]]\nname = "shift"\ntitle = "t"\nmodel_title = "A model"\nboard = "grid_world-tiny"\nmodel = "a"\n'
     own += 'labels = "one-shot"\nfigure = "control_distance[50]"\nin_table = false\n'

@@ -55,7 +55,6 @@ class Column:
             (``choices.generic_objective``).
         for_objects: Without a name: that objective's name where there are objects to find.
         protocol: Of reports whose control it planned.
-        models: Of which models, or references that plan, the table shows it; empty: of every model.
     """
 
     name: str
@@ -67,7 +66,6 @@ class Column:
     objective_set: tuple[str, ...] = ()
     for_objects: str = "tracked"
     protocol: str = PROTOCOL
-    models: tuple[str, ...] = ()
 
     def objective_for(self, spec: EnvSpec, *, needs_pixels: bool) -> str:
         """The name of the objective for a model of this kind; arguments as in ``made``."""
@@ -107,7 +105,6 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
                 planner_set=("cost_at=last",),
                 for_objects="tracked-belief",
                 protocol=WITH_BELIEF,
-                models=("dmotion", "ed-cnn", "oracle"),
             ),
             Column(
                 name="generic",
@@ -115,7 +112,6 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
                 meaning="Knows nothing of the scene but that hidden objects are where they were last seen.",
                 planner="icem",
                 planner_set=("cost_at=last",),
-                models=("dmotion", "ed-cnn", "oracle"),
             ),
             Column(
                 name="paper",
@@ -124,7 +120,6 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
                 "centres of what is visible.",
                 planner="cem",
                 objective="centres",
-                models=("dmotion", "ed-cnn", "wm-ae", "clasp", "oracle"),
             ),
             Column(
                 name="task-knowledge",
@@ -132,7 +127,6 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
                 meaning="Rules for objects that are pushed on a table: falls, exploring, ways to a push.",
                 planner="icem",
                 objective="tabletop",
-                models=("dmotion", "ed-cnn", "oracle"),
             ),
         )
     }

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
-from dmotion_bench.planning.agents import REFERENCES
 from dmotion_bench.planning.choices import DEFAULT_SOLVER
 from dmotion_bench.planning.columns import TASKS, TaskData, column_named
 from dmotion_bench.planning.mpc import STEPS
@@ -156,16 +155,18 @@ class Column:
         )
 
 
-def frozen_column(name: str) -> Column:
-    """A column of the protocol's table of control, with its models, and the oracle beside them."""
-    known = column_named(name)
-    return Column(
-        name=name,
-        metrics=("control",),
-        frozen=name,
-        models=tuple(model for model in known.models if model not in REFERENCES),
-        references=(ORACLE,),
-    )
+def frozen_column(name: str, models: tuple[str, ...] = ()) -> Column:
+    """A column of the protocol's table of control, and the oracle beside its models.
+
+    Args:
+        name: Of the frozen planner.
+        models: That are scored; empty for all of the table.
+
+    Raises:
+        UnknownName: There is no such planner.
+    """
+    frozen = column_named(name).name
+    return Column(name=frozen, metrics=("control",), frozen=frozen, models=models, references=(ORACLE,))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
@@ -58,13 +59,21 @@ def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
     frozen = {scoring.control.column for scoring in plan.scorings} - {None}
     assert frozen == {*COLUMNS}
     for scoring in plan.scorings:
-        models, name = {one.model for one in scoring.trainings}, scoring.column.frozen
-        assert (scoring.data is None) == (name is None)
-        if name is not None:
-            assert models <= {*(COLUMNS[name].models or [one.model for one in plan.table.entrants])}
+        models, column = {one.model for one in scoring.trainings}, scoring.column
+        assert (scoring.data is None) == (column.frozen is None)
+        if column.frozen is not None:
+            assert models == {*(column.models or [one.model for one in plan.table.entrants])}
             assert scoring.tasks() == TASKS
     trial = reproducing.plan_table("control", preset="tiny", workspace=tmp_path)
     assert {one.recipe.seed for one in trial.recordings if one.world.fixed} == {TEST.seed + 1}
+
+
+def test_the_models_of_its_columns_are_those_that_the_protocol_names() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+    told = dict(re.findall(r"^\| `([a-z-]+)` \|(?:[^|]+\|){2} ([^|]+) \|$", page, re.MULTILINE))
+    names = {"dmotion": "DMotion", "ed-cnn": "E-D CNN", "wm-ae": "WM-AE", "clasp": "CLASP"}
+    for column in registry.table("control").columns[1:]:
+        assert told[column.name] == (", ".join(names[model] for model in column.models) or "every model")
 
 
 @pytest.mark.parametrize("name", registry.table_names())

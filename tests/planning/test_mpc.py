@@ -288,7 +288,7 @@ def test_a_damaged_journal_is_begun_anew(problems: list[Problem], tmp_path: Path
     record = TaskRecord(actions=[1], distance=[0.5, 0.25], lost=[0, 0], frames=4)
     Journal(file, key).write({problems[0].number: record}, None, last=True)
     sound = file.read_text()
-    file.with_name("journal.json.1234.part").touch()  # of a killed process
+    file.with_name("journal.json.00001234.part").touch()  # of a killed process
     assert Journal(file, key).all_records(problems[:1]) == {problems[0].number: record}
     for damaged in (sound.replace("0.25", "0.75"), sound[:-3], "[" * 100_000, "9" * 5000, "[]", "{}"):
         file.write_text(damaged)

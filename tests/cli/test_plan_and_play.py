@@ -197,7 +197,7 @@ def test_keys_drive_the_model(
     run: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file, closed = tmp_path / "play.rrd", list[GridWorld]()
-    monkeypatch.setattr(GridWorld, "close", closed.append)
+    monkeypatch.setattr(GridWorld, "close", lambda env: closed.append(env))
     said = _play([run, "--save", str(file)], b"\x1b[A\x1b[Cx4r\x1bOBq", capsys, monkeypatch)
     assert said.code == 0, said.err
     assert len(closed) == 1

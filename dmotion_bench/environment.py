@@ -240,6 +240,18 @@ class Restorable(Protocol):
 
 
 @runtime_checkable
+class Settled(Protocol):
+    """An environment class that says whether all is at rest between two actions.
+
+    If so, where agent and objects are and how they are turned decides where every further action takes them. The oracle
+    then takes states of the same poses for one, and tries nothing twice. Say so only where nothing else decides: no
+    velocity, no closed gripper, nothing that is hidden. Otherwise states are told apart by what led there.
+    """
+
+    settled: ClassVar[bool]
+
+
+@runtime_checkable
 class Remembering(Protocol):
     """An environment whose next frames depend on more than where agent and objects are, such as on earlier frames.
 

@@ -46,12 +46,15 @@ class Built:
         page: The page's file.
         measured, published: Entries of each kind.
         left_out: By the runs' names, why they have no entry.
+        doubtful: Entries that were left in the folder although they have the name of one of the runs, as file names:
+            they are of an earlier training, or of somebody else's.
     """
 
     page: Path
     measured: int
     published: int
     left_out: dict[str, str]
+    doubtful: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """What ``dmbench leaderboard build --json`` prints."""
@@ -60,6 +63,7 @@ class Built:
             "measured": self.measured,
             "published": self.published,
             "left_out": self.left_out,
+            "doubtful": list(self.doubtful),
         }
 
 
@@ -71,7 +75,8 @@ def build(
     Args:
         runs: Scored runs; those that are not are left out, and it is said why.
         given: Entry files, or folders of them.
-        out: The folder; made if need be. Outdated entries of these runs are taken away, other files left alone.
+        out: The folder; made if need be. Entries of earlier scorings of these runs are taken away, other files left
+            alone: an entry of other weights may be another author's, whose run has the same name.
         on_progress: Told which run is at work, how many are done, and of how many.
 
     Raises:
@@ -82,40 +87,67 @@ def build(
         raise UsageError(f"{shown(str(out / PAGE))} is no leaderboard's page; name another folder with '--out DIR'.")
     found = [published_entry(row, label_count(row.environment, row.labels)) for row in published_results()]
     found += _given(given)
+    own: list[Entry] = []
     left_out: dict[str, str] = {}
     for place, path in enumerate(runs):
         on_progress(path.name, place, len(runs))
         for folder in (None, *transfer_folders(path)):
             try:
-                found.append(entry_of_run(path, folder, earlier=out / ENTRIES))
+                own.append(entry_of_run(path, folder, earlier=out / ENTRIES))
             except DmbenchError as error:
                 where = "" if folder is None else f" on {folder.relative_to(path / REPORT_FOLDER / TRANSFERS)}"
                 left_out[f"{path.name}{where}"] = str(error)
     on_progress("", len(runs), len(runs))
-    entries = list({entry.slug: entry for entry in found}.values())
+    entries = list({entry.slug: entry for entry in (*found, *own)}.values())
     for folder in (out, out / ENTRIES, out / ENTRIES / REFERENCES):
         remove_leftovers(folder)
     for entry in entries:
         write_entry(entry, out / ENTRIES)
-    _remove_outdated(out / ENTRIES, entries)
+    doubtful = _remove_outdated(out / ENTRIES, entries, own)
     remove_unused_references(out / ENTRIES)
     write_atomically(out / SCHEMA, schema_text().encode())
     write_atomically(out / PAGE, make_page(entries).encode())
     measured = sum(entry.is_measured for entry in entries)
-    return Built(page=out / PAGE, measured=measured, published=len(entries) - measured, left_out=left_out)
+    return Built(
+        page=out / PAGE,
+        measured=measured,
+        published=len(entries) - measured,
+        left_out=left_out,
+        doubtful=tuple(doubtful),
+    )
 
 
-def _remove_outdated(folder: Path, entries: Sequence[Entry]) -> None:
-    """Remove entries of runs that have been trained or scored again since an earlier build."""
+def _remove_outdated(folder: Path, entries: Sequence[Entry], own: Sequence[Entry]) -> list[str]:
+    """Remove entries of runs that have been scored again since an earlier build.
+
+    Returns:
+        The files of entries that have a run's name and stay, since nothing shows that they are of this run.
+    """
     current = {entry.slug for entry in entries}
-    runs = {entry.name for entry in entries if entry.is_measured}
-    for path in folder.glob("*.json"):
+    scorings, runs = {_scoring(entry) for entry in own}, {_of_run(entry) for entry in own}
+    doubtful = []
+    for path in sorted(folder.glob("*.json")):
         if path.stem in current:
             continue
         with contextlib.suppress(EntryInvalid):  # what is no entry is somebody else's
             old = read_entry(path)
-            if old.is_measured and old.name in runs and path.stem == old.slug:
+            if not old.is_measured or path.stem != old.slug:
+                continue
+            if _scoring(old) in scorings:
                 path.unlink()
+            elif _of_run(old) in runs:
+                doubtful.append(path.name)
+    return doubtful
+
+
+def _of_run(entry: Entry) -> tuple[str, str, str | None]:
+    """What the entries of a run's trainings have in common, and with them those of another run of its name."""
+    return entry.name, str(entry.content["dataset"]["name"]), entry.column
+
+
+def _scoring(entry: Entry) -> tuple[str, ...]:
+    """What only entries of one and the same training have in common, scored on the same data set for the same table."""
+    return (*map(str, _of_run(entry)), str(entry.content["dataset"]["fingerprint"]), str(entry.content["weights"]))
 
 
 def _given(paths: Iterable[Path]) -> list[Entry]:

@@ -9,18 +9,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.json_file import JsonUnreadable, parse_value, read_bounded
 from leaderboard.entry import HASH, Entry
 from leaderboard.layout import REFERENCES
 
 LARGEST: Final = 8 * 2**20
-"""Bytes of a file that are read."""
+"""Bytes of an entry that are read, and of all the files that it shares."""
+MOST_SHARED: Final = 44
+"""Files that an entry may share: the schema has at most 20 references, and 12 pictures with two true frames each."""
+MOST_VALUES_SHARED: Final = 20_000
+"""Values in one of them: the schema has at most 1,000 figures of five numbers."""
 SHARED_FROM: Final = 200
 """Characters from which on what entries share has a file of its own."""
 TRUE_FRAMES: Final = ("current", "truth")
@@ -58,14 +62,14 @@ def read_entry(path: Path) -> Entry:
         EntryInvalid: There is none, or it is no entry, or references that it names are not beside it; says what.
     """
     try:
-        content = _parse(_read(path))
+        content = parse_value(read_bounded(path, largest=LARGEST), exact=True)
         if isinstance(content, dict) and isinstance(content.get("reference"), dict):
-            shared = path.parent / REFERENCES
-            content["reference"] = {name: _shared(shared, name, one) for name, one in content["reference"].items()}
+            shared = _Shared(path.parent / REFERENCES)
+            content["reference"] = {name: shared.meant(name, one) for name, one in content["reference"].items()}
             for picture in _pictures(content):
-                picture |= {name: _shared(shared, name, picture[name]) for name in TRUE_FRAMES if name in picture}
+                picture |= {name: shared.meant(name, picture[name]) for name in TRUE_FRAMES if name in picture}
         return Entry(content)
-    except (OSError, ValueError, RecursionError, EntryInvalid) as error:
+    except (OSError, ValueError, EntryInvalid) as error:
         said = error.strerror if isinstance(error, OSError) else error
         raise EntryInvalid(
             f"{str(path)!r} is no entry of the leaderboard: {said}. "
@@ -90,38 +94,50 @@ def remove_unused_references(folder: Path) -> None:
             path.unlink()
 
 
-def _shared(folder: Path, name: str, value: object) -> object:
-    """The content that a hash stands for; any other value unchanged."""
-    if not isinstance(value, str) or not HASH.fullmatch(value):
-        return value
-    path = folder / f"{value}.json"
-    try:
-        raw = _read(path)
-    except OSError as error:
-        raise ValueError(f"its reference {name!r} stands in {str(path)!r}: {error.strerror}") from None
-    if hashlib.sha256(raw).hexdigest() != value:
-        raise ValueError(
-            f"its reference {name!r} stands in {str(path)!r}, which holds something else than its name says"
-        )
-    return _parse(raw)
+class _Shared:
+    """What one entry shares with others; each file is read once, however often it is named.
+
+    Args:
+        folder: Of the files.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._left = folder, LARGEST
+        self._known: dict[str, Any] = {}
+
+    def meant(self, name: str, value: object) -> object:
+        """The content that a hash stands for; any other value unchanged.
+
+        Raises:
+            ValueError: Its file is not there, or holds something else, or there are too many of them.
+        """
+        if not isinstance(value, str) or not HASH.fullmatch(value):
+            return value
+        if value not in self._known:
+            if len(self._known) == MOST_SHARED:
+                raise ValueError(f"it names more than {MOST_SHARED} references")
+            self._known[value] = self._read(name, value)
+        return self._known[value]
+
+    def _read(self, name: str, digest: str) -> Any:
+        path = self._folder / f"{digest}.json"
+        where = f"its reference {name!r} stands in {str(path)!r}"
+        try:
+            raw = read_bounded(path, largest=self._left)
+            self._left -= len(raw)
+            if hashlib.sha256(raw).hexdigest() != digest:
+                raise ValueError(f"{where}, which holds something else than its name says")
+            return parse_value(raw, most_values=MOST_VALUES_SHARED, exact=True)
+        except OSError as error:
+            raise ValueError(f"{where}: {error.strerror}") from None
+        except JsonUnreadable as error:
+            raise ValueError(f"{where}: {error}") from None
 
 
 def _pictures(content: dict[str, Any]) -> list[dict[str, Any]]:
     """The pictures in a file that has not been validated yet."""
     pictures = content.get("pictures")
     return [one for one in pictures if isinstance(one, dict)] if isinstance(pictures, list) else []
-
-
-def _read(path: Path) -> bytes:
-    with path.open("rb") as file:
-        raw = file.read(LARGEST + 1)
-    if len(raw) > LARGEST:
-        raise ValueError(f"it is larger than {LARGEST} bytes")
-    return raw
-
-
-def _parse(raw: bytes) -> Any:
-    return json.loads(raw, object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_whole, parse_float=_real)
 
 
 def to_lines(value: Any, indent: str = "") -> str:
@@ -137,24 +153,3 @@ def to_lines(value: Any, indent: str = "") -> str:
 
 def _values(value: dict[str, Any] | list[Any]) -> Iterable[Any]:
     return value.values() if isinstance(value, dict) else value
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    content = dict(pairs)
-    if len(content) != len(pairs):
-        raise ValueError("it names something twice")
-    return content
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"it holds {text[:20]}, which is no number")
-
-
-def _whole(text: str) -> int:
-    """Parse a whole number; one that floating point cannot hold exactly is refused."""
-    return int(text) if len(text) < 16 else _no_number(text)
-
-
-def _real(text: str) -> float:
-    value = float(text)
-    return value if math.isfinite(value) else _no_number(text)

@@ -23,7 +23,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, shard_path
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.workspace import Workspace
-from leaderboard.verdict import Findings
+from leaderboard.verdict import SHOWN, Findings
 
 ELSEWHERE: Final = (
     "if it is in another workspace, go there or name it with DMBENCH_WORKSPACE; if it was published, fetch it with "
@@ -154,6 +154,11 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
     if content["settings"]["split"] != "test":
         check.remarks.append(f"scored on the {content['settings']['split']} episodes, not on the test's")
+    if changed := run.changed_modules:
+        check.remarks.append(
+            f"the code of the model was changed since the training ({', '.join(changed[:SHOWN])}"
+            f"{' and others' if len(changed) > SHOWN else ''}): what is checked is the present code"
+        )
     _against_report(check, report)
 
 

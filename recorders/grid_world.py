@@ -106,6 +106,7 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     )
     default_policy: ClassVar[str] = "random"
     objective: ClassVar[str] = "tracked"
+    settled: ClassVar[bool] = True
     versions: ClassVar[Mapping[int, str]] = MappingProxyType(
         {
             1: "drawn on the 128 x 128 pixels themselves",

@@ -95,6 +95,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     )
     default_policy: ClassVar[str] = "push"
     objective: ClassVar[str] = "tracked"
+    settled: ClassVar[bool] = True
     factors: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __init__(

@@ -33,7 +33,7 @@ class RecordsAndDiesOnce:
 
         if job.index == 2 and not self.mark.exists():
             self.mark.touch()
-            half = job.dataset / "video" / "shard-00002.mcap.dead.part"
+            half = job.dataset / "video" / "shard-00002.mcap.0000dead.part"
             half.parent.mkdir(exist_ok=True)
             half.write_bytes(b"half")
             os.kill(os.getpid(), signal.SIGKILL)

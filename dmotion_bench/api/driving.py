@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ import rerun.blueprint as rrb
 import torch
 
 from dmotion_bench.actions import ActionSpec, ActionTaken
+from dmotion_bench.environment import Environment
 from dmotion_bench.errors import DmbenchError, LabelsNotAvailable
 from dmotion_bench.learning.driving import Drive
 from dmotion_bench.learning.run import Run
@@ -27,7 +28,7 @@ Frame = np.ndarray[Any, Any]
 
 @dataclass(kw_only=True)
 class Driven:
-    """A model at the first frame of an episode, and what was done since.
+    """A model at the first frame of an episode, and what was done since; to be closed when it is done with.
 
     Attributes:
         run: The model's.
@@ -42,6 +43,13 @@ class Driven:
     actions: ActionSpec
     episode: int
     moment: int = 0
+    _env: Environment | None = field(default=None, init=False, repr=False)
+
+    def close(self) -> None:
+        """Free the simulator, if there is one."""
+        if self._env is not None:
+            self._env.close()
+            self._env = None
 
     @property
     def title(self) -> str:
@@ -81,7 +89,7 @@ class Driven:
         if recipe.environment == IMPORTED:
             return None
         try:
-            env = task_environment(recipe)
+            env = self._env = task_environment(recipe)
         except DmbenchError:
             return None
 

@@ -38,12 +38,15 @@ class Built(Protocol):
         page: The page's file.
         measured, published: Entries of each kind.
         left_out: By the runs' names, why they have no entry.
+        doubtful: Files of entries that were left in the folder although they have a run's name and place: they are of
+            an earlier training, or of somebody else's.
     """
 
     page: Path
     measured: int
     published: int
     left_out: dict[str, str]
+    doubtful: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
         """All of it, as JSON writes it."""

@@ -10,7 +10,7 @@ import torch
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of, whole
-from dmotion_bench.errors import DmbenchError, RunMismatch, UsageError
+from dmotion_bench.errors import DmbenchError, RunMismatch, StorageFull, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.learning.run import Run
@@ -139,7 +139,7 @@ def score_runs(
     note: Callable[[str], None] = _LOG.info,
     warn: Callable[[str], None] = _LOG.warning,
 ) -> tuple[dict[Path, Report], dict[str, str]]:
-    """Score runs one after the other; of several, one that fails does not stop the rest.
+    """Score runs one after the other; of several, one that fails does not stop the rest, but a full disk does.
 
     Args:
         paths: Their folders.
@@ -153,6 +153,9 @@ def score_runs(
 
     Returns:
         The report of each run, and by its name what went wrong with each that has none.
+
+    Raises:
+        StorageFull: There is no space left for a report.
     """
     where, shared = compute_device(device), SharedSamples()
     reports: dict[Path, Report] = {}
@@ -180,6 +183,8 @@ def score_runs(
                     renew=not keep,
                     data=data,
                 )
+            except StorageFull:  # the others would not fit either
+                raise
             except Exception as error:
                 if len(paths) == 1:
                     raise

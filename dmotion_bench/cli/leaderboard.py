@@ -54,6 +54,12 @@ def build(
         return
     for name, why in built.left_out.items():
         typer.echo(f"left out {name}: {why}", err=True)
+    for name in built.doubtful:
+        typer.echo(
+            f"left in place: {name} has the name of one of these runs and other weights. Delete it if it is of an "
+            "earlier training of yours.",
+            err=True,
+        )
     typer.echo(f"{built.page}: {built.measured} measured and {built.published} published results")
 
 

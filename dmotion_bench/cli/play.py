@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,7 +72,10 @@ def play(
     actions = driven.actions
     known = moves(actions, arrows_of(driven.dataset, actions) if isinstance(actions, Continuous) else None)
     window = not web and save is None
-    with live_recording(driven.title, driven.blueprint, window=window, web=web, save=save, linger=False) as log:
+    with (
+        contextlib.closing(driven),
+        live_recording(driven.title, driven.blueprint, window=window, web=web, save=save, linger=False) as log,
+    ):
         taken = list[str]()
         driven.begin(log)
         typer.echo(_legend(known), err=True)

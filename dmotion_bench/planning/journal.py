@@ -2,12 +2,13 @@
 
 One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the solver
 of the unfinished group remembers. A file of another key is not taken up: it belongs to other weights, other tasks
-or another solver. Neither is a file that does not fit its checksum.
+or another solver. Neither is a damaged file, or one that holds what cannot have been done.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import time
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,15 +19,21 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.planning.tasks import Problem, World
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
-from dmotion_bench.storage.json_file import read_json
+from dmotion_bench.storage.json_file import LARGEST, MOST_VALUES, read_json
+from dmotion_bench.wording import sentence, shown
 
 FORMAT: Final = "dmbench-control/2"
 EARLIER_FORMAT: Final = "dmbench-control/1"
 """Of earlier releases, without a checksum; what the oracle did takes hours, so it is read still."""
 WRITE_EVERY: Final = 5.0  # [s]
+
+_LONGEST: Final = 28  # characters of a number, with what sets it apart
+_LOST: Final = range(2**31)
+_FRAMES: Final = range(2**63)
+_log = logging.getLogger(__name__)
 
 Memory = Int[np.ndarray, "b n t"] | Float[np.ndarray, "b n t a"]
 """What a solver remembers of each task: sequences of actions."""
@@ -70,17 +77,92 @@ def as_array(spec: ActionSpec, records: Iterable[TaskRecord]) -> Any:
     return np.array(plain, np.float64).reshape(len(taken), -1, spec.width)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Extent:
+    """What a journal holds at most.
+
+    Attributes:
+        actions: What can be done.
+        tasks: Of the data set.
+        steps: Actions a task.
+    """
+
+    actions: ActionSpec
+    tasks: int
+    steps: int
+
+    @property
+    def values(self) -> int:
+        """Numbers, texts and lists in the file."""
+        wide = self.actions.width if isinstance(self.actions, Continuous) else 0
+        return MOST_VALUES + self.tasks * (self.steps + 1) * (wide + 4) + 16 * self.tasks
+
+    @property
+    def bytes(self) -> int:
+        """Size of the file."""
+        return LARGEST + _LONGEST * self.values
+
+    def record(
+        self, number: int, actions: list[Any], distance: list[float], lost: list[int], frames: int
+    ) -> TaskRecord:
+        """The record of a task, from JSON.
+
+        Raises:
+            ValueError: There cannot be such a one.
+        """
+        if number not in range(self.tasks) or len(actions) > self.steps:
+            raise ValueError("a record of something else")
+        if not len(actions) + 1 == len(distance) == len(lost):
+            raise ValueError("a record whose parts do not fit")
+        record = TaskRecord(
+            actions=[_action(action) for action in actions],
+            distance=[float(value) for value in distance],
+            lost=[int(value) for value in lost],
+            frames=int(frames),
+        )
+        self._require_possible(record.actions)
+        if not all(value in _LOST for value in record.lost) or record.frames not in _FRAMES:
+            raise ValueError("a number that cannot be")
+        return record
+
+    def memory(self, stored: Mapping[str, Any]) -> dict[int, list[Any]]:
+        """What a solver remembers of each task, from JSON.
+
+        Raises:
+            ValueError: It is something else than sequences of actions, as many and as long for every task.
+        """
+        memory = {int(number): own for number, own in stored.items()}
+        found = np.array(list(memory.values()))
+        kind, axes = (np.integer, 3) if isinstance(self.actions, Discrete) else (np.floating, 4)
+        if memory and not (found.ndim == axes and np.issubdtype(found.dtype, kind)):
+            raise ValueError("a memory that holds no sequences of actions")
+        if isinstance(self.actions, Discrete):
+            self._require_possible(found.ravel().tolist())
+        elif memory and found.shape[-1] != self.actions.width:
+            raise ValueError("a memory of other actions")
+        return memory
+
+    def _require_possible(self, actions: Sequence[int | list[float] | None]) -> None:
+        none = -1 if isinstance(self.actions, Discrete) else None
+        taken = [action for action in actions if action != none]
+        if taken and (fault := self.actions.fault(taken)):
+            raise ValueError(fault)
+
+
 class Journal:
     """Keeps records in a file.
 
     Args:
         path: The file; None keeps nothing.
         key: What decides the result, as JSON's types.
+        extent: A file that holds more, or anything else than it can, is begun anew.
         earlier: Keys of earlier releases that stand for the same result.
     """
 
-    def __init__(self, path: Path | None, key: Mapping[str, Any], *, earlier: Sequence[Mapping[str, Any]] = ()) -> None:
-        self._path, self._key = path, json.loads(json.dumps(key))
+    def __init__(
+        self, path: Path | None, key: Mapping[str, Any], extent: Extent, *, earlier: Sequence[Mapping[str, Any]] = ()
+    ) -> None:
+        self._path, self._key, self._extent = path, json.loads(json.dumps(key)), extent
         self._accepted = [self._key, *(json.loads(json.dumps(one)) for one in earlier)]
         self._records: dict[int, TaskRecord] = {}
         self._memory: dict[int, list[Any]] = {}
@@ -92,7 +174,7 @@ class Journal:
     @classmethod
     def nowhere(cls) -> Journal:
         """A journal that keeps nothing."""
-        return cls(None, {})
+        return cls(None, {}, Extent(actions=Discrete.numbered(1), tasks=0, steps=0))
 
     def all_records(self, problems: Sequence[Problem]) -> dict[int, TaskRecord]:
         """The records of some tasks; empty ones for tasks that have not begun."""
@@ -135,7 +217,7 @@ class Journal:
 
     def take_over(self, share: Path) -> None:
         """Take up the tasks of another journal of the same key, as far as it is ahead."""
-        other = Journal(None, self._key)
+        other = Journal(None, self._key, self._extent)
         other._accepted = self._accepted
         other._read(share)
         for number, record in other._records.items():
@@ -147,15 +229,21 @@ class Journal:
 
     def _read(self, path: Path) -> None:
         try:
-            content = read_json(path, nan=True)
-            if content["format"] != EARLIER_FORMAT and content.pop("crc32") != _checksum(content):
-                return
+            content = read_json(path, largest=self._extent.bytes, most_values=self._extent.values, nan=True)
+            if content["format"] != EARLIER_FORMAT:
+                _require_checksum(content)
             if content["format"] not in (FORMAT, EARLIER_FORMAT) or content["key"] not in self._accepted:
                 return
-            records = {int(number): _record(**fields) for number, fields in content["tasks"].items()}
-            memory = {int(number): own for number, own in content["memory"].items()}
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):
-            return  # nothing, or nothing usable: begin at the beginning
+            extent = self._extent
+            records = {int(number): extent.record(int(number), **own) for number, own in content["tasks"].items()}
+            memory = extent.memory(content["memory"])
+        except FileNotFoundError:
+            return
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
+            _log.warning(
+                "the progress in %s cannot be read, and is begun anew: %s", shown(str(path)), sentence(str(error))
+            )
+            return
         self._records, self._memory = records, memory
 
 
@@ -163,18 +251,17 @@ def _checksum(content: Mapping[str, Any]) -> int:
     return zlib.crc32(json.dumps(content).encode())
 
 
+def _require_checksum(content: dict[str, Any]) -> None:
+    """Take the checksum out of a file's content.
+
+    Raises:
+        ValueError: It is that of something else.
+    """
+    if content.pop("crc32") != _checksum(content):
+        raise ValueError("it does not fit its checksum")
+
+
 def _action(stored: Any) -> int | list[float] | None:
     if stored is None:
         return None
     return [float(number) for number in stored] if isinstance(stored, list) else int(stored)
-
-
-def _record(actions: list[Any], distance: list[float], lost: list[int], frames: int) -> TaskRecord:
-    if not len(actions) + 1 == len(distance) == len(lost):
-        raise ValueError("a record whose parts do not fit")
-    return TaskRecord(
-        actions=[_action(action) for action in actions],
-        distance=[float(value) for value in distance],
-        lost=[int(value) for value in lost],
-        frames=int(frames),
-    )

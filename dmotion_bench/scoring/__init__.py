@@ -23,6 +23,7 @@
     latent_ranking.py    whether a model predicts the right point of its own latent space
     explanation.py       what can be measured on video whose actions are not known
     gain.py              what the action sequence that a model prefers truly brings
+    kept_gain.py         what truly can be gained, kept in the data set's cache
     control.py           how near a model and a planner bring the objects to their goals
     earlier_planning.py  what earlier reports say of planning, in the words of today
     tiers.py             which figures need more than an environment tells

@@ -27,7 +27,7 @@ from dmotion_bench.environment import HasScript
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
 from dmotion_bench.learning.checkpoint import weights_hash
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.agents import REFERENCES, Agent, ModelAgent, make_reference
+from dmotion_bench.planning.agents import REFERENCES, Agent, ModelAgent, known_actions, make_reference
 from dmotion_bench.planning.choices import (
     DEFAULT_SOLVER,
     SIMULATOR,
@@ -39,7 +39,7 @@ from dmotion_bench.planning.choices import (
 )
 from dmotion_bench.planning.columns import Column, column_named
 from dmotion_bench.planning.dynamics.model import arithmetic_on
-from dmotion_bench.planning.journal import Journal
+from dmotion_bench.planning.journal import Extent, Journal
 from dmotion_bench.planning.mpc import (
     CONTROL_VERSION,
     GROUP,
@@ -324,7 +324,8 @@ def _journal(
 ) -> Journal:
     """The journal of a control run; it also accepts results of this version in the words of earlier releases."""
     key = _key(model, dataset, scoring, device)
-    journal = Journal(path, key, earlier=_earlier_keys(key, scoring))
+    extent = Extent(actions=known_actions(dataset.spec), tasks=len(dataset.tasks()), steps=scoring.steps)
+    journal = Journal(path, key, extent, earlier=_earlier_keys(key, scoring))
     for share in () if path is None else shares_of(path):
         journal.take_over(share)
     return journal

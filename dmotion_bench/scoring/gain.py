@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zlib
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -42,11 +42,10 @@ from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.planning.solvers.rollouts import Rollouts
 from dmotion_bench.planning.solvers.search import Search
 from dmotion_bench.planning.tasks import Judge, as_problems, judge_of, task_environment
+from dmotion_bench.scoring.kept_gain import Truth, keep, kept
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import GAIN, SampleRows, action_column
 from dmotion_bench.specs import IMPORTED, SplitName, delay_of
-from dmotion_bench.storage.atomic import write_atomically
-from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.storage.tasks import Candidate, ControlTask, candidates, choose_tasks
 from dmotion_bench.values import require_bounds
@@ -59,11 +58,10 @@ GAIN_VERSION: Final = 1
 GROUP: Final = 4
 """Moments side by side; it only decides which numbers are rounded together."""
 
-FORMAT: Final = "dmbench-gain/1"
-
 MOST: Final = 100_000
 """Of moments, sequences and actions in one; and the largest seed."""
 
+_LOG = logging.getLogger(__name__)
 _DECISIVE: Final = ("moments", "sequences", "horizon", "seed")
 
 RANDOM: Final = "random"
@@ -120,21 +118,6 @@ class GainScoring:
         if not isinstance(named, str | None) or not isinstance(chosen, list):
             raise InvalidSetting(f"the objective is {shown(named)} with {shown(chosen)}; it is a name and settings.")
         return cls(**read | {"objective_set": tuple(map(str, chosen))})
-
-
-@dataclass(frozen=True, kw_only=True)
-class Truth:
-    """What truly could be gained.
-
-    Attributes:
-        sequences: The same at every moment.
-        moments: In the order of their episodes.
-        oracle: Which sequence the true frames speak for, at each moment.
-    """
-
-    sequences: Int[np.ndarray, "s h"] | Float[np.ndarray, "s h a"]
-    moments: Sequence[Moment]
-    oracle: Int[np.ndarray, " m"]
 
 
 def gain_tables(
@@ -204,8 +187,11 @@ def known_truth(dataset: ReadableDataset, split: SplitName, scoring: GainScoring
     Raises:
         DatasetError, LabelsNotAvailable: There is nothing to be gained.
     """
-    if (kept := _kept(dataset, split, scoring)) is not None:
-        return kept
+    if (known := _kept(dataset, split, scoring)) is not None:
+        return known
+    key = _key(dataset, split, scoring)
+    if (place := _place(dataset, key)).is_file():
+        _LOG.warning("%s is damaged; what can be gained is tried out anew.", shown(str(place)))
     require_gain(dataset, split, scoring)
     sequences = _sequences(dataset, scoring)
     problems = as_problems(dataset, dict(enumerate(_stretches(dataset, split, scoring.moments))))
@@ -221,7 +207,7 @@ def known_truth(dataset: ReadableDataset, split: SplitName, scoring: GainScoring
             f"episodes of {dataset.name!r}; leave the gain out of '--metrics', or record more episodes."
         )
     truth = Truth(sequences=sequences, moments=moments, oracle=_by_true_frames(dataset, scoring, moments, sequences))
-    _keep(truth, dataset, split, scoring)
+    keep(place, key, truth)
     return truth
 
 
@@ -358,35 +344,7 @@ def _place(dataset: ReadableDataset, key: Mapping[str, Any]) -> Path:
     return cache_folder(dataset.path) / f"gain-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
 
 
-def _keep(truth: Truth, dataset: ReadableDataset, split: SplitName, scoring: GainScoring) -> None:
-    """Write what is known of a data set into its cache."""
-    key = _key(dataset, split, scoring)
-    moments = [
-        {"task": list(one.problem.task), "offset": one.offset, "now": one.now, "after": one.after.tolist()}
-        for one in truth.moments
-    ]
-    known = json.dumps({"key": key, "moments": moments, "oracle": truth.oracle.tolist()}, sort_keys=True)
-    content = {"format": FORMAT, "crc32": zlib.crc32(known.encode()), "known": known}
-    write_atomically(_place(dataset, key), json.dumps(content).encode())
-
-
 def _kept(dataset: ReadableDataset, split: SplitName, scoring: GainScoring) -> Truth | None:
-    """What the cache knows; None where that is nothing, damaged, or of something else."""
+    """What the cache knows; None where that is nothing, or nothing usable."""
     key = _key(dataset, split, scoring)
-    try:
-        content = read_json(_place(dataset, key))
-        known = json.loads(content["known"])
-        if content["format"] != FORMAT or content["crc32"] != zlib.crc32(content["known"].encode()):
-            return None
-        if known["key"] != json.loads(json.dumps(key)):
-            return None
-        tasks = [ControlTask(*one["task"]) for one in known["moments"]]
-        problems = as_problems(dataset, dict(enumerate(tasks)))
-        moments = [
-            Moment(problem=problem, offset=one["offset"], now=one["now"], after=np.array(one["after"]))
-            for problem, one in zip(problems, known["moments"], strict=True)
-        ]
-        oracle = np.array(known["oracle"], np.int64)
-    except (OSError, JsonUnreadable, KeyError, TypeError, ValueError):
-        return None
-    return Truth(sequences=_sequences(dataset, scoring), moments=moments, oracle=oracle)
+    return kept(_place(dataset, key), key, dataset, split, _sequences(dataset, scoring))

@@ -103,9 +103,11 @@ def is_unused(folder: Path) -> bool:
 def remove_leftovers(folder: Path) -> None:
     """Delete the temporary files of processes that were killed; those that are still written stay.
 
-    On a file system without locks all of them stay.
+    On a file system without locks all of them stay. Other programs' files stay, whatever their suffix.
     """
     for leftover in folder.glob(f"*{TEMPORARY_SUFFIX}"):
+        if not _TEMPORARY.fullmatch(leftover.name):
+            continue
         with contextlib.suppress(OSError):  # gone meanwhile, or not ours to delete
             if not OPENS_FOLDERS:
                 leftover.unlink()  # Windows refuses while anybody has it open

@@ -16,6 +16,7 @@ import logging
 import mmap
 import os
 import shutil
+import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -34,6 +35,9 @@ from dmotion_bench.workspace import ANOTHER_CACHE
 
 _FINGERPRINT: Final = b"dmbench.fingerprint"
 _FRAMES, _SUMS = "frame", "crc32"
+_MAGIC: Final = 8  # bytes that an Arrow file begins with
+_HEADER, _COMPRESSION = 2, 3  # fields of Arrow's Message and RecordBatch
+_MOST_AROUND: Final = 2**16  # bytes of a file besides its columns
 _GIB: Final = 2**30
 _log = logging.getLogger(__name__)
 Episodes = Iterable[UInt8[np.ndarray, "t h w 3"]]
@@ -97,8 +101,10 @@ class CacheFile:
         if not self.path.is_file():
             return None
         try:
-            batch = pa.ipc.open_file(pa.memory_map(str(self.path))).get_batch(0)
-            if not batch.schema.equals(self._schema, check_metadata=True) or batch.num_rows != self.count:
+            if not 0 <= self.path.stat().st_size - self.bytes - 4 * self.count <= _MOST_AROUND:
+                return None
+            batch = _mapped_batch(self.path, self._schema)
+            if batch is None or batch.num_rows != self.count:
                 return None
             batch.validate()
             frames, sums = batch.columns
@@ -107,7 +113,7 @@ class CacheFile:
             pixels = np.frombuffer(frames.buffers()[1], np.uint8)[: self.bytes]
             numbers = np.frombuffer(sums.buffers()[1], np.uint32)[: self.count]
             return Mapped(pixels.reshape(self.count, self.height, self.width, 3), numbers.reshape(self.count))
-        except (pa.ArrowException, OSError, ValueError, IndexError):
+        except (pa.ArrowException, OSError, EOFError, ValueError, IndexError, struct.error):
             return None
 
     def is_unchecked(self) -> bool:
@@ -323,3 +329,37 @@ def _write_frame_of_file(file: BinaryIO, schema: pa.Schema, rows: int) -> dict[s
 def _reserved(size: int) -> pa.Buffer:
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS
     return pa.py_buffer(mmap.mmap(-1, max(size, 1), flags=flags, prot=mmap.PROT_READ))
+
+
+def _mapped_batch(path: Path, schema: pa.Schema) -> pa.RecordBatch | None:
+    """The first batch of an Arrow file, in place; None if it has another schema, or Arrow would have to unpack it."""
+    mapped = pa.memory_map(str(path))
+    mapped.seek(_MAGIC)
+    about = pa.ipc.read_message(mapped)
+    if about.type != "schema" or not pa.ipc.read_schema(about).equals(schema, check_metadata=True):
+        return None
+    message = pa.ipc.read_message(mapped)
+    if message.type != "record batch" or _is_compressed(message.metadata.to_pybytes()):
+        return None
+    return pa.ipc.read_record_batch(message, schema)
+
+
+def _is_compressed(message: bytes) -> bool:
+    """Whether a message's batch is compressed, by Arrow's ``Message.fbs``; pyarrow tells it of no batch.
+
+    A batch that is compressed says itself how much memory it is to be unpacked into.
+    """
+    (root,) = struct.unpack_from("<I", message, 0)
+    header = _field(message, root, _HEADER)
+    (batch,) = struct.unpack_from("<I", message, header)
+    return _field(message, header + batch, _COMPRESSION) != 0
+
+
+def _field(flatbuffer: bytes, table: int, number: int) -> int:
+    """Where a field of a table of FlatBuffers stands; 0 where it is left out."""
+    (back,) = struct.unpack_from("<i", flatbuffer, table)
+    places = table - back
+    (size,) = struct.unpack_from("<H", flatbuffer, places)
+    entry = 4 + 2 * number
+    offset = struct.unpack_from("<H", flatbuffer, places + entry)[0] if entry < size else 0
+    return table + offset if offset else 0

@@ -1,4 +1,4 @@
-"""JSON objects out of files that may come from anybody: bounded before they are parsed, plain after it.
+"""JSON out of files that may come from anybody: bounded before it is parsed, plain after it.
 
 What is accepted can be printed, compared, copied and written again: the text is UTF-8 without lone surrogates, every
 name stands once, a whole number fits in 64 bits, and nothing is nested deeper than ``DEEPEST``.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import stat
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +20,7 @@ MOST_VALUES: Final = 2_000_000
 DEEPEST: Final = 32
 """What walks through the content by recursion has room for far more."""
 _WHOLE: Final = range(-(2**63), 2**64 + 1)
+_EXACT: Final = range(-(2**53) + 1, 2**53)
 _DIGITS: Final = 20  # of the numbers in it, with their sign
 
 
@@ -28,52 +28,98 @@ class JsonUnreadable(ValueError):
     """There is no JSON object that can be accepted; the text says why, to follow "cannot be read: "."""
 
 
-def read_json(path: Path, *, largest: int = LARGEST, nan: bool = False) -> dict[str, Any]:
+def read_json(
+    path: Path, *, largest: int = LARGEST, most_values: int = MOST_VALUES, nan: bool = False
+) -> dict[str, Any]:
     """The object that a file holds.
 
     Args:
         path: The file.
         largest: A larger file is refused [bytes].
+        most_values: So is one with more values than this.
         nan: Whether NaN and the infinities are accepted.
 
     Raises:
         OSError: The file cannot be read.
         JsonUnreadable: It is too large, or holds something else.
     """
+    return parse_json(read_bounded(path, largest=largest), largest=largest, most_values=most_values, nan=nan)
+
+
+def read_bounded(path: Path, *, largest: int = LARGEST) -> bytes:
+    """What a file holds, at most ``largest`` bytes.
+
+    Raises:
+        OSError: The file cannot be read.
+        JsonUnreadable: It is larger, or no ordinary file.
+    """
     if not stat.S_ISREG(path.stat().st_mode):  # a pipe would be waited for
         raise JsonUnreadable("it is no ordinary file")
     with path.open("rb") as file:
         raw = file.read(largest + 1)
-    return parse_json(raw, largest=largest, nan=nan)
+    _require_size(raw, largest)
+    return raw
 
 
-def parse_json(raw: bytes | str, *, largest: int = LARGEST, nan: bool = False) -> dict[str, Any]:
+def parse_json(
+    raw: bytes | str, *, largest: int = LARGEST, most_values: int = MOST_VALUES, nan: bool = False
+) -> dict[str, Any]:
     """The object that a text stands for; arguments and errors as those of ``read_json``.
 
     Raises:
         JsonUnreadable: It is too large, or stands for something else.
     """
-    if len(raw) > largest:
-        raise JsonUnreadable(f"it is larger than {largest:,} bytes")
+    content = parse_value(raw, largest=largest, most_values=most_values, nan=nan)
+    if not isinstance(content, dict):
+        raise JsonUnreadable(f"it holds {shown(content)}, not a JSON object")
+    return content
+
+
+def parse_value(
+    raw: bytes | str,
+    *,
+    largest: int = LARGEST,
+    most_values: int = MOST_VALUES,
+    nan: bool = False,
+    exact: bool = False,
+) -> Any:
+    """What a text stands for, an object or not.
+
+    Args:
+        raw: The text.
+        largest, most_values, nan: As of ``read_json``.
+        exact: Whether whole numbers that floating point cannot hold exactly are refused.
+
+    Raises:
+        JsonUnreadable: It is too large, or no JSON that is accepted.
+    """
+    _require_size(raw, largest)
     try:
         text = raw.decode() if isinstance(raw, bytes) else raw
     except UnicodeDecodeError as error:
         raise JsonUnreadable(f"byte {error.start} is not UTF-8 text") from None
-    if sum(text.count(mark) for mark in ",[{") > MOST_VALUES:
-        raise JsonUnreadable(f"it holds more than {MOST_VALUES:,} values")
+    if sum(text.count(mark) for mark in ",[{") > most_values:
+        raise JsonUnreadable(f"it holds more than {most_values:,} values")
     real, constant = (float, float) if nan else (_finite, _finite)
     try:
         content = json.loads(
-            text, object_pairs_hook=_unique, parse_int=_whole, parse_float=real, parse_constant=constant
+            text,
+            object_pairs_hook=_unique,
+            parse_int=_exact if exact else _whole,
+            parse_float=real,
+            parse_constant=constant,
         )
     except RecursionError:
         raise JsonUnreadable(f"it is nested deeper than {DEEPEST} levels") from None
     except json.JSONDecodeError as error:
         raise JsonUnreadable(f"it is no JSON: {error}") from None
-    if not isinstance(content, dict):
-        raise JsonUnreadable(f"it holds {shown(content)}, not a JSON object")
     _check_plain(content)
     return content
+
+
+def _require_size(raw: bytes | str, largest: int) -> None:
+    if len(raw) > largest:
+        raise JsonUnreadable(f"it is larger than {largest:,} bytes")
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -89,6 +135,13 @@ def _whole(text: str) -> int:
     return int(text)
 
 
+def _exact(text: str) -> int:
+    value = _whole(text)
+    if value not in _EXACT:
+        raise JsonUnreadable(f"it holds the whole number {shown(text)}, which floating point cannot hold exactly")
+    return value
+
+
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
@@ -96,7 +149,7 @@ def _finite(text: str) -> float:
     return value
 
 
-def _check_plain(content: Mapping[str, Any]) -> None:
+def _check_plain(content: object) -> None:
     """Level by level, so that no depth is too much for the check itself."""
     level: list[Any] = [content]
     for _ in range(DEEPEST):

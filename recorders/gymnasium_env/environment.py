@@ -104,9 +104,13 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._legacy = LegacyRandomness()
         self._make = partial(self._made, max_episode_steps, wrappers, settings)
         self._inner, self._fresh, self._used = self._make(), fresh, False
-        self._require_pictures()
-        with quiet():
-            actions = action_spec(self.name, self._inner)
+        try:
+            self._require_pictures()
+            with quiet():
+                actions = action_spec(self.name, self._inner)
+        except BaseException:
+            self._inner.close()
+            raise
         fps = self._inner.metadata.get("render_fps")
         fps = float(fps) if isinstance(fps, int | float) and fps > 0 else _USUAL_FPS
         self.facts = EnvSpec(
@@ -165,7 +169,6 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """See that pictures can be drawn, as far as it is said; the first one shows where nothing is said (OGBench)."""
         modes = self._inner.metadata.get("render_modes") or []
         if modes and RENDER_MODE not in modes:
-            self._inner.close()
             raise InvalidSetting(
                 f"{self.name!r} has no render mode {RENDER_MODE!r}, so it cannot be recorded; it has "
                 f"{', '.join(map(repr, modes))}."

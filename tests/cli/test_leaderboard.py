@@ -35,7 +35,13 @@ class Parts:
 
     def build(self, runs: list[Path], entries: list[Path], out: Path, *, on_progress: Any) -> Built:
         self.asked.append((runs, entries, out))
-        return Built(page=out / "index.html", measured=2, published=22, left_out={"a": "it is not scored"})
+        return Built(
+            page=out / "index.html",
+            measured=2,
+            published=22,
+            left_out={"a": "it is not scored"},
+            doubtful=("b-1.json",),
+        )
 
     def check(
         self, paths: list[Path], workspace: Any, *, quick: bool, differing: float, draw: int | None, on_progress: Any
@@ -92,7 +98,7 @@ def test_build_takes_all_runs_and_says_what_it_left_out(
 
     assert parts.asked == [([tmp_path / "runs/a", tmp_path / "runs/b"], [], tmp_path / "reports/leaderboard")]
     assert result.stdout.endswith("index.html: 2 measured and 22 published results\n")
-    assert result.stderr == "left out a: it is not scored\n"
+    assert result.stderr.startswith("left out a: it is not scored\nleft in place: b-1.json has the name")
 
 
 def test_build_takes_named_runs_and_others_entries(run: Callable[..., Result], parts: Parts, tmp_path: Path) -> None:

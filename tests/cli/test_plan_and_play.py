@@ -28,6 +28,7 @@ from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.captions import GAP, LINE, SIDE
 from dmotion_bench.workspace import Workspace
+from recorders.grid_world import GridWorld
 
 
 @pytest.fixture(scope="module")
@@ -195,9 +196,11 @@ def test_playing_needs_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatc
 def test_keys_drive_the_model(
     run: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = tmp_path / "play.rrd"
+    file, closed = tmp_path / "play.rrd", list[GridWorld]()
+    monkeypatch.setattr(GridWorld, "close", lambda env: closed.append(env))
     said = _play([run, "--save", str(file)], b"\x1b[A\x1b[Cx4r\x1bOBq", capsys, monkeypatch)
     assert said.code == 0, said.err
+    assert len(closed) == 1
     assert "3: up right right" in said.err
     assert said.err.rstrip().endswith("1: down")
     contents = read(file)

@@ -13,7 +13,7 @@ from known_model import spec_with
 from typer.testing import CliRunner
 
 from dmotion_bench.cli import score as command
-from dmotion_bench.errors import RunError, RunMismatch, RunMissing, UnknownName, UsageError
+from dmotion_bench.errors import RunError, RunMismatch, RunMissing, StorageFull, UnknownName, UsageError
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.settings import ScoreSettings
@@ -132,6 +132,20 @@ def test_all_goes_on_after_a_run_that_fails(run: Callable[..., Result]) -> None:
     assert isinstance(result.exception, RunError)
     assert "1 of 3 runs could not be scored" in str(result.exception)
     assert "broken: the run 'broken' is not finished" in str(result.exception)
+
+
+def test_a_full_disk_ends_it(run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def full(path: Path, **_: object) -> Report:
+        asked.append(path.name)
+        raise StorageFull("no space left on the device; free some.")
+
+    monkeypatch.setattr("dmotion_bench.api.scoring.score_run", full)
+    result = run("--all", "--workers", "1")
+
+    assert isinstance(result.exception, StorageFull)
+    assert asked == ["a"]
 
 
 def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:

@@ -104,19 +104,24 @@ def test_what_is_no_entry_stops_the_build(tmp_path: Path) -> None:
 
 
 def test_an_outdated_entry_of_a_run_is_taken_away_and_nothing_else(
-    workspace: Workspace, changed: Callable[..., Entry], tmp_path: Path
+    workspace: Workspace, sound: Entry, changed: Callable[..., Entry], tmp_path: Path
 ) -> None:
     folder = tmp_path / "out/entries"
     (run, *_) = [path for path in workspace.all_runs() if path.name == "dmotion-grid_world-tiny-s0"]
-    outdated = write_entry(changed(weights="2" * 64), folder)
+    outdated = write_entry(changed(settings=sound.content["settings"] | {"horizon": 7}), folder)
+    of_another_author = write_entry(changed(weights="2" * 64), folder)
+    elsewhere = write_entry(changed(dataset=sound.content["dataset"] | {"name": "x", "fingerprint": "3" * 64}), folder)
     of_another_run = write_entry(changed(run="theirs-s0", weights="1" * 64), folder)
     renamed = folder / "kept.json"
     renamed.write_bytes(outdated.read_bytes())
     (folder / "notes.json").write_text("mine")
 
-    build([run], [], tmp_path / "out")
+    built = build([run], [], tmp_path / "out")
 
     assert not outdated.exists()
+    assert of_another_author.exists()
+    assert elsewhere.exists()
+    assert list(built.doubtful) == built.to_json()["doubtful"] == [of_another_author.name]
     assert of_another_run.exists()
     assert renamed.exists()
     assert (folder / "notes.json").read_text() == "mine"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -73,6 +74,19 @@ def test_every_part_of_every_figure_counts(
     verdict = check_entry(changed(figures=_figures(sound, name, **{part: bent})), workspace, QUICK)
 
     assert any(name in finding and part in finding for finding in verdict.findings)
+
+
+def test_a_model_whose_code_was_changed_since_the_training_is_named(workspace: Workspace, sound: Entry) -> None:
+    said = "the code of the model was changed since the training (baselines.dmotion)"
+    file = workspace.runs / RUN / "run.json"
+    before = check_entry(sound, workspace, QUICK)
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"code": {"baselines.dmotion": "0" * 64}}))
+
+    verdict = check_entry(sound, workspace, QUICK)
+
+    assert not any(said in remark for remark in before.remarks)
+    assert any(said in remark for remark in verdict.remarks)
+    assert verdict.findings == before.findings == ()
 
 
 def test_no_figure_is_left_out(workspace: Workspace, sound: Entry, changed: Changed) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
+import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -116,6 +118,51 @@ def test_a_shared_reference_that_is_not_as_it_was_is_refused(
         read_entry(path)
 
 
+def test_a_reference_that_is_named_often_is_read_once(sound: Entry, tmp_path: Path) -> None:
+    path = write_entry(sound, tmp_path)
+    content = json.loads(path.read_text())
+    shared = content["reference"]["copy_last"]
+    path.write_text(json.dumps(content | {"reference": {f"r{number}": shared for number in range(20)}}))
+
+    references = read_entry(path).content["reference"]
+
+    assert len(references) == 20
+    assert len({id(figures) for figures in references.values()}) == 1
+
+
+def test_references_take_bounded_memory(sound: Entry, tmp_path: Path) -> None:
+    path = write_entry(sound, tmp_path)
+    content = json.loads(path.read_text())
+
+    def refer_to(*texts: str) -> None:
+        hashes = [hashlib.sha256(text.encode()).hexdigest() for text in texts]
+        for text, digest in zip(texts, hashes, strict=True):
+            (tmp_path / "references" / f"{digest}.json").write_text(text)
+        path.write_text(json.dumps(content | {"reference": {f"r{n}": digest for n, digest in enumerate(hashes)}}))
+
+    refer_to("[" + "{}," * 20_000 + "0]")
+    with pytest.raises(EntryInvalid, match="more than 20,000 values"):
+        read_entry(path)
+    refer_to(*(f"[{number}]" for number in range(45)))
+    with pytest.raises(EntryInvalid, match="more than 44 references"):
+        read_entry(path)
+    refer_to(*(f'"{letter * 3_000_000}"' for letter in "abc"))
+    with pytest.raises(EntryInvalid, match="larger than"):
+        read_entry(path)
+
+
+def test_a_pipe_is_not_waited_for(sound: Entry, tmp_path: Path) -> None:
+    path = write_entry(sound, tmp_path)
+    shared = tmp_path / "references" / f"{json.loads(path.read_text())['reference']['copy_last']}.json"
+    os.mkfifo(tmp_path / "pipe.json")
+    shared.unlink()
+    os.mkfifo(shared)
+
+    for one in (tmp_path / "pipe.json", path):
+        with pytest.raises(EntryInvalid, match="no ordinary file"):
+            read_entry(one)
+
+
 def test_a_hash_is_no_path_and_no_figures(sound: Entry, changed: Changed, tmp_path: Path) -> None:
     path = write_entry(sound, tmp_path)
     (tmp_path / "secret.json").write_text("{}")
@@ -174,9 +221,12 @@ def test_what_breaks_the_schema_is_said(changed: Changed, content: dict[str, Any
         ("[" * 100_000, "no entry"),
         ('{"format": "dmbench-entry/2", "kind": "measured"}', "dmbench-entry/2"),
         ('{"seed": 1, "seed": 2}', "names something twice"),
-        ('{"seed": NaN}', "no number"),
-        ('{"seed": 1e999}', "no number"),
-        ('{"seed": 123456789012345678901234567890}', "no number"),
+        ('{"seed": NaN}', "not finite"),
+        ('{"seed": 1e999}', "not finite"),
+        ('{"seed": 123456789012345678901234567890}', "does not fit in 64 bits"),
+        ('{"seed": 9007199254740992}', "cannot hold exactly"),
+        ('{"a": ' * 40 + "0" + "}" * 40, "nested deeper"),
+        ("[" + "{}," * 2_000_000 + "0]", "more than 2,000,000 values"),
         ('"' + "x" * 9_000_000 + '"', "larger than"),
     ],
 )

@@ -17,7 +17,7 @@ from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.planning.agents import IdleAgent, ModelAgent, RandomAgent, make_reference
 from dmotion_bench.planning.choices import make_objective, make_solver
 from dmotion_bench.planning.dynamics.model import ModelDynamics
-from dmotion_bench.planning.journal import Journal
+from dmotion_bench.planning.journal import Extent, Journal
 from dmotion_bench.planning.mpc import ControlResult, ControlSettings, control
 from dmotion_bench.planning.objectives.centres import Centres
 from dmotion_bench.planning.objectives.feature import Feature
@@ -235,6 +235,7 @@ def test_a_killed_run_goes_on_with_the_same_result(
 ) -> None:
     monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
     solver, settings = make_solver("icem", ["samples=8", "elites=3", "iterations=2"]), ControlSettings(steps=5, group=1)
+    extent = Extent(actions=ACTIONS, tasks=len(problems), steps=5)
 
     def run(watch: Any = lambda _: None, journal: Journal | None = None) -> ControlResult:
         agent = make_reference(who, FACTS, Sliding, solver)
@@ -245,8 +246,8 @@ def test_a_killed_run_goes_on_with_the_same_result(
             raise Killed
 
     with pytest.raises(Killed):
-        run(die, Journal(tmp_path / "journal.json", {}))
-    begun, whole = run(journal=Journal(tmp_path / "journal.json", {})), run()
+        run(die, Journal(tmp_path / "journal.json", {}, extent))
+    begun, whole = run(journal=Journal(tmp_path / "journal.json", {}, extent)), run()
     assert begun.planned < whole.planned
     for field in ("actions", "distance", "lost"):
         np.testing.assert_array_equal(getattr(begun, field), getattr(whole, field))

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
+from planning import turning
+from planning.turning import Turning
 
 from dmotion_bench.actions import Continuous, Discrete, as_actions
+from dmotion_bench.planning.dynamics.simulator import Simulation
 from dmotion_bench.planning.moments import Moment, find_moment, fixed_sequences
 from dmotion_bench.planning.tasks import Problem, World, load_problems, task_environment
 from dmotion_bench.recording.session import record_dataset
@@ -101,3 +106,36 @@ def test_the_moment_is_the_one_at_which_most_can_be_gained(recorded: Dataset) ->
             assert moment.best == pytest.approx(max(gains))
             assert moment.offset == 8 * int(np.argmax(gains))
         break
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [{}, {"settled": True}, {"tells_heading": False}, {"slides": True}, {"slides": True, "tells_heading": False}],
+    ids=str,
+)
+def test_states_that_only_look_the_same_are_told_apart(facts: dict[str, bool]) -> None:
+    sequences = np.array(list(itertools.product(range(3), repeat=4)))
+    task = turning.problem(Turning())
+
+    moment = find_moment(task, np.zeros(5, np.int64), sequences, lambda: Turning(**facts))
+
+    assert moment is not None
+    assert moment.best > 0
+    for sequence, after in zip(sequences.tolist(), moment.after.tolist(), strict=True):
+        world = World(Turning(**facts), task)
+        for action in sequence:
+            world.step(action)
+        assert after == world.distance
+
+
+def test_a_settled_world_is_tried_once_from_each_place() -> None:
+    tried = []
+    for settled in (True, False):
+        env = Turning(settled=settled)
+        simulation = Simulation(env, turning.problem(env))
+        place = simulation.here
+        for _ in range(8):
+            place = simulation.step(place, turning.TURN)
+        tried.append(simulation.tried)
+
+    assert tried == [4, 8]

@@ -31,7 +31,7 @@ from dmotion_bench.planning.agents import (
     RandomAgent,
     make_reference,
 )
-from dmotion_bench.planning.journal import Journal, TaskRecord
+from dmotion_bench.planning.journal import Extent, Journal
 from dmotion_bench.planning.mpc import ControlProgress, ControlResult, ControlSettings, Scene, control
 from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.planning.solvers.base import PlanContext
@@ -245,6 +245,9 @@ def test_the_first_image_is_given_twice_and_only_changes_count(problems: list[Pr
             assert not after.blocked.any()
 
 
+EXTENT = Extent(actions=Discrete.numbered(4), tasks=6, steps=6)
+
+
 class Killed(Exception):
     """The process is gone."""
 
@@ -264,7 +267,7 @@ def test_a_killed_run_goes_on_with_the_same_result(
     whole = control(tracking(solver), problems[:4], GridWorld, PAIRS)
 
     def run(watch: Callable[[Scene], None] = lambda _: None) -> ControlResult:
-        journal = Journal(tmp_path / "journal.json", {"who": "me"})
+        journal = Journal(tmp_path / "journal.json", {"who": "me"}, EXTENT)
         return control(tracking(solver), problems[:4], GridWorld, PAIRS, journal=journal, watch=watch)
 
     steps: Iterator[int] = iter(range(100))
@@ -281,19 +284,6 @@ def test_a_killed_run_goes_on_with_the_same_result(
     assert begun.frames == whole.frames
     assert begun.planned == 24 - 2 * dies_at
     assert run().planned == 0
-
-
-def test_a_damaged_journal_is_begun_anew(problems: list[Problem], tmp_path: Path) -> None:
-    file, key = tmp_path / "journal.json", {"who": "me"}
-    record = TaskRecord(actions=[1], distance=[0.5, 0.25], lost=[0, 0], frames=4)
-    Journal(file, key).write({problems[0].number: record}, None, last=True)
-    sound = file.read_text()
-    file.with_name("journal.json.1234.part").touch()  # of a killed process
-    assert Journal(file, key).all_records(problems[:1]) == {problems[0].number: record}
-    for damaged in (sound.replace("0.25", "0.75"), sound[:-3], "[" * 100_000, "9" * 5000, "[]", "{}"):
-        file.write_text(damaged)
-        assert Journal(file, key).all_records(problems[:1]) == {problems[0].number: TaskRecord()}
-    assert list(tmp_path.iterdir()) == [file]
 
 
 def test_progress_of_something_else_is_not_taken_up(dataset: Dataset, tmp_path: Path) -> None:

@@ -118,6 +118,17 @@ def test_an_episode_ends_where_the_environment_ends_it(tmp_path: Path) -> None:
     assert {row.ended for row in cut.rows} == {"truncated"}
 
 
+@pytest.mark.parametrize("name", ["Keyed", "Blind"])
+def test_what_is_refused_is_closed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = []
+    monkeypatch.setattr(strange_worlds.Slider, "close", lambda world: closed.append(type(world).__name__))
+
+    with pytest.raises(InvalidSetting):
+        environment_class(f"gym:Strange/{name}-v0")()
+
+    assert closed == [name]
+
+
 def test_it_tells_pixels_alone() -> None:
     env = environment_class(SLIDER)()
     assert tier_of(env) is tier_of(type(env)) is Tier.PIXELS

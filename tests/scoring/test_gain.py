@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from dmotion_bench.pairing import compare_runs
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.gain import GainScoring, gain_tables, known_truth
+from dmotion_bench.scoring.kept_gain import FORMAT, kept
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.samples import GAIN, SampleRows, read_samples
@@ -108,7 +111,11 @@ def test_what_is_kept_is_what_was_found(pushed: Dataset, tmp_path: Path, monkeyp
 
 @pytest.mark.parametrize("spoil", ["digit", "cut", "key", "list"])
 def test_a_damaged_cache_is_made_again(
-    pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spoil: str
+    pushed: Dataset,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    spoil: str,
 ) -> None:
     (sound_file,) = cache_folder(pushed.path).glob("gain-*.json")
     sound = sound_file.read_text()
@@ -128,6 +135,68 @@ def test_a_damaged_cache_is_made_again(
     known_truth(pushed, "test", FEW, Execution())
 
     assert json.loads(file.read_text()) == content
+    assert ["is damaged" in record.message for record in caplog.records] == [True]
+
+
+def _kept(dataset: Dataset, file: Path, known: Any) -> Any:
+    """What is taken of a file with a right checksum."""
+    text = known if isinstance(known, str) else json.dumps(known)
+    file.write_text(json.dumps({"format": FORMAT, "crc32": zlib.crc32(text.encode()), "known": text}))
+    sequences = known_truth(dataset, "test", FEW, Execution()).sequences
+    return kept(file, json.loads(_sound(dataset)["known"])["key"], dataset, "test", sequences)
+
+
+def _sound(dataset: Dataset) -> dict[str, Any]:
+    (file,) = cache_folder(dataset.path).glob("gain-*.json")
+    content: dict[str, Any] = json.loads(file.read_text())
+    return content
+
+
+FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
+    "nested deeply": lambda _: "[" * 200_000,
+    "an array": lambda known: [known],
+    "no moments": lambda known: known | {"moments": [], "oracle": []},
+    "no such episode": lambda known: _with_moment(known, task=[10**9, 0, 5]),
+    "a task before the episode": lambda known: _with_moment(known, task=[known["moments"][0]["task"][0], -3, 5]),
+    "a goal behind the episode": lambda known: _with_moment(known, task=[known["moments"][0]["task"][0], 0, 10**6]),
+    "parts of a frame": lambda known: _with_moment(known, task=[known["moments"][0]["task"][0], 0.5, 5]),
+    "an offset behind the goal": lambda known: _with_moment(known, offset=40),
+    "an offset before the start": lambda known: _with_moment(known, offset=-1),
+    "too few sequences": lambda known: _with_moment(known, after=[0.5]),
+    "no numbers": lambda known: _with_moment(known, now=None),
+    "an oracle's pick that is none": lambda known: known | {"oracle": [999] * len(known["oracle"])},
+    "an oracle's pick from behind": lambda known: known | {"oracle": [-1] * len(known["oracle"])},
+    "an oracle's pick too few": lambda known: known | {"oracle": known["oracle"][1:]},
+    "an enormous pick": lambda known: known | {"oracle": [2**64 - 1] * len(known["oracle"])},
+}
+
+
+def _with_moment(known: dict[str, Any], **fields: Any) -> dict[str, Any]:
+    return known | {"moments": [known["moments"][0] | fields, *known["moments"][1:]]}
+
+
+@pytest.mark.parametrize("forged", FORGED)
+def test_a_forged_cache_is_no_cache(pushed: Dataset, tmp_path: Path, forged: str) -> None:
+    known = json.loads(_sound(pushed)["known"])
+
+    assert _kept(pushed, tmp_path / "gain.json", known) is not None
+    assert _kept(pushed, tmp_path / "gain.json", FORGED[forged](known)) is None
+
+
+def test_moments_of_training_episodes_are_not_taken_for_those_of_the_test(pushed: Dataset, tmp_path: Path) -> None:
+    known = json.loads(_sound(pushed)["known"])
+    other = _with_moment(known, task=[int(pushed.split("train")[0]), *known["moments"][0]["task"][1:]])
+
+    assert _kept(pushed, tmp_path / "gain.json", other) is None
+
+
+def test_a_cache_is_read_however_much_there_is_to_keep(
+    pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.scoring.kept_gain.LARGEST", 0)
+    monkeypatch.setattr("dmotion_bench.scoring.kept_gain.MOST_VALUES", 0)
+
+    assert _kept(pushed, tmp_path / "gain.json", json.loads(_sound(pushed)["known"])) is not None
 
 
 def test_other_settings_have_moments_of_their_own(pushed: Dataset, no_simulator: None) -> None:

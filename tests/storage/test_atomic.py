@@ -29,14 +29,15 @@ def _killed_while_writing(path: Path) -> None:
 def test_only_what_nobody_writes_any_more_is_deleted(tmp_path: Path) -> None:
     _killed_while_writing(tmp_path / "dead")
     assert [path.suffix for path in tmp_path.iterdir()] == [TEMPORARY_SUFFIX]
-    (tmp_path / "folder.part").mkdir()
+    (tmp_path / "folder.0123abcd.part").mkdir()
+    (tmp_path / "film.mp4.part").write_bytes(b"of another program")
     with atomic_file(tmp_path / "alive") as file:
         file.write(b"whole")
         remove_leftovers(tmp_path)
-        (temporary,) = (path for path in tmp_path.glob("*.part") if path.is_file())
-        assert temporary.name.startswith("alive.")
+        (temporary,) = tmp_path.glob("alive.*.part")
+        assert temporary.is_file()
     remove_leftovers(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["alive", "folder.part"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["alive", "film.mp4.part", "folder.0123abcd.part"]
     assert (tmp_path / "alive").read_bytes() == b"whole"
 
 
@@ -71,11 +72,11 @@ def test_without_locks_files_are_written_and_leftovers_stay(tmp_path: Path, monk
     """As on some network file systems, where nobody can tell a leftover from a file that is being written."""
 
     monkeypatch.setattr(lock, "lock_descriptor", no_locks)
-    (tmp_path / f"x.1{TEMPORARY_SUFFIX}").touch()
+    (tmp_path / f"x.00000001{TEMPORARY_SUFFIX}").touch()
     with atomic_file(tmp_path / "x") as file:
         file.write(b"whole")
     remove_leftovers(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["x", f"x.1{TEMPORARY_SUFFIX}"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x", f"x.00000001{TEMPORARY_SUFFIX}"]
 
 
 def test_where_folders_cannot_be_opened_files_are_written_all_the_same(
@@ -90,7 +91,7 @@ def test_where_folders_cannot_be_opened_files_are_written_all_the_same(
         return rename(source, target)
 
     monkeypatch.setattr(Path, "replace", closed_only)
-    (tmp_path / f"x.1{TEMPORARY_SUFFIX}").touch()
+    (tmp_path / f"x.00000001{TEMPORARY_SUFFIX}").touch()
     with atomic_file(tmp_path / "x") as file:
         file.write(b"whole")
     remove_leftovers(tmp_path)

@@ -117,6 +117,29 @@ def test_a_cache_of_the_version_without_checksums_is_made_anew(tmp_path: Path) -
     np.testing.assert_array_equal(Dataset.open(dataset.path).cache().frames, truth(dataset))
 
 
+@pytest.mark.parametrize(
+    ("compression", "padded", "taken"),
+    [(None, False, True), ("zstd", False, False), ("zstd", True, False), ("lz4", True, False)],
+)
+def test_a_cache_that_arrow_would_have_to_unpack_is_not_used(
+    tmp_path: Path, compression: str | None, padded: bool, taken: bool
+) -> None:
+    file = CacheFile(folder=tmp_path, fingerprint="a" * 64, count=200, height=32, width=32)
+    kinds = (pa.field("frame", pa.binary(32 * 32 * 3), False), pa.field("crc32", pa.uint32(), False))
+    schema = pa.schema(kinds).with_metadata({"dmbench.fingerprint": file.fingerprint})
+    columns = [pa.array([bytes(32 * 32 * 3)] * 200, kinds[0].type), pa.array(np.zeros(200, np.uint32))]
+    with pa.ipc.new_file(str(file.path), schema, options=pa.ipc.IpcWriteOptions(compression=compression)) as writer:
+        writer.write_batch(pa.record_batch(columns, schema=schema))
+    if padded:
+        content = file.path.read_bytes()
+        file.path.write_bytes(content + bytes(file.bytes + 2000 - len(content)))
+
+    mapped = file.map()
+
+    assert (mapped is not None) is taken
+    assert (file.path.stat().st_size >= file.bytes) is (taken or padded)
+
+
 @pytest.fixture(scope="module")
 def cached(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     dataset = write_noise(tmp_path_factory.mktemp("cached") / "d", episodes=10)

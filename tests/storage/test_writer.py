@@ -105,7 +105,7 @@ def test_two_writers_do_not_share_a_folder(tmp_path: Path) -> None:
 def test_what_a_killed_process_leaves_is_taken_away_or_written_anew(tmp_path: Path) -> None:
     whole = files_of(write_noise(tmp_path / "whole").path)
     folder = write_noise(tmp_path / "d").path
-    (folder / "video" / "shard-00002.mcap.123.part").write_bytes(b"half")
+    (folder / "video" / "shard-00002.mcap.00000123.part").write_bytes(b"half")
     (folder / "video" / "shard-00001.mcap").unlink()  # its labels were renamed first, then came the end
     (folder / "labels" / "shard-00002.mcap").write_bytes(b"\x89MCAP0\r\n")  # a broken disk
     with DatasetWriter.create_or_resume(folder, RECIPE, SPEC) as writer:

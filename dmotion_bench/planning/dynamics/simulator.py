@@ -4,8 +4,8 @@ A state is what leads to it, a seed and actions, so any state can be had by repl
 ``Restorable`` are put back instead, which is much faster. Everything happens in a simulator of its own, so that the
 one that is being controlled never feels it.
 
-What has been tried is remembered: where a step moves nothing but the agent, different sequences lead to the very
-same places, and most of what a plan looks at was known at the step before.
+What has been tried is remembered. In an environment that is ``Settled`` a step often moves nothing but the agent, so
+different sequences lead to the very same places, and most of what a plan looks at was known at the step before.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, ActionTaken, Continuous, as_actions, given
-from dmotion_bench.environment import Environment, ObjectEnvironment, Remembering, Restorable, Undrawn
+from dmotion_bench.environment import Environment, ObjectEnvironment, Remembering, Restorable, Settled, Undrawn
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.planning.dynamics.base import Actions, Observation, State
@@ -36,8 +36,9 @@ class Place:
     Attributes:
         actions: What leads there from the problem's start.
         snapshot: Of the environment, where it can be restored.
-        name: Where everything is, bit by bit: places of the same name are the same. Of an environment that does not
-            tell it, what was done since the start: pictures that look the same may hide different velocities.
+        name: What decides all that follows, bit by bit: places of the same name are the same. Where everything is and
+            how it is turned; unless the environment says that this is all (``Settled``), what was done since the start,
+            too: the same poses may hide different velocities.
         cost: Its true cost; NaN where it was not asked for.
         distance: Its judged distance from the goal, likewise.
         picture: What is seen there, compressed; None where it was not asked for.
@@ -69,6 +70,7 @@ class Simulation:
         self._measure, self._pictures = measure_of(env, problem), pictures
         # asked once, because isinstance with a protocol is slow
         self._restorable = env if isinstance(env, Restorable) else None
+        self._settled = isinstance(env, Settled) and env.settled
         self._undrawn = env if isinstance(env, Undrawn) and not pictures else None
         self._after: dict[tuple[bytes, ActionTaken], Place] = {}
         self.here = self._now = self._place((), start(env, problem))
@@ -126,10 +128,12 @@ class Simulation:
         return replace(self._seen_from(self.env, actions), cost=cost, distance=distance, picture=picture)
 
     def _seen_from(self, env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
-        parts: tuple[np.ndarray, ...] = (np.array(actions),)
+        parts: list[np.ndarray] = []
         if isinstance(env, ObjectEnvironment):
             agent, objects = env.agent(), env.objects()
-            parts = (agent.position, objects.position, objects.orientation)
+            parts += (agent.position, agent.orientation, objects.position, objects.orientation)
+        if not self._settled or not parts:
+            parts.append(np.array(actions))
         name = b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
         if self._pictures and isinstance(env, Remembering):  # what moves by itself makes other pictures of a place
             name += env.memory()

@@ -82,6 +82,18 @@ VALUES: dict[str, tuple[Any, Any]] = {
 }
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sized:
+    kind: Kind = Kind.SMALL
+
+
+def test_a_member_of_an_enumeration_is_set_by_its_value() -> None:
+    (config,) = with_settings(["kind=large"], Sized())
+    assert config.kind is Kind.LARGE
+    with pytest.raises(InvalidSetting, match="kind is 'huge'; it can be small, large"):
+        with_settings(["kind=huge"], Sized())
+
+
 def _config(hint: Any) -> type:
     return dataclasses.make_dataclass("Config", [("x", hint)], frozen=True, kw_only=True)
 

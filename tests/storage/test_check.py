@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -144,9 +145,9 @@ def test_where_nothing_can_be_read_nothing_is_touched(tmp_path: Path) -> None:
 def test_a_check_divides_no_episodes_into_splits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, asked = write_noise(tmp_path / "d").path, list[int]()
 
-    def counted(seed: int, episodes: int) -> dict[SplitName, np.ndarray]:
+    def counted(seed: int, episodes: int, *more: Any) -> dict[SplitName, np.ndarray]:
         asked.append(episodes)
-        return split_episodes(seed, episodes)
+        return split_episodes(seed, episodes, *more)
 
     monkeypatch.setattr("dmotion_bench.storage.dataset.split_episodes", counted)
     assert check_dataset(path).damages == ()

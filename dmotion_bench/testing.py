@@ -27,7 +27,16 @@ from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken
-from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
+from dmotion_bench.learning.model import (
+    NEITHER,
+    PER_TRIPLET,
+    ForwardModel,
+    Losses,
+    ModelInputs,
+    Phase,
+    TrainingConfig,
+    TripletBatch,
+)
 from dmotion_bench.learning.model_trial import ModelTrial
 from dmotion_bench.learning.settings import from_json, to_json
 from dmotion_bench.specs import Preset, Supervision
@@ -154,7 +163,7 @@ def _check_class(kind: type[ForwardModel[Any]]) -> None:
     own = {name for name in ("predict", "begin", "advance", "frame") if getattr(kind, name) is not _base(name)}
     subject.require(
         "predict" in own or {"begin", "advance", "frame"} <= own,
-        "it defines neither predict nor all of begin, advance and frame",
+        NEITHER,
     )
 
 
@@ -191,11 +200,6 @@ def _check_building(subject: ModelTrial) -> None:
     )
     subject.require(any(True for _ in model.parameters()), "it has no parameters, so nothing can be trained")
     state = model.state_dict()
-    places: dict[int, str] = {}
-    for name, tensor in state.items():
-        if tensor.numel():
-            first = places.setdefault(tensor.untyped_storage().data_ptr(), name)
-            subject.require(first == name, f"{first} and {name} share memory, which no checkpoint can keep")
     differing = _differing(state, again.state_dict())
     subject.require(
         not differing, f"two models built after the same torch.manual_seed differ in {differing}; a run must repeat"
@@ -259,6 +263,10 @@ def _losses(subject: ModelTrial, model: ForwardModel[Any], batch: TripletBatch, 
         subject.require(
             hardness.shape == (len(batch.current),) and not hardness.requires_grad,
             f"losses(batch).per_triplet has the shape {tuple(hardness.shape)}; it is one detached number per triplet",
+        )
+        subject.require(
+            bool((hardness.isfinite() & (hardness >= 0)).all()),
+            f"losses(batch).per_triplet is {shown(hardness.tolist())} for some images; {PER_TRIPLET}",
         )
     return losses
 

@@ -5,6 +5,7 @@ Only where nobody says the type (``Any``) is it the first that the text can be: 
 
 from __future__ import annotations
 
+import enum
 import math
 import types
 import typing
@@ -57,8 +58,9 @@ def parse_value(key: str, text: str, wanted: Any) -> Any:
         if text == "none" and type(None) in arguments:
             return None
         return parse_value(key, text, next(kind for kind in arguments if kind is not type(None)))
-    if origin is typing.Literal:
-        choices = {str(choice): choice for choice in arguments}
+    members = isinstance(wanted, type) and issubclass(wanted, enum.Enum)
+    if members or origin is typing.Literal:
+        choices = {str(one.value): one for one in wanted} if members else {str(choice): choice for choice in arguments}
         if text not in choices:
             raise InvalidSetting(f"{key} is {text!r}; it can be {', '.join(choices)}.")
         return choices[text]

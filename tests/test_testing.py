@@ -219,7 +219,7 @@ BREACHES: dict[str, tuple[Any, str]] = {
         r"__init__ does not call super\(\).__init__",
     ),
     "no parameters": (_breaks(Sound, __init__=ForwardModel.__init__), r"it has no parameters"),
-    "shared memory": (_breaks(Sound, __init__=_init(_share)), r"other and layer.weight share memory"),
+    "shared memory": (_breaks(Sound, __init__=_init(_share)), ""),  # a checkpoint keeps it under both names
     "own randomness": (
         _breaks(
             Sound, __init__=_init(lambda self: self.layer.bias.data.copy_(torch.rand(3, generator=torch.Generator())))
@@ -264,6 +264,18 @@ BREACHES: dict[str, tuple[Any, str]] = {
         _breaks(Sound, losses=_losses(lambda s, b, given: _holding(given, per_triplet=given.total.detach()))),
         r"per_triplet has the shape \(\); it is one detached number per triplet",
     ),
+    **{
+        f"hardness {value}": (
+            _breaks(
+                Sound,
+                losses=_losses(
+                    lambda s, b, given, value=value: _holding(given, per_triplet=given.per_triplet * 0 + value)
+                ),
+            ),
+            rf"per_triplet is \[{value}, .* for some images; it is a finite loss of each triplet, and none is below",
+        )
+        for value in (-1.0, float("inf"), float("nan"))
+    },
     "spoilt batch": (
         _breaks(Sound, losses=lambda self, batch: (Sound.losses(self, batch), _spoil(batch))[0]),
         r"losses\(batch\) changes the batch in place",
@@ -401,3 +413,14 @@ def test_predictions_that_no_action_changes_are_a_warning(kind: type) -> None:
 
 def test_of_one_action_no_prediction_can_depend() -> None:
     check_model(Sound, size=16, actions=1)
+
+
+def test_a_model_that_predicts_in_no_way_is_told_so() -> None:
+    image = torch.zeros(1, 3, 16, 16)
+    for methods in ({}, {"begin": lambda self, previous, current: (current, current)}):
+        kind = _breaks(ForwardModel, losses=Sound.losses, **methods)
+        model = kind(SoundConfig(), ModelInputs(height=16, width=16, actions=Discrete.numbered(2)))
+        with pytest.raises(ModelContractBroken, match="defines neither predict nor all of begin, advance and frame"):
+            model.predict(image, image, 0)
+        with pytest.raises(ModelContractBroken, match="defines neither predict nor all of begin, advance and frame"):
+            model.rollout(image, image, torch.zeros(1, 2, dtype=torch.long))

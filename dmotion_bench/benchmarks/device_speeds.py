@@ -21,7 +21,7 @@ from dmotion_bench.benchmarks.result import Result
 from dmotion_bench.benchmarks.rounds import Yardstick, measure_in_rounds
 from dmotion_bench.benchmarks.scene import SIZE, scene_facts, scene_frames
 from dmotion_bench.benchmarks.training_step import TrainingStep
-from dmotion_bench.learning.batches import TripletBatches
+from dmotion_bench.learning.batches import FramesOnDevice, TripletBatches
 from dmotion_bench.learning.optimization import has_bf16
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
@@ -55,7 +55,7 @@ def device_works(
 def loading_onto(seconds: float, device: torch.device) -> Result:
     """Triplets a second that are gathered on the device, from memory that a training would have, and made floats."""
     with _cached_scene() as triplets:
-        batches, generator = TripletBatches(triplets, None, device), np.random.default_rng(0)
+        batches, generator = TripletBatches(triplets, None, FramesOnDevice(device)), np.random.default_rng(0)
 
         def work() -> float:
             batches(generator.integers(0, len(triplets), _BATCH))

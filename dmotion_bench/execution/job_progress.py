@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.execution.slurm_executor import cancel_left
-from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX
 from dmotion_bench.storage.lock import try_lock
 from dmotion_bench.workspace import Workspace
 
@@ -95,7 +95,10 @@ class ProgressFile:
             return
         self._due = self._clock() + SECONDS
         with contextlib.suppress(OSError):
-            write_atomically(self._path, json.dumps(asdict(progress)).encode(), make_folders=False)
+            # Not synced: after a power cut no job is left that anybody could ask about.
+            written = self._path.with_name(self._path.name + TEMPORARY_SUFFIX)
+            written.write_bytes(json.dumps(asdict(progress)).encode())
+            written.replace(self._path)
 
     def end(self) -> None:
         """The job is over."""

@@ -6,6 +6,7 @@ workspace under the same path.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 import signal
@@ -49,9 +50,13 @@ class RayExecutor:
 
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
+        asked = iter(jobs)
+        first = list(itertools.islice(asked, 1))
+        if not first:
+            return  # there is nothing that Ray would have to be started for
         ray = self._ray
         ours = not ray.is_initialized()
-        queue = JobQueue(jobs, "a worker of Ray")
+        queue = JobQueue(itertools.chain(first, asked), "a worker of Ray")
         running: dict[Any, tuple[int, Job]] = {}
         killed = (
             ray.exceptions.WorkerCrashedError,

@@ -1,8 +1,9 @@
 """Batches of triplets on the device that trains or predicts.
 
-On the CPU a batch is gathered from the memory-mapped cache. On a GPU the frames lie in device memory as uint8, once,
-and a batch is one indexed read. Those of a data set with more than 2 GB are gathered as on the CPU, since several
-trainings may share the GPU (docs/experiments/speed.md).
+On the CPU a batch is gathered from the memory-mapped cache. On a GPU the frames lie in device memory as uint8, and a
+batch is one indexed read. All batches of a training share one copy of them (``FramesOnDevice``). Frames of more than
+2 GB, or of more than half of the memory that is free, are gathered as on the CPU, since several trainings may share the
+GPU (docs/experiments/speed.md).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.learning.triplets import BatchOrder, TripletSet
+from dmotion_bench.storage.readable import Frames
 
 RESIDENT = 2 << 30  # bytes of frames that may lie on the device: half of what a training beside others has there
 _AT_ONCE = 4096  # frames that are brought to the device
@@ -54,13 +56,37 @@ def _on_device(frames: UInt8[np.ndarray, "n h w 3"], device: torch.device) -> Te
     return held
 
 
+class FramesOnDevice:
+    """The frames of caches on the device that trains or predicts: of each cache one copy, whoever asks for it.
+
+    Args:
+        device: Where the batches are to be.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self.device = device
+        self._held: dict[int, tuple[Frames, UInt8[Tensor, "n h w 3"] | None]] = {}  # a cache need not be hashable
+
+    def of(self, cache: Frames) -> UInt8[Tensor, "n h w 3"] | None:
+        """All frames of a cache; None where batches are gathered from the cache itself."""
+        if id(cache) not in self._held:
+            self._held[id(cache)] = cache, _on_device(cache.frames, self.device) if self._fits(cache) else None
+        return self._held[id(cache)][1]
+
+    def _fits(self, cache: Frames) -> bool:
+        if self.device.type != "cuda":
+            return False
+        free, _ = torch.cuda.mem_get_info(self.device)
+        return bool(cache.nbytes <= min(RESIDENT, free // 2))
+
+
 class TripletBatches:
     """Turns indices into batches.
 
     Args:
         triplets: What the indices point into.
         actions: Of each triplet, or None where they were not paid for.
-        device: Where the batches are to be.
+        frames: Where the batches are to be, with the frames that lie there.
 
     Attributes:
         earlier: So many frames before each triplet come along.
@@ -70,16 +96,13 @@ class TripletBatches:
         self,
         triplets: TripletSet,
         actions: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"] | None,
-        device: torch.device,
+        frames: FramesOnDevice,
     ) -> None:
-        self.triplets, self.device, self.earlier = triplets, device, 0
-        self._episodes = torch.from_numpy(triplets.episode).to(device)
-        self._actions = None if actions is None else as_tensor(actions, device)
-        self._resident: Tensor | None = None
-        self._first = torch.from_numpy(triplets.first_frame)
-        if device.type == "cuda" and self._fits():
-            self._resident = _on_device(triplets.cache.frames, device)
-            self._first = self._first.to(device)
+        self.triplets, self.device, self.earlier = triplets, frames.device, 0
+        self._episodes = torch.from_numpy(triplets.episode).to(self.device)
+        self._actions = None if actions is None else as_tensor(actions, self.device)
+        self._resident = frames.of(triplets.cache)
+        self._first = torch.from_numpy(triplets.first_frame).to(self.device)
 
     def __len__(self) -> int:
         return len(self.triplets)
@@ -95,10 +118,6 @@ class TripletBatches:
         batches = copy.copy(self)
         batches.earlier = earlier
         return batches
-
-    def _fits(self) -> bool:
-        free, _ = torch.cuda.mem_get_info(self.device)
-        return bool(self.triplets.cache.nbytes <= min(RESIDENT, free // 2))
 
     def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
         """The triplets of ``index``, images in [-1, 1], channels-last in memory."""

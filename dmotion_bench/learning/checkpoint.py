@@ -76,10 +76,25 @@ def forms_of(tensors: Mapping[str, Tensor]) -> dict[str, Form]:
 
 
 def save(path: Path, tensors: Mapping[str, Tensor], facts: Mapping[str, Any]) -> None:
-    """Write a checkpoint in one step, so that it is complete or absent."""
-    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    """Write a checkpoint in one step, so that it is complete or absent.
+
+    Tensors that share memory, such as tied weights, are written each under its own name. Read back into the model, they
+    share memory again.
+    """
+    plain = _apart({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()})
     told = json.dumps({**facts, CHECKSUM: _checksum(plain, facts)}, allow_nan=False)
     write_atomically(path, safetensors.torch.save(plain, metadata={FACTS: told}))
+
+
+def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The same tensors, each in memory of its own, as safetensors asks."""
+    taken = set[int]()
+    apart = {}
+    for name, tensor in tensors.items():
+        place = tensor.untyped_storage().data_ptr()
+        apart[name] = tensor.clone() if place in taken else tensor
+        taken.add(place)
+    return apart
 
 
 def load(

@@ -90,5 +90,6 @@ def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes
         seed=spec.seed,
         device=device,
     )
-    batch = part.batches(part.order.batch(0)[::processes])
+    part.batches.expect(0, 0, processes)
+    batch = part.batches(part.order.share(part.order.batch(0), 0, processes))
     return lambda precision: step(batch, 0, precision)

@@ -10,7 +10,13 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from dmotion_bench.learning.batches import Batches, DemonstrationBatches, LabelsBeside, TripletBatches
+from dmotion_bench.learning.batches import (
+    Batches,
+    DemonstrationBatches,
+    FramesOnDevice,
+    LabelsBeside,
+    TripletBatches,
+)
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.labels import LabelBudget
 from dmotion_bench.learning.model import Phase, TrainingConfig
@@ -82,16 +88,19 @@ def parts_of(
     """
     source_of = _of_streams if isinstance(data.train, StreamedTriplets) else _of_sets
     held = held_for_validation(data)
-    watched: Batches = TripletBatches(held, None, device)
+    frames = FramesOnDevice(device)
+    watched: Batches = TripletBatches(held, None, frames)
     labelled_watched = watched
-    sources = {False: source_of(data, device, False)}
+    sources: dict[bool, Source] = {}
+    if not all(phase.needs_actions for phase in phases):
+        sources[False] = source_of(data, frames, False)
     if any(phase.needs_actions for phase in phases):
         if shown is not None:
             sources[True] = _of_demonstrations(shown)
             labelled_watched = DemonstrationBatches(shown.subset(_spread(len(shown), VALIDATION_TRIPLETS)))
         else:
-            sources[True] = source_of(data, device, True)
-            labelled_watched = _labelled_validation(data, held, device)
+            sources[True] = source_of(data, frames, True)
+            labelled_watched = _labelled_validation(data, held, frames)
     parts: list[Part] = []
     for number, phase in enumerate(phases):
         size = phase.batch_size or config.batch_size
@@ -114,7 +123,7 @@ def parts_of(
     return tuple(parts)
 
 
-def _labelled_validation(data: TrainingData, held: TripletSet, device: torch.device) -> TripletBatches:
+def _labelled_validation(data: TrainingData, held: TripletSet, frames: FramesOnDevice) -> TripletBatches:
     """The labelled triplets to validate with; a budget of one has none of the validation episodes, only its own."""
     paid = data.budget.actions(held, "validation")
     if not len(paid.triplets):
@@ -123,7 +132,7 @@ def _labelled_validation(data: TrainingData, held: TripletSet, device: torch.dev
             alone, _ = data.budget.streamed_actions(train)
             train = alone.picked(np.arange(len(alone)))
         paid = data.budget.actions(train, "training")
-    return TripletBatches(paid.triplets, paid.actions, device)
+    return TripletBatches(paid.triplets, paid.actions, frames)
 
 
 def _of_demonstrations(shown: Demonstrations) -> Source:
@@ -136,14 +145,14 @@ def _of_demonstrations(shown: Demonstrations) -> Source:
     return source
 
 
-def _of_sets(data: TrainingData, device: torch.device, needs_actions: bool) -> Source:
+def _of_sets(data: TrainingData, frames: FramesOnDevice, needs_actions: bool) -> Source:
     """The triplets of a phase out of the frame cache."""
     triplets, actions = data.train, None
     assert isinstance(triplets, TripletSet), "streamed triplets are not in the cache"
     if needs_actions:
         paid = data.budget.actions(triplets, "training")
         triplets, actions = paid.triplets, paid.actions
-    batches, episode = TripletBatches(triplets, actions, device), triplets.episode
+    batches, episode = TripletBatches(triplets, actions, frames), triplets.episode
 
     def source(phase: Phase, size: int, seed: int) -> tuple[Batches, BatchOrder]:
         order = BatchOrder(len(batches), size, seed, episode=episode, together=phase.together)
@@ -152,7 +161,7 @@ def _of_sets(data: TrainingData, device: torch.device, needs_actions: bool) -> S
     return source
 
 
-def _of_streams(data: TrainingData, device: torch.device, needs_actions: bool) -> Source:
+def _of_streams(data: TrainingData, frames: FramesOnDevice, needs_actions: bool) -> Source:
     """The triplets of a phase out of the compressed files."""
     triplets, actions = data.train, None
     assert isinstance(triplets, StreamedTriplets), "triplets of the cache are not streamed"
@@ -161,7 +170,7 @@ def _of_streams(data: TrainingData, device: torch.device, needs_actions: bool) -
 
     def source(phase: Phase, size: int, seed: int) -> tuple[Batches, StreamedOrder]:
         order = triplets.order(size, seed, phase.together)
-        return StreamedBatches(triplets, order, actions, device, phase.earlier), order
+        return StreamedBatches(triplets, order, actions, frames.device, phase.earlier), order
 
     return source
 

@@ -16,6 +16,7 @@ import itertools
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Final, Literal
 
 import numpy as np
@@ -82,7 +83,7 @@ class LabelRequest:
         if self.kind in _SHOTS:
             many = "one-shot" if self.amount == 1 else f"{self.amount:.0f}-shot"
             return many if self.kind == "shots" else many + PER_AGENT
-        return f"{self.amount:.0f}" if self.kind == "count" else f"{self.amount * 100:g}%"
+        return f"{self.amount:.0f}" if self.kind == "count" else f"{_percentage(self.amount)}%"
 
     @classmethod
     def for_model(
@@ -126,6 +127,12 @@ class LabelRequest:
                 f"--labels {usual}, a number of transitions, a share such as 1%, or all."
             )
         return request or (cls("count", DEMONSTRATIONS) if continuous else cls("shots", 1))
+
+
+def _percentage(share: float) -> str:
+    """The shortest text of a share in percent that is read as the same share, without an exponent."""
+    texts = [f"{Decimal(f'{share * 100:.{digits}g}'):f}" for digits in range(1, 18)]
+    return next((text for text in texts if float(text) / 100 == share), texts[-1])
 
 
 def _hand_in_hand(spec: Discrete, shown: set[int]) -> bool:
@@ -255,15 +262,15 @@ class LabelBudget:
         taken if it shows an action of an agent that has been shown fewer than K times, and one more if the agents'
         actions could not be told apart by then. A number of transitions is given as far as there are so many, and a
         share as if it were that number, rounded. Once all are given in which nothing is pushed, the others follow: so
-        ``all`` is all.
+        ``all`` is all, unless something is pushed in every transition.
 
         Args:
             triplets: Where they are drawn from: the training's.
             draw: Another number gives another draw, for the spread over draws.
 
         Raises:
-            LabelsNotAvailable: The request is for nothing, an action does not occur often enough, or the triplets are
-                streamed and the demonstrations too many for the memory.
+            LabelsNotAvailable: The request is for nothing, an action does not occur often enough, something is pushed
+                in every transition, or the triplets are streamed and the demonstrations too many for the memory.
         """
         if self.request.kind == "none":
             raise LabelsNotAvailable(f"the budget {self.request} has no demonstrations; ask for --labels one-shot.")
@@ -273,6 +280,7 @@ class LabelBudget:
                 "the actions of this data set are not known, so there is nothing to demonstrate; train without labels "
                 "(--labels none), or import the recording again with '--actions TOPIC'."
             )
+        self._require_room(triplets, self._fewest(len(triplets), spec))
         order = triplets.shuffled(np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(draw,))))
         if self.request.kind in ("count", "share"):
             rows, actions = self._first_unpushed(triplets, order, self._number(len(triplets)))
@@ -280,13 +288,23 @@ class LabelBudget:
             discrete = require_discrete(spec, f"the budget {self.request}")
             per_agent = self.request.kind == "shots-per-agent"
             rows, actions = (self._of_each_agent if per_agent else self._of_each_action)(triplets, order, discrete)
-        if isinstance(triplets, StreamedTriplets) and len(rows) > MOST_DEMONSTRATIONS:
-            raise LabelsNotAvailable(
-                f"{len(rows):,} demonstrations of data that are streamed are too many for the memory; ask for at most "
-                f"--labels {MOST_DEMONSTRATIONS}, or let the training use the frame cache (--no-stream)."
-            )
+        self._require_room(triplets, len(rows))
         self.given["demonstrations"] = self.given.get("demonstrations", 0) + len(rows)
         return DemonstrationFrames(triplets=triplets, rows=rows, actions=actions)
+
+    def _fewest(self, there: int, spec: ActionSpec) -> int:
+        """The fewest demonstrations that the request can come to, where so many transitions are there."""
+        amount = int(self.request.amount)
+        if self.request.kind == "shots":
+            return amount * len(require_discrete(spec, f"the budget {self.request}"))
+        return amount if self.request.kind == "shots-per-agent" else min(self._number(there), there)
+
+    def _require_room(self, triplets: Triplets, demonstrations: int) -> None:
+        if isinstance(triplets, StreamedTriplets) and demonstrations > MOST_DEMONSTRATIONS:
+            raise LabelsNotAvailable(
+                f"{demonstrations:,} demonstrations of data that are streamed are too many for the memory; ask for at "
+                f"most --labels {MOST_DEMONSTRATIONS}, or let the training use the frame cache (--no-stream)."
+            )
 
     def _number(self, there: int) -> int:
         """The transitions that a number or a share asks for, of so many."""
@@ -380,8 +398,8 @@ class LabelBudget:
         for row in order:
             episode, step = (int(place[0]) for place in triplets.places(np.array([row])))
             if episode not in known:
-                labels = self._dataset.labels(episode)
-                known[episode] = labels.actions, labels.pushed
+                states = self._dataset.states(episode)
+                known[episode] = states.actions, states.pushed
             actions, pushed = known[episode]
             yield row, np.asarray(actions[step]), bool(pushed[step])
 
@@ -391,5 +409,5 @@ class LabelBudget:
         values = np.zeros((len(triplets), *shape), kind)
         for episode in np.unique(triplets.episode).tolist():
             rows = np.flatnonzero(triplets.episode == episode)
-            values[rows] = self._dataset.labels(episode).actions[triplets.step[rows]]
+            values[rows] = self._dataset.states(episode).actions[triplets.step[rows]]
         return values

@@ -13,13 +13,14 @@ import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Final, Generic, TypeVar
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from dmotion_bench.actions import ActionSpec
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.boundary import guarded
 from dmotion_bench.learning.demonstrations import Demonstrations
@@ -74,12 +75,17 @@ class Losses:
     Attributes:
         total: What is differentiated.
         terms: Detached scalars by name; ``validation`` figures that are not minimised may stand here too.
-        per_triplet: Detached loss of each triplet of the batch, for ``TrainingConfig.hard_share``.
+        per_triplet: Detached loss of each triplet of the batch, for ``TrainingConfig.hard_share``; finite and not below
+            zero.
     """
 
     total: Float[Tensor, ""]
     terms: Mapping[str, Float[Tensor, ""]] = field(default_factory=dict)
     per_triplet: Float[Tensor, " b"] | None = None
+
+
+PER_TRIPLET: Final = "it is a finite loss of each triplet, and none is below zero"
+"""What the contract says of ``Losses.per_triplet``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,6 +185,7 @@ class TrainingConfig:
 __all__ = ["Demonstrations", "ForwardModel", "Losses", "ModelInputs", "Phase", "TrainingConfig", "TripletBatch"]
 
 ConfigT = TypeVar("ConfigT")
+NEITHER: Final = "it defines neither predict nor all of begin, advance and frame"
 State = Any
 """What a model carries from step to step of a rollout: a tuple of tensors whose first axis is the batch."""
 
@@ -260,7 +267,12 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         current: Float[Tensor, "b c h w"],
         action: Actions,
     ) -> Float[Tensor, "b c h w"]:
-        """The frame after ``current`` if ``action`` is taken at it, in [-1, 1]."""
+        """The frame after ``current`` if ``action`` is taken at it, in [-1, 1].
+
+        Raises:
+            ModelContractBroken: The model defines neither this method nor ``advance``.
+        """
+        self._require_own("advance")
         return self.frame(self.advance(self.begin(previous, current), action))
 
     @guarded
@@ -270,9 +282,19 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
 
     @guarded
     def advance(self, state: State, action: Actions) -> State:
-        """The state one action later."""
+        """The state one action later.
+
+        Raises:
+            ModelContractBroken: The model defines neither this method nor ``predict``.
+        """
+        self._require_own("predict")
         previous, current = state
         return current, self.predict(previous, current, action)
+
+    def _require_own(self, method: str) -> None:
+        """Refuse to go round in circles: by default ``predict`` calls ``advance``, which calls ``predict``."""
+        if getattr(type(self), method) is getattr(ForwardModel, method):
+            raise ModelContractBroken(f"{type(self).__qualname__}: {NEITHER}; define one or the others.")
 
     def frame(self, state: State) -> Float[Tensor, "b c h w"]:
         """The frame of a state, in [-1, 1]."""

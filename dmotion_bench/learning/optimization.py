@@ -92,7 +92,7 @@ class AveragedWeights:
         decay = min(self.decay, (1 + step) / (10 + step))
         averaged: list[Tensor] = []
         latest: list[Tensor] = []
-        parameters = {name for name, _ in model.named_parameters()}
+        parameters = {name for name, _ in model.named_parameters(remove_duplicate=False)}  # tied ones by every name
         for name, tensor in model.state_dict().items():
             if name in parameters:
                 averaged.append(self.tensors[name])

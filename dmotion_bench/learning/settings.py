@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
+import enum
 import json
 import types
 import typing
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NoReturn, TypeVar
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.values import parse_value
@@ -63,31 +65,63 @@ def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
     names = {field.name for field in dataclasses.fields(typing.cast(Any, kind))}
     if unknown := sorted(set(stored) - names):
         raise InvalidSetting(f"{kind.__name__} has no field {', '.join(unknown)}; it was written by another version.")
-    values = {
-        name: tuple(value) if typing.get_origin(hints[name]) is tuple and isinstance(value, list) else value
-        for name, value in stored.items()
-    }
-    for name, value in values.items():
-        if not _is_of(hints[name], value):
-            raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {name} is {value!r}.")
+    values = {}
+    for name, value in stored.items():
+        try:
+            values[name] = decoded(hints[name], value)
+        except ValueError:
+            raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {name} is {value!r}.") from None
     try:
         return kind(**values)
     except TypeError as error:
         raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {error}.") from None
 
 
-def _is_of(hint: Any, value: Any) -> bool:
-    """Whether JSON's value can be one of a field's type."""
+def decoded(hint: Any, value: Any) -> Any:
+    """JSON's value as one of a field's type: tuples out of lists, members of an enumeration out of their values.
+
+    Raises:
+        ValueError: It can be none.
+        InvalidSetting: It is a config, and a field of it cannot be read.
+    """
+    if hint is Any:
+        return value
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
-        return any(_is_of(one, value) for one in arguments)
+        return _first(arguments, lambda one: decoded(one, value))
     if origin is typing.Literal:
-        return value in arguments
-    if origin is tuple:
-        return isinstance(value, tuple) and all(_is_of(arguments[0], one) for one in value)
-    if hint is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
+        return _first(arguments, lambda one: one if _is_same(one, value) else _refuse(value))
     kind = origin or hint
-    return isinstance(value, kind) if isinstance(kind, type) else True
+    if kind is tuple and isinstance(value, list | tuple):
+        return tuple(decoded(one, part) for one, part in zip(_of_parts(arguments, value), value, strict=True))
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        return kind(value)
+    if dataclasses.is_dataclass(kind) and isinstance(value, Mapping):
+        return from_json(typing.cast(Any, kind), value)
+    if isinstance(value, bool) and kind in (int, float):
+        return _refuse(value)
+    fits = isinstance(value, int | float) if kind is float else not isinstance(kind, type) or isinstance(value, kind)
+    return value if fits else _refuse(value)
+
+
+def _of_parts(arguments: Sequence[Any], value: Sequence[Any]) -> Sequence[Any]:
+    """The type of each part of a tuple that has such arguments; a bare one says nothing of them."""
+    if not arguments:
+        return [Any] * len(value)
+    return [arguments[0]] * len(value) if arguments[1:] == (...,) else arguments
+
+
+def _first(kinds: Sequence[Any], read: Callable[[Any], Any]) -> Any:
+    """What the first of some types makes of a value."""
+    for kind in kinds:
+        with contextlib.suppress(ValueError, InvalidSetting):
+            return read(kind)
+    raise ValueError
+
+
+def _is_same(choice: Any, value: Any) -> bool:
+    return bool(choice == value) and isinstance(choice, bool) == isinstance(value, bool)
+
+
+def _refuse(value: Any) -> NoReturn:
+    raise ValueError(value)

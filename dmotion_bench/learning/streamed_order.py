@@ -19,7 +19,7 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from dmotion_bench.learning.triplets import steps_of
+from dmotion_bench.learning.triplets import drawn_by_loss, steps_of
 
 LANES: Final = 8
 _EPOCHS, _WINDOWS = 2, 3 * LANES  # that are kept: lanes begin their epochs at nearly the same step
@@ -128,12 +128,10 @@ class StreamedOrder:
         for lane, drawn in enumerate(np.diff(hard).tolist()):
             taken = self._taken(lane, step)
             at_hand = self._windows.of(self._spans(lane, step)[-1]).reshape(-1)
-            known = np.sqrt(losses[at_hand])
+            known = losses[at_hand]
             if drawn and not np.isnan(known).any():
                 generator = np.random.default_rng(np.random.SeedSequence([self.seed, step, lane]))
-                bounds = np.cumsum(known)
-                places = np.searchsorted(bounds, generator.random(drawn) * bounds[-1], side="right")
-                taken = np.concatenate([taken[drawn:], at_hand[np.minimum(places, len(at_hand) - 1)]])
+                taken = np.concatenate([taken[drawn:], at_hand[drawn_by_loss(known, drawn, generator)]])
             parts.append(taken)
         return np.concatenate(parts)
 

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from dmotion_bench.errors import RunError, UsageError
+from dmotion_bench.errors import ModelContractBroken, RunError, UsageError
 from dmotion_bench.interrupts import stop_between_steps
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.adaptation import finetune
@@ -32,7 +32,7 @@ from dmotion_bench.learning.conditions import choose_conditions
 from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
 from dmotion_bench.learning.fabric_setup import set_up
 from dmotion_bench.learning.metrics_log import MetricsLog
-from dmotion_bench.learning.model import TrainingConfig
+from dmotion_bench.learning.model import PER_TRIPLET, TrainingConfig
 from dmotion_bench.learning.optimization import AveragedWeights, learning_rate, make_optimizer, set_learning_rate
 from dmotion_bench.learning.resuming import BestFacts, Checkpoints
 from dmotion_bench.learning.run import Run
@@ -269,18 +269,36 @@ class _Trainer:
         figures = self.step(part.batches(index), step, self.conditions.precision, weight)
         if self.average is not None:
             self.average.update(self.model, step)
-        if self.config.hard_share and (each := figures.per_triplet) is not None:
-            self._remember(hardness, chosen, each)
         terms = figures.terms
+        if self.config.hard_share and (each := figures.per_triplet) is not None:
+            self._remember(hardness, chosen, each, terms["loss"])
         self.state.seconds += time.perf_counter() - began
         self.state.triplets += part.order.batch_size
         return terms, weight
 
     def _remember(
-        self, hardness: Float[np.ndarray, " n"], chosen: Int[np.ndarray, " b"], losses: Float[np.ndarray, " s"]
+        self,
+        hardness: Float[np.ndarray, " n"],
+        chosen: Int[np.ndarray, " b"],
+        losses: Float[np.ndarray, " s"],
+        loss: float,
     ) -> None:
-        """Keep each triplet's loss; with several processes each learns the others'."""
-        hardness[chosen] = np.concatenate(self.companions.gathered(losses))
+        """Keep each triplet's loss; with several processes each learns the others'.
+
+        Raises:
+            ModelContractBroken: One is below zero, or not finite though the loss of the batch is.
+        """
+        parts, means = zip(*self.companions.gathered((losses, loss)), strict=True)
+        if not np.isfinite(means).all():
+            return  # the training has diverged, which the next validation says
+        each = np.concatenate(parts)
+        wrong = each[~(np.isfinite(each) & (each >= 0))]
+        if len(wrong):
+            raise ModelContractBroken(
+                f"{type(self.model).__qualname__}: losses(batch).per_triplet holds {wrong[0]} at step "
+                f"{self.state.step + 1}; {PER_TRIPLET}, or the model is trained with '--set hard_share=0'."
+            )
+        hardness[chosen] = each
 
     @torch.no_grad()
     def _validate(self, part: Part, log: MetricsLog) -> None:

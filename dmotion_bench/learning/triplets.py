@@ -201,9 +201,7 @@ class BatchOrder:
             return self.batch(step)
         hard = int(share * self.batch_size)
         generator = np.random.default_rng(np.random.SeedSequence([self.seed, step]))
-        bounds = np.cumsum(np.sqrt(losses))
-        drawn = np.searchsorted(bounds, generator.random(hard) * bounds[-1], side="right")
-        return np.concatenate([self.batch(step)[hard:], np.minimum(drawn, self.triplets - 1)])
+        return np.concatenate([self.batch(step)[hard:], drawn_by_loss(losses, hard, generator)])
 
     def share(self, batch: Int[np.ndarray, " b"], rank: int, world: int) -> Int[np.ndarray, " s"]:
         """The part of a batch that one of several processes computes; triplets that belong together stay so.
@@ -226,6 +224,21 @@ class BatchOrder:
                 order = _grouped(order, self._episode, self._together, generator)
             self._epoch, self._order = epoch, order
         return self._order
+
+
+def drawn_by_loss(losses: Float[np.ndarray, " n"], count: int, generator: np.random.Generator) -> Int[np.ndarray, " m"]:
+    """Numbers of triplets, drawn by the square roots of their losses; evenly where all losses are zero.
+
+    Args:
+        losses: Of each triplet; finite and not below zero.
+        count: Numbers to draw; one may come several times.
+        generator: Of the random numbers.
+    """
+    weights = np.sqrt(losses)
+    bounds = np.cumsum(weights if weights.any() else np.ones_like(weights))
+    places = np.searchsorted(bounds, generator.random(count) * bounds[-1], side="right")
+    drawn: Int[np.ndarray, " m"] = np.minimum(places, len(losses) - 1)
+    return drawn
 
 
 def _grouped(

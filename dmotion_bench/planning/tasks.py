@@ -57,16 +57,6 @@ class Problem:
     start_objects: ObjectStates
     goal_objects: ObjectStates
 
-    @property
-    def start_positions(self) -> Float[np.ndarray, "k 3"]:
-        """Of the objects at the start [m], NaN for those that are not there."""
-        return self.start_objects.position
-
-    @property
-    def goal_positions(self) -> Float[np.ndarray, "k 3"]:
-        """Likewise at the goal."""
-        return self.goal_objects.position
-
 
 class Judge(StrEnum):
     """What judges how far a task is from its goal."""

@@ -51,7 +51,7 @@ from dmotion_bench.planning.mpc import (
 )
 from dmotion_bench.planning.objectives.base import Objective, taught
 from dmotion_bench.planning.objectives.true_cost import TrueCost
-from dmotion_bench.planning.tasks import Judge, load_problems, task_environment
+from dmotion_bench.planning.tasks import Judge, Problem, load_problems, task_environment
 from dmotion_bench.scoring.earlier_planning import (
     LATER,
     NOT_SETTINGS,
@@ -181,6 +181,7 @@ def score_control(
     progress: Advance = lambda _: None,
     checkpoint: Path | None = None,
     numbers: Sequence[int] | None = None,
+    problems: Sequence[Problem] | None = None,
 ) -> ControlResult:
     """Let a model or a reference work on the tasks that the data set stores.
 
@@ -194,6 +195,7 @@ def score_control(
             again costs nothing, and asking for more tasks only those. One that belongs to something else is
             overwritten. Shares of it (``share_of``) are taken over.
         numbers: Of the tasks to work on, in place of those of ``scoring``; whole groups, or the rounding differs.
+        problems: The tasks to work on, where they are loaded already.
 
     Raises:
         DatasetError: The data set stores no tasks, or this machine's simulator does not repeat the recording.
@@ -201,8 +203,9 @@ def score_control(
         UnknownName: No such task, planner, objective or reference.
     """
     scoring = scoring or ControlScoring()
-    require_tasks(dataset)
-    problems = load_problems(dataset, scoring.tasks if numbers is None else numbers)
+    if problems is None:
+        require_tasks(dataset)
+        problems = load_problems(dataset, scoring.tasks if numbers is None else numbers)
     return control(
         agent_of(model, dataset, scoring, device),
         problems,
@@ -214,15 +217,25 @@ def score_control(
 
 
 def score_reference(
-    name: str, dataset: ReadableDataset, scoring: ControlScoring | None = None, *, progress: Advance = lambda _: None
+    name: str,
+    dataset: ReadableDataset,
+    scoring: ControlScoring | None = None,
+    *,
+    progress: Advance = lambda _: None,
+    problems: Sequence[Problem] | None = None,
 ) -> ControlResult:
     """The results of a reference; they are kept in the data set's cache, also when the work is interrupted.
+
+    Args:
+        name: Of the reference.
+        dataset, scoring, progress, problems: As ``score_control`` takes them.
 
     Raises:
         UnknownName: There is no such reference; else as ``score_control``.
     """
     scoring = scoring or ControlScoring()
-    return score_control(name, dataset, scoring, progress=progress, checkpoint=_kept(name, dataset, scoring))
+    kept = _kept(name, dataset, scoring)
+    return score_control(name, dataset, scoring, progress=progress, checkpoint=kept, problems=problems)
 
 
 def require_tasks(dataset: ReadableDataset) -> None:
@@ -253,19 +266,26 @@ def control_tables(
             progress.total,
         )
 
+    require_tasks(dataset)
+    problems = load_problems(dataset, scoring.tasks)
     tables = [
-        control_samples(name, score_reference(name, dataset, scoring, progress=advance(name)))
-        for name in known_references(dataset, scoring)
+        control_samples(name, score_reference(name, dataset, scoring, progress=advance(name), problems=problems))
+        for name in known_references(dataset, scoring, problems)
     ]
+    told = advance("the model")
     result = score_control(
-        model, dataset, scoring, device=how.device, progress=advance("the model"), checkpoint=journal
+        model, dataset, scoring, device=how.device, progress=told, checkpoint=journal, problems=problems
     )
     return [*tables, control_samples(MODEL, result)]
 
 
-def known_references(dataset: ReadableDataset, scoring: ControlScoring) -> tuple[str, ...]:
-    """The references that can be shown beside a model without delay: quick ones, and ones scored before."""
-    problems = load_problems(dataset, scoring.tasks)
+def known_references(dataset: ReadableDataset, scoring: ControlScoring, problems: Sequence[Problem]) -> tuple[str, ...]:
+    """The references that can be shown beside a model without delay: quick ones, and ones scored before.
+
+    Args:
+        dataset, scoring: As ``score_control`` takes them.
+        problems: The tasks that the model works on.
+    """
 
     def is_done(name: str) -> bool:
         journal = _journal(_kept(name, dataset, scoring), name, dataset, scoring, None)

@@ -221,11 +221,11 @@ def _overlaps(
     else:
         return torch.full((len(current),), torch.nan), torch.full((len(current), count), torch.nan)
     shown = torch.stack([above_otsu(resized(one, agents.shape[1:])) for one in maps.unbind(1)], dim=1)
-    whole = _overlap(shown.any(1), agents > 0)
+    whole = overlap_of(shown.any(1), agents > 0)
     if shown.shape[1] not in (1, count):
         return whole, torch.full((len(current), count), torch.nan)
     shown = shown.expand(-1, count, -1, -1)
-    return whole, torch.stack([_overlap(shown[:, number], agents == number + 1) for number in range(count)], dim=1)
+    return whole, torch.stack([overlap_of(shown[:, number], agents == number + 1) for number in range(count)], dim=1)
 
 
 def motions_of(model: LatentActionModel, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b k e"]:
@@ -271,17 +271,13 @@ def _each_agent(
     )
 
 
-def agent_overlap(maps: Float[Tensor, "b y x"], masks: Bool[Tensor, "b h w"]) -> Float[Tensor, " b"]:
-    """Intersection over union of thresholded maps and the agent's masks; NaN where the agent is not in the picture."""
-    return _overlap(above_otsu(resized(maps, masks.shape[1:])), masks)
-
-
 def resized(maps: Float[Tensor, "b y x"], size: Sequence[int]) -> Float[Tensor, "b h w"]:
     """The size of maps' values, at the pixels of the frame."""
     return F.interpolate(maps.abs().float()[:, None], list(size), mode="bilinear", align_corners=False)[:, 0]
 
 
-def _overlap(shown: Bool[Tensor, "b h w"], masks: Bool[Tensor, "b h w"]) -> Float[Tensor, " b"]:
+def overlap_of(shown: Bool[Tensor, "b h w"], masks: Bool[Tensor, "b h w"]) -> Float[Tensor, " b"]:
+    """Intersection over union of what maps show and the agent's masks; NaN where the agent is not in the picture."""
     overlap = (shown & masks).flatten(1).sum(1) / (shown | masks).flatten(1).sum(1)
     return overlap.where(masks.flatten(1).any(1), torch.nan)
 

@@ -46,7 +46,7 @@ def score_latent_actions(model: LatentActionModel, held_out: HeldOut, how: Execu
     """The columns of single steps that latent actions decide, a row for each held-out triplet; the others are null."""
     found = identify(model, held_out, batch_size=how.batch_size, device=how.device)
     rows, done = SampleRows("prediction", MODEL), 0
-    for batch in held_out.batches(how.batch_size):
+    for batch in held_out.batches(how.batch_size, masks=False):
         stored = torch.from_numpy(batch.frames).to(how.device)
         here = slice(done, done + len(batch))
         about = {"episode": batch.episode, "step": batch.step, "ahead": np.ones(len(batch), np.int64)}

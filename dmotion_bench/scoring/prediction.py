@@ -73,7 +73,7 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
     """Score the predicted next frame of every held-out triplet; for latent actions see ``latent_samples.py``."""
     measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("prediction", MODEL), 0
     probed = probe_states(model, held_out, batch_size=how.batch_size, device=how.device)
-    for batch in held_out.batches(how.batch_size):
+    for batch in held_out.batches(how.batch_size, masks=False):
         stored = torch.from_numpy(batch.frames).to(how.device)
         previous, current = to_model(stored[:, 0]), to_model(stored[:, 1])
         action = as_tensor(batch.action, how.device)

@@ -60,7 +60,7 @@ class EpisodeBootstrap:
         self._resamples, self._seed = resamples, seed
 
     def mean(self, values: Float[np.ndarray, " n"]) -> Estimate | None:
-        """The mean of samples; NaN ones are left out. None if there are no others."""
+        """The mean of samples; those that are NaN or infinite are left out. None if there are no others."""
         counted = np.isfinite(values)
         samples = values[counted].astype(np.float64)
         if not len(samples):
@@ -72,7 +72,8 @@ class EpisodeBootstrap:
     def ratio(self, parts: Float[np.ndarray, " n"], wholes: Float[np.ndarray, " n"]) -> Estimate | None:
         """The sum of some parts divided by the sum of their wholes; its std is that of each part's own share.
 
-        Samples of which either is NaN, and wholes that are not above zero, are left out; None if none are left.
+        Samples of which either is NaN or infinite, and wholes that are not above zero, are left out; None if none are
+        left.
         """
         counted = np.isfinite(parts) & np.isfinite(wholes) & (wholes > 0)
         if not counted.any():
@@ -86,7 +87,8 @@ class EpisodeBootstrap:
     def explained(self, errors: Float[np.ndarray, " n"], wholes: Float[np.ndarray, " n"]) -> Estimate | None:
         """R^2: 1 - the sum of some errors / the sum of their wholes; its std is that of the samples' parts in it.
 
-        Samples of which either is NaN are left out; None if there are no others, or the wholes are all zero.
+        Samples of which either is NaN or infinite are left out; None if there are no others, or the wholes are all
+        zero.
         """
         counted = np.isfinite(errors) & np.isfinite(wholes)
         if not counted.any() or not wholes[counted].any():
@@ -135,7 +137,7 @@ def paired_difference(
 ) -> Estimate | None:
     """How much lower ``second`` is than ``first`` on the same samples: the mean of first - second.
 
-    Samples that either lacks (NaN) are left out; None if none are left.
+    Samples that are NaN or infinite in either are left out; None if none are left.
     """
     return EpisodeBootstrap(episodes, resamples=resamples, seed=seed).mean(first - second)
 

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
-from dmotion_bench.specs import EnvSpec, SplitName
+from dmotion_bench.specs import EnvSpec, EpisodeLabels, SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.messages import StateLabels
 
 STARTS_PER_EPISODE = 4
 
@@ -28,7 +30,8 @@ class TransitionBatch:
         frames: Axis 1 is previous, current, next.
         action: Taken at the middle frame.
         pushed: Whether it moves an object.
-        agents: Which agent each pixel shows, 1 + its number in ``EnvSpec.agents``, 0 for none; axis 1 is current, next.
+        masks: Which agent each pixel shows, 1 + its number in ``EnvSpec.agents``, 0 for none; axis 1 is current, next.
+            None where they were not asked for.
         shifts: How far each agent's centre moves, (right, down) [px].
     """
 
@@ -37,8 +40,14 @@ class TransitionBatch:
     frames: UInt8[np.ndarray, "b 3 h w 3"]
     action: Int[np.ndarray, " b"] | Float[np.ndarray, "b a"]
     pushed: Bool[np.ndarray, " b"]
-    agents: UInt8[np.ndarray, "b 2 h w"]
+    masks: UInt8[np.ndarray, "b 2 h w"] | None
     shifts: Float[np.ndarray, "b k 2"]
+
+    @property
+    def agents(self) -> UInt8[np.ndarray, "b 2 h w"]:
+        """The masks, of batches that have them."""
+        assert self.masks is not None, "these batches were asked for without masks"
+        return self.masks
 
     @property
     def agent(self) -> Bool[np.ndarray, "b 2 h w"]:
@@ -49,7 +58,8 @@ class TransitionBatch:
         return len(self.step)
 
     def __getitem__(self, rows: slice) -> TransitionBatch:
-        return TransitionBatch(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+        parts: dict[str, Any] = {name: None if one is None else one[rows] for name, one in vars(self).items()}
+        return TransitionBatch(**parts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,10 +114,15 @@ class HeldOut:
         """Number of triplets."""
         return len(self._triplets)
 
-    def batches(self, size: int) -> Iterator[TransitionBatch]:
-        """All triplets in the order of their episodes and steps, ``size`` at a time, the last batch the rest."""
+    def batches(self, size: int, *, masks: bool = True) -> Iterator[TransitionBatch]:
+        """All triplets in the order of their episodes and steps, ``size`` at a time, the last batch the rest.
+
+        Args:
+            size: Triplets in a batch.
+            masks: Whether they come along; to decode them takes most of the time.
+        """
         waiting: list[TransitionBatch] = []
-        for part in self._by_episode(size):
+        for part in self._by_episode(size, masks):
             waiting.append(part)
             if sum(map(len, waiting)) >= size:
                 merged = _joined(waiting)
@@ -157,12 +172,18 @@ class HeldOut:
             pushed=np.stack(pushed),
         )
 
-    def _by_episode(self, most: int) -> Iterator[TransitionBatch]:
+    def _by_episode(self, most: int, masks: bool) -> Iterator[TransitionBatch]:
         """The triplets of one episode after the other, those of a long one in parts."""
         episodes, first, count = np.unique(self._triplets.episode, return_index=True, return_counts=True)
         for episode, start, rows in zip(episodes.tolist(), first.tolist(), count.tolist(), strict=True):
-            labels = self.dataset.labels(episode)
-            agents, place = agents_in(labels.masks, self.dataset.spec), labels.agent.pixel
+            agents: UInt8[np.ndarray, "t h w"] | None = None
+            labels: StateLabels | EpisodeLabels
+            if masks:
+                labels = whole = self.dataset.labels(episode)
+                agents = agents_in(whole.masks, self.dataset.spec)
+            else:
+                labels = self.dataset.states(episode)
+            place = labels.agent.pixel
             for begin in range(start, start + rows, most):
                 part = self._triplets.subset(np.arange(begin, min(begin + most, start + rows)))
                 step = part.step
@@ -172,7 +193,7 @@ class HeldOut:
                     frames=part.gather(np.arange(len(part))),
                     action=labels.actions[step],
                     pushed=labels.pushed[step],
-                    agents=np.stack([agents[step], agents[step + 1]], axis=1),
+                    masks=None if agents is None else np.stack([agents[step], agents[step + 1]], axis=1),
                     shifts=(place[step + 1] - place[step]).astype(np.float64),
                 )
 
@@ -198,9 +219,8 @@ def rollout_starts(frames: int, horizon: int) -> Int[np.ndarray, " s"]:
 
 
 def _joined(parts: list[TransitionBatch]) -> TransitionBatch:
-    return TransitionBatch(
-        **{
-            field.name: np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(TransitionBatch)
-        }
-    )
+    columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(TransitionBatch)}
+    joined: dict[str, Any] = {
+        name: None if values[0] is None else np.concatenate(values) for name, values in columns.items()
+    }
+    return TransitionBatch(**joined)

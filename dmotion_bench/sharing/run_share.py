@@ -28,7 +28,7 @@ from dmotion_bench.sharing.place import HASH, plain_name
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import LARGEST, parse_json
 from dmotion_bench.storage.shard import FileFacts, file_facts
-from dmotion_bench.wording import command, shown
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST
 
 FORMAT: Final = "dmbench-share/1"
@@ -179,8 +179,3 @@ def _files(run: Run) -> Iterator[Path]:
         files = [folder / REPORT_FILE, folder / SAMPLES_FILE]
         if all(one.is_file() and _REPORT.fullmatch(one.relative_to(run.path).as_posix()) for one in files):
             yield from files
-
-
-def score_command(run: Run) -> str:
-    """The command that gives a run its report."""
-    return command("dmbench score", run.path)

@@ -96,6 +96,7 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
     there = {} if remote is None else {kind: remote.sizes(kind) for kind in (VIDEO, LABELS)}
     damages += [] if damages else _table_damages(path, manifest)
     rows = _rows(path, manifest)
+    here = None if rows is None else Dataset(path, manifest, rows)
     for index, entry in enumerate(manifest.shards):
         on_progress(index, len(manifest.shards))
         files = [(VIDEO, entry.video), (LABELS, entry.labels if labels == "present" else None)]
@@ -109,7 +110,7 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
                 else _remote_damage(remote, kind, index, manifest, there[kind])
             )
         ]
-        found = found or list(_content_damages(path, manifest, rows, index, entry, labels))
+        found = found or list(_content_damages(path, manifest, here, index, entry, labels))
         damages += found
     on_progress(len(manifest.shards), len(manifest.shards))
     if rows is not None and not damages:
@@ -202,7 +203,7 @@ def cache_damages(dataset: Dataset) -> Iterator[Damage]:
 
 
 def _content_damages(
-    path: Path, manifest: Manifest, rows: EpisodeTable | None, index: int, entry: ShardEntry, labels: LabelsState
+    path: Path, manifest: Manifest, dataset: Dataset | None, index: int, entry: ShardEntry, labels: LabelsState
 ) -> Iterator[Damage]:
     """What is wrong with a shard whose hashes are right: the writer's fault, or a forged dataset.json."""
     name = f"{VIDEO}/{shard_path(path, VIDEO, index).name}"
@@ -213,13 +214,12 @@ def _content_damages(
         return
     if (len(receipt.rows), receipt.frames) != (entry.episodes, entry.frames):
         yield Damage(file=name, shard=index, what="holds other episodes than dataset.json says")
-    if rows is None:
+    if dataset is None:
         return
-    listed = rows.of_shard(index)
+    listed = dataset.rows.of_shard(index)
     if labels != "missing" and listed != list(receipt.rows):  # the shard itself is as it was recorded
         yield Damage(file=EPISODES, shard=None, what=f"describes other episodes than {name} holds")
         return
-    dataset = Dataset(path, manifest, rows)
     for row in listed:
         try:
             dataset.video(row.episode)

@@ -9,6 +9,7 @@ opened by ``labels``, ``states`` and ``episode`` alone, and may be missing.
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +57,6 @@ class Dataset:
         self.name = path.resolve().name if remote is None else last_name(remote.address)
         self.recipe, self.spec, self.fingerprint = manifest.recipe, manifest.spec, manifest.fingerprint
         self.lengths = rows.lengths
-        self._split = split_episodes(self.recipe.seed, len(rows))
         self._cache: FrameCache | None = None
         self._numbers: Int[np.ndarray, " a"] | None = None  # of the stored actions, where they are numbered anew
 
@@ -262,11 +262,15 @@ class Dataset:
         row = self.row(episode)
         return Episode(frames=self.video(episode), labels=self.labels(episode), seed=row.seed, ended=row.ended)
 
+    @functools.cached_property
+    def _splits(self) -> dict[SplitName, Int[np.ndarray, " n"]]:
+        return split_episodes(self.recipe.seed, len(self.rows))
+
     def split(self, name: SplitName) -> Int[np.ndarray, " n"]:
         """The episodes of a split: 10% test, 10% of the rest validation; nothing but seed and size decide."""
         if name not in SPLIT_NAMES:
             raise UnknownName("split", name, SPLIT_NAMES)
-        return self._split[name]
+        return self._splits[name]
 
     def tasks(self) -> list[ControlTask]:
         """The control tasks, the same for every model."""

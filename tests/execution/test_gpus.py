@@ -62,6 +62,17 @@ def test_ray_runs_as_many_jobs_as_there_are_gpus_for(gpus: int, most: int) -> No
     assert executor._most({"CPU": 16.0, "GPU": 2.0}) == most
 
 
+@pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
+def test_ray_is_not_started_where_there_is_nothing_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: RayExecutor) -> None:
+        raise AssertionError("Ray was started")
+
+    monkeypatch.setattr(RayExecutor, "_start", refuse)
+    assert list(RayExecutor(2).map_unordered(abs, [])) == []
+    with pytest.raises(AssertionError, match="was started"):
+        list(RayExecutor(2).map_unordered(abs, [1]))
+
+
 @pytest.mark.skipif(find_spec("submitit") is None, reason="submitit is not installed")
 def test_slurm_is_asked_for_gpus(tmp_path: Path) -> None:
     executor = SlurmExecutor(1, tmp_path, cluster="local", size=JobSize(gpus=1))._executor()

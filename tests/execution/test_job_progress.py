@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import subprocess
 import sys
 import threading
 from pathlib import Path
+
+import pytest
 
 from dmotion_bench.execution.job_progress import (
     SECONDS,
@@ -40,6 +44,26 @@ def test_files_that_cannot_be_read_or_written_are_left_out(tmp_path: Path) -> No
     ProgressFile(None).tell(JobProgress(what="nobody asks", done=0, total=None))
 
     assert read_progress(tmp_path) == {}
+
+
+def test_progress_waits_for_no_disk_and_a_full_one_costs_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("progress was synced")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    progress = JobProgress(what="lapo 4", done=1.0, total=10.0)
+    ProgressFile(tmp_path / "lapo.json").tell(progress)
+    assert read_progress(tmp_path) == {"lapo": progress}
+    assert [path.name for path in tmp_path.iterdir()] == ["lapo.json"]
+
+    def full(self: Path, _: bytes) -> None:
+        raise OSError(errno.ENOSPC, "no space left on the device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    ProgressFile(tmp_path / "lapo.json").tell(JobProgress(what="lapo 5", done=2.0, total=10.0))
+    assert read_progress(tmp_path) == {"lapo": progress}
 
 
 HELD = """

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, SplitName
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectSpec, ObjectStates, SplitName
+from dmotion_bench.storage.messages import StateLabels
 from dmotion_bench.storage.tables import EpisodeTable
 
 SIZE = 16
@@ -68,10 +69,10 @@ class DatasetInMemory:
     def video(self, episode: int) -> NoReturn:
         raise AssertionError("learning reads frames from the cache")
 
-    def states(self, episode: int) -> NoReturn:
-        raise AssertionError("learning reads labels through the budget")
+    def labels(self, episode: int) -> NoReturn:
+        raise AssertionError("learning reads no masks")
 
-    def labels(self, episode: int) -> EpisodeLabels:
+    def states(self, episode: int) -> StateLabels:
         self.opened.append(episode)
         nothing = ObjectStates(
             position=np.zeros((LENGTHS[episode], 0, 3)),
@@ -79,12 +80,12 @@ class DatasetInMemory:
             pixel=np.zeros((LENGTHS[episode], 0, 2)),
             visible=np.zeros((LENGTHS[episode], 0)),
         )
-        return EpisodeLabels(
+        return StateLabels(
             actions=self.actions[episode],
             pushed=self.pushed[episode],
             agent=nothing,
             objects=nothing,
-            masks=np.zeros((LENGTHS[episode], SIZE, SIZE), np.uint8),
+            factors={},
         )
 
 

@@ -9,6 +9,7 @@ import torch
 
 from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.optimization import AveragedWeights
 
 
 def test_tensors_and_facts_survive(tmp_path) -> None:
@@ -81,3 +82,31 @@ def test_a_checkpoint_that_is_replaced_while_it_is_read_is_read_again(tmp_path, 
     monkeypatch.setattr(checkpoint, "_header", replaced)
     tensors, facts = checkpoint.load(path)
     assert (tensors["a"].tolist(), facts) == ([1.0] * 4, {"step": 2})
+
+
+def test_tied_weights_survive_and_stay_tied(tmp_path) -> None:
+    def tied() -> torch.nn.ModuleDict:
+        layer = torch.nn.Linear(3, 2)
+        return torch.nn.ModuleDict({"a": layer, "b": layer, "own": torch.nn.Linear(3, 2)})
+
+    model, other = tied(), tied()
+    part = model["a"].weight.detach()[1]  # shares a part of the memory
+    checkpoint.save(tmp_path / "x.safetensors", {**model.state_dict(), "part": part}, {"step": 1})
+    loaded, _ = checkpoint.load(tmp_path / "x.safetensors")
+    assert torch.equal(loaded.pop("part"), part)
+    other.load_state_dict(loaded)
+    assert other["a"].weight is other["b"].weight
+    assert checkpoint.weights_hash(other.state_dict()) == checkpoint.weights_hash(model.state_dict())
+
+
+def test_tied_weights_are_averaged_by_every_name() -> None:
+    layer = torch.nn.Linear(3, 2)
+    model = torch.nn.ModuleDict({"a": layer, "b": layer})
+    average = AveragedWeights(model, decay=0.9)
+    with torch.no_grad():
+        layer.weight.add_(1)
+    latest = layer.weight.detach().clone()
+    average.update(model, step=100)
+    assert torch.equal(average.tensors["a.weight"], average.tensors["b.weight"])
+    with average.swapped_into(model):
+        assert not torch.equal(layer.weight, latest)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
+from dmotion_bench.learning import curriculum
+from dmotion_bench.learning.batches import FramesOnDevice
 from dmotion_bench.learning.curriculum import TrainingData, demonstrations_of, parts_of, steps_before_labels
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
@@ -118,3 +121,35 @@ def test_a_phase_is_given_the_frames_before_its_triplets_and_an_episodes_first_o
             assert torch.equal(image, frames[max(0, step - back)])
     assert near.batches(index).earlier is None
     assert far.validation(np.array([0])).earlier is None
+
+
+def test_all_batches_of_a_training_share_one_copy_of_the_frames(dataset, monkeypatch) -> None:
+    """On the CPU, which stands in for a GPU that has room."""
+    held: list[Tensor] = []
+
+    def on_device(frames: np.ndarray, device: torch.device) -> Tensor:
+        held.append(torch.from_numpy(frames.copy()))
+        return held[-1]
+
+    phases = (Phase(name="video", fraction=0.5, earlier=2), Phase(name="named", fraction=0.5, needs_actions=True))
+    expected = parts_of(phases, _data(dataset, "100%"), CONFIG, 0, CPU)
+    monkeypatch.setattr("dmotion_bench.learning.batches._on_device", on_device)
+    monkeypatch.setattr(FramesOnDevice, "_fits", lambda self, cache: True)
+    parts = parts_of(phases, _data(dataset, "100%"), CONFIG, 0, CPU)
+    assert len(held) == 1
+    held[0].copy_(255 - held[0])  # so that frames of the cache would be found out
+    for part, other in zip(parts, expected, strict=True):
+        for ours, theirs in ((part.batches, other.batches), (part.validation, other.validation)):
+            index = np.arange(len(ours))
+            inverted, batch = ours(index), theirs(index)
+            torch.testing.assert_close(inverted.current, -batch.current)
+            if batch.earlier is not None:
+                torch.testing.assert_close(inverted.earlier, -batch.earlier)
+
+
+def test_batches_that_no_phase_uses_are_not_made(dataset, monkeypatch) -> None:
+    asked: list[bool] = []
+    of_sets = curriculum._of_sets
+    monkeypatch.setattr(curriculum, "_of_sets", lambda *given: asked.append(given[2]) or of_sets(*given))
+    parts_of((Phase(needs_actions=True),), _data(dataset, "100%"), CONFIG, 0, CPU)
+    assert asked == [True]

@@ -11,13 +11,15 @@ import pytest
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.streamed import StreamedTriplets
 from dmotion_bench.learning.triplets import TripletSet
-from dmotion_bench.specs import EpisodeLabels, Supervision
+from dmotion_bench.specs import Supervision
+from dmotion_bench.storage.messages import StateLabels
 
 MOVES = Continuous(names=("dx", "dy"), low=(-1.0, -1.0), high=(1.0, 1.0), units=("m", "m"))
 
 
-@pytest.mark.parametrize("text", ["none", "one-shot", "5-shot", "10%", "100%", "2.5%"])
+@pytest.mark.parametrize("text", ["none", "one-shot", "5-shot", "10%", "7%", "100%", "2.5%", "12.3456789%", "0.00005%"])
 def test_a_request_prints_as_it_was_written(text: str) -> None:
     assert str(LabelRequest.parse(text)) == text
 
@@ -138,8 +140,8 @@ class Moving:
     def __len__(self) -> int:
         return len(self._noise)
 
-    def labels(self, episode: int) -> EpisodeLabels:
-        labels = self._noise.labels(episode)
+    def states(self, episode: int) -> StateLabels:
+        labels = self._noise.states(episode)
         steps = np.arange(len(labels.actions))
         return dataclasses.replace(labels, actions=np.stack([steps / 100, 0 * steps + episode / 100], axis=1))
 
@@ -161,7 +163,7 @@ def test_numbers_of_transitions_are_nested_true_and_counted(dataset, continuous)
         assert before < places or (amount == 2 and before == places)  # the second is held back
         before = places
         for episode, step, action in zip(paid.triplets.episode, paid.triplets.step, paid.actions, strict=True):
-            assert np.array_equal(action, told.labels(int(episode)).actions[step])
+            assert np.array_equal(action, told.states(int(episode)).actions[step])
         given = budget.demonstrations(triplets)
         assert len(given.frames) == len(given.actions) == budget.given["demonstrations"] == amount
         if continuous:  # what is shown says where it comes from
@@ -269,3 +271,18 @@ def test_agents_that_act_alike_are_shown_once_acting_otherwise(dataset) -> None:
         given = LabelBudget(dataset, ask, seed=seed).demonstrations(triplets)
         assert 1 in given.actions
         assert len(given.actions) <= 3
+
+
+def test_a_share_is_read_back_as_itself() -> None:
+    for percent in (*np.random.default_rng(0).random(200), 1e-7, 100 / 3, 29.0):
+        asked = LabelRequest.parse(f"{percent:.25f}%")
+        assert LabelRequest.parse(str(asked)) == asked
+
+
+@pytest.mark.parametrize("text", ["all", "5000", "50%", "4097-shot", "5000-shot-per-agent"])
+def test_too_many_demonstrations_of_streamed_data_are_refused_before_any_label_is_read(dataset, text) -> None:
+    dataset.spec = dataclasses.replace(dataset.spec, actions=JOINT)
+    triplets = StreamedTriplets(dataset, np.arange(2), np.array([6000, 4000]), window=8)
+    with pytest.raises(LabelsNotAvailable, match="demonstrations of data that are streamed are too many for the mem"):
+        LabelBudget(dataset, LabelRequest.parse(text), seed=0).demonstrations(triplets)
+    assert dataset.opened == []

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import enum
+import json
+from typing import Any, Literal
+
 import pytest
 
 from baselines.dmotion import DMotionConfig
@@ -49,3 +54,77 @@ def test_configs_survive_json() -> None:
 def test_a_field_of_another_version_is_refused() -> None:
     with pytest.raises(InvalidSetting, match="another version"):
         from_json(DMotionConfig, {**to_json(DMotionConfig()), "rotations": 4})
+
+
+class Kind(enum.StrEnum):
+    SMALL = "small"
+    LARGE = "large"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Inner:
+    sizes: tuple[int, ...] = (3,)
+
+
+VALUES: dict[str, tuple[Any, Any]] = {
+    "optional tuple": (tuple[int, ...] | None, (1, 2)),
+    "none": (tuple[int, ...] | None, None),
+    "tuple of tuples": (tuple[tuple[int, ...], ...], ((1, 2), (3,), ())),
+    "pair": (tuple[int, str], (1, "a")),
+    "pairs": (tuple[tuple[str, float], ...], (("a", 0.5), ("b", 1))),
+    "bare tuple": (tuple, (1, "a")),
+    "member": (Kind, Kind.LARGE),
+    "members": (tuple[Kind, ...], (Kind.LARGE, Kind.SMALL)),
+    "choice": (Literal[1, "two"] | None, "two"),
+    "config": (Inner | None, Inner(sizes=(1, 2))),
+    "anything": (Any, 1),
+    "mapping": (dict[str, int], {"a": 1}),
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sized:
+    kind: Kind = Kind.SMALL
+
+
+def test_a_member_of_an_enumeration_is_set_by_its_value() -> None:
+    (config,) = with_settings(["kind=large"], Sized())
+    assert config.kind is Kind.LARGE
+    with pytest.raises(InvalidSetting, match="kind is 'huge'; it can be small, large"):
+        with_settings(["kind=huge"], Sized())
+
+
+def _config(hint: Any) -> type:
+    return dataclasses.make_dataclass("Config", [("x", hint)], frozen=True, kw_only=True)
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_values_of_every_type_survive_json(name: str) -> None:
+    hint, value = VALUES[name]
+    kind = _config(hint)
+    read = from_json(kind, json.loads(json.dumps(to_json(kind(x=value)))))
+    assert read == kind(x=value)
+    assert type(read.x) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("hint", "stored"),
+    [
+        (tuple[int, ...] | None, ["a"]),
+        (tuple[int, str], [1]),
+        (tuple[int, str], [1, "a", 2]),
+        (tuple[tuple[int, ...], ...], [1]),
+        (tuple[int, ...], [True]),
+        (Kind, "huge"),
+        (Literal[1, 2], True),
+        (Inner, {"sizes": ["a"]}),
+        (Inner | None, {"sises": []}),
+        (float, True),
+        (int, 1.5),
+        (str, 1),
+        (bool, 1),
+    ],
+)
+def test_values_of_another_type_are_refused(hint: Any, stored: Any) -> None:
+    with pytest.raises(InvalidSetting, match="cannot be read"):
+        from_json(_config(hint), {"x": stored})

@@ -6,6 +6,7 @@ import logging
 import shutil
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from training_together import together, train_exact
 from walking_square import record_walks
 
 from dmotion_bench.errors import DatasetCorrupt, UsageError
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.batches import TripletBatches
+from dmotion_bench.learning import checkpoint, conditions
+from dmotion_bench.learning.batches import FramesOnDevice, TripletBatches
 from dmotion_bench.learning.curriculum import parts_of
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.labels import LabelBudget, LabelRequest
@@ -179,7 +180,7 @@ def test_batches_are_those_of_the_cache_for_any_number_of_loaders(walks, loaders
     order = triplets.order(8, seed=5)
     batches = StreamedBatches(triplets, order, lambda episode: walks.states(episode).actions, torch.device("cpu"))
     read = StreamedBatches(triplets, order, None, torch.device("cpu"), earlier=3)
-    reaching = TripletBatches(cached, None, torch.device("cpu")).reaching_back(3)
+    reaching = TripletBatches(cached, None, FramesOnDevice(torch.device("cpu"))).reaching_back(3)
     for step in range(40):
         index = order.batch(step)
         batches.expect(step, 0, 1)
@@ -316,3 +317,18 @@ def test_what_contradicts_streaming_is_refused(walks, tmp_path) -> None:
         _run(walks, tmp_path / "run", "window=9", stream=False)
     with pytest.raises(UsageError, match="window is -1; it cannot be below zero"):
         _run(walks, tmp_path / "run", "window=-1")
+
+
+def test_the_step_that_is_timed_reads_each_episode_once(walks, tmp_path, monkeypatch) -> None:
+    run, read, video = _run(walks, tmp_path / "run", *EXACT), Counter[int](), Dataset.video
+
+    def counted(self: Dataset, episode: int, room: Any = None) -> Any:
+        read[episode] += 1
+        return video(self, episode, room)
+
+    parts = parts_of((Phase(),), training_data(run, walks), run.spec.training_config, 0, torch.device("cpu"))
+    monkeypatch.setattr(Dataset, "video", counted)
+    conditions._trial(run.spec, parts, torch.device("cpu"), 1)
+    parts[0].batches.close()
+    assert read
+    assert max(read.values()) == 1

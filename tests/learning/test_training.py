@@ -5,20 +5,30 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import math
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from killed_writes import Killed, each_kill, killed_at
 from walking_square import record_walks
 
 from dmotion_bench.api.training import begin, complete
-from dmotion_bench.errors import FolderInUse, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing
+from dmotion_bench.errors import (
+    FolderInUse,
+    LabelsNotAvailable,
+    ModelContractBroken,
+    RunCorrupt,
+    RunMismatch,
+    RunMissing,
+)
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.beginning import finished_result
 from dmotion_bench.learning.devices import launch
+from dmotion_bench.learning.figures import StepFigures
 from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve, training_data
 from dmotion_bench.learning.training import Report, train
@@ -446,3 +456,26 @@ def test_the_model_predicts_after_a_reload_what_it_did_before(trained) -> None:
         second = Run.open(trained.path).model.predict(frames, frames, action)
     assert torch.equal(first, second)
     assert not torch.equal(first[0], first[1])
+
+
+@pytest.mark.parametrize("each", [-1.0, math.inf, math.nan])
+def test_losses_of_triplets_that_nothing_can_be_drawn_by_end_the_training(
+    recorded, tmp_path, monkeypatch, each
+) -> None:
+    monkeypatch.setattr(StepFigures, "per_triplet", property(lambda self: np.array([0, 1, each, 2], np.float32)))
+    asked = TrainingRequest(model="dmotion", settings=(*SETTINGS, "hard_share=0.5"))
+    run = open_run(asked, Dataset.open(recorded), tmp_path / "run", Workspace(tmp_path))
+    with pytest.raises(
+        ModelContractBroken, match=rf"DMotion: losses\(batch\)\.per_triplet holds {each} at step 1; it is"
+    ):
+        _train(run, recorded)
+
+
+def test_of_a_training_that_diverges_no_loss_of_a_triplet_is_kept(recorded, tmp_path, monkeypatch) -> None:
+    nothing = np.full(4, np.nan, np.float32)
+    monkeypatch.setattr(StepFigures, "per_triplet", property(lambda self: nothing))
+    monkeypatch.setattr(StepFigures, "terms", property(lambda self: {"loss": math.nan}))
+    asked = TrainingRequest(model="dmotion", settings=(*SETTINGS, "hard_share=0.5"))
+    run = open_run(asked, Dataset.open(recorded), tmp_path / "run", Workspace(tmp_path))
+    with pytest.raises(Stopped):  # the next validation says what is wrong
+        _train(run, recorded, stop_at=2)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dmotion_bench.learning.triplets import BatchOrder, TripletSet
+from dmotion_bench.learning.triplets import BatchOrder, TripletSet, drawn_by_loss
 
 
 def test_a_triplet_is_three_frames_of_one_episode(dataset) -> None:
@@ -90,3 +90,14 @@ def test_groups_differ_from_epoch_to_epoch() -> None:
 @pytest.mark.parametrize("epochs", [0.5, 1, 3])
 def test_steps_follow_the_epochs(epochs: float) -> None:
     assert BatchOrder(100, 10, 0).steps(epochs) == 10 * epochs
+
+
+def test_hard_triplets_are_drawn_by_the_roots_of_their_losses_and_evenly_where_all_are_zero() -> None:
+    generator = np.random.default_rng(0)
+    counts = np.bincount(drawn_by_loss(np.array([0.0, 1.0, 4.0, 0.0], np.float32), 3000, generator), minlength=4)
+    assert counts[0] == counts[3] == 0
+    assert abs(counts[2] / counts[1] - 2) < 0.2
+    order = BatchOrder(100, 16, 0)
+    zeros = np.zeros(100, np.float32)
+    drawn = np.concatenate([order.mixed_batch(step, zeros, 0.5)[8:] for step in range(200)])
+    assert np.bincount(drawn, minlength=100).min() > 0

@@ -93,15 +93,15 @@ def test_the_distance_is_a_share_of_the_initial_one_and_a_lost_object_costs_one(
     problem = problems[0]
     measure, env = measured(problem), Still()
     for positions, distance in (
-        (problem.start_positions, 1),
-        (problem.goal_positions, 0),
-        ((problem.start_positions + problem.goal_positions) / 2, 0.5),
+        (problem.start_objects.position, 1),
+        (problem.goal_objects.position, 0),
+        ((problem.start_objects.position + problem.goal_objects.position) / 2, 0.5),
     ):
         env.positions = positions
         assert measure.distance(env) == pytest.approx(distance)
     assert measure.cost(env) > 0
-    there = int(np.flatnonzero(~np.isnan(problem.goal_positions[:, 0]))[0])
-    env.positions = problem.goal_positions.copy()
+    there = int(np.flatnonzero(~np.isnan(problem.goal_objects.position[:, 0]))[0])
+    env.positions = problem.goal_objects.position.copy()
     assert measure.cost(env) == 0
     env.positions[there] = np.nan
     assert (measure.distance(env), measure.lost(env)) == (1, 1)

@@ -34,13 +34,13 @@ def test_the_recorded_actions_reach_the_goal_exactly(dataset: Dataset) -> None:
         for action in problem.opening.tolist():
             frame, *_ = env.step(action)
         np.testing.assert_array_equal(frame, problem.start_frame)
-        np.testing.assert_array_equal(env.objects().position, problem.start_positions)
+        np.testing.assert_array_equal(env.objects().position, problem.start_objects.position)
         measure = measure_of(env, problem)
         assert measure.distance(env) == 1
         for action in dataset.states(task.episode).actions[task.start : task.goal].tolist():
             frame, *_ = env.step(action)
         np.testing.assert_array_equal(frame, problem.goal_frame)
-        np.testing.assert_array_equal(env.objects().position, problem.goal_positions)
+        np.testing.assert_array_equal(env.objects().position, problem.goal_objects.position)
         assert measure.distance(env) == 0
     env.close()
 

@@ -21,7 +21,9 @@ from dmotion_bench.errors import DatasetError, FolderInUse, UnknownName
 from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress
 from dmotion_bench.planning.objectives.tracked import Tracked
+from dmotion_bench.planning.tasks import load_problems
 from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring import control
 from dmotion_bench.scoring.control import ControlScoring, known_references, require_tasks, score_reference
 from dmotion_bench.scoring.earlier_planning import earlier_planning
 from dmotion_bench.scoring.prediction import Execution
@@ -90,11 +92,25 @@ def test_figures_follow_from_the_samples_and_references_stand_beside_them(run: R
     assert not (run.path / "report/control.json").exists()
 
 
+def _known(tasks: Dataset, scoring: ControlScoring) -> tuple[str, ...]:
+    return known_references(tasks, scoring, load_problems(tasks, scoring.tasks))
+
+
+def test_tasks_are_loaded_once_for_the_model_and_all_references(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr(
+        control, "load_problems", lambda data, *numbers: asked.append(numbers) or load_problems(data, *numbers)
+    )
+    report = score(run)
+    assert len(report.reference) >= 3
+    assert asked == [(SCORING.tasks,)]
+
+
 def test_the_oracle_stands_beside_a_model_once_it_is_scored(run: Run, tasks: Dataset) -> None:
-    assert known_references(tasks, SCORING) == ("idle", "random", "scripted")
+    assert _known(tasks, SCORING) == ("idle", "random", "scripted")
     result = score_reference("oracle", tasks, SCORING)
     assert score_reference("oracle", tasks, SCORING).planned == 0
-    assert known_references(tasks, replace(SCORING, tasks=4)) == ("idle", "random", "scripted")
+    assert _known(tasks, replace(SCORING, tasks=4)) == ("idle", "random", "scripted")
     assert score(run).reference["oracle"]["control_distance[3]"]["mean"] == pytest.approx(
         result.distance[:, 3].mean(), rel=1e-6
     )
@@ -317,7 +333,7 @@ def test_a_reference_that_was_kept_under_a_hash_of_the_code_is_kept(tasks: Datas
     old.write_text(json.dumps(content | {"key": key | {"code": "0.1.0+2140d529a1bd"}}))
     assert score_reference("oracle", tasks, SCORING).planned == 9
     old.write_text(json.dumps(content | {"key": key}))
-    assert "oracle" in known_references(tasks, SCORING)
+    assert "oracle" in _known(tasks, SCORING)
     again = score_reference("oracle", tasks, replace(SCORING, tasks=4))
     assert again.planned == 6  # of the last group alone
     np.testing.assert_array_equal(again.actions[:3], result.actions)

@@ -14,10 +14,11 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.scoring.identification import (
     above_otsu,
-    agent_overlap,
     identify,
     motion_within_over_between,
+    overlap_of,
     probe_accuracy,
+    resized,
     swap_partners,
 )
 from dmotion_bench.scoring.prediction import Execution
@@ -138,11 +139,11 @@ def test_overlap_by_hand_and_at_another_resolution() -> None:
     maps[0, 4:8, 6:10] = -2.0  # its sign says nothing; half of it lies on the agent
     maps[1, 4:8, 4:8] = 1.0
 
-    overlap = agent_overlap(maps, masks)
+    overlap = overlap_of(above_otsu(resized(maps, masks.shape[1:])), masks)
 
     assert overlap[:2].tolist() == pytest.approx([8 / 24, 1.0])
     assert torch.isnan(overlap[2])
-    coarse = agent_overlap(maps[1:2, ::2, ::2], masks[1:2])
+    coarse = overlap_of(above_otsu(resized(maps[1:2, ::2, ::2], masks.shape[1:])), masks[1:2])
     assert 0.6 < coarse.item() <= 1
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.scoring.frame_measures import FrameMeasures
 from dmotion_bench.scoring.pixels import PSNR_CAP
+from dmotion_bench.scoring.prediction import Execution, score_reference_steps, score_steps
 from dmotion_bench.scoring.references import agent_moves, copy_last
 from dmotion_bench.scoring.score import score_model
 from dmotion_bench.scoring.settings import ScoreSettings
@@ -149,7 +150,7 @@ def _transitions(frames: np.ndarray, masks: np.ndarray) -> TransitionBatch:
         frames=np.stack([frames[:-2], frames[1:-1], frames[2:]], axis=1),
         action=np.zeros(count, np.int64),
         pushed=np.zeros(count, bool),
-        agents=(np.stack([masks[1:-1], masks[2:]], axis=1) == MASK_AGENT).astype(np.uint8),
+        masks=(np.stack([masks[1:-1], masks[2:]], axis=1) == MASK_AGENT).astype(np.uint8),
         shifts=np.zeros((count, 1, 2)),
     )
 
@@ -200,3 +201,15 @@ def test_a_model_without_frames_has_no_figures_of_frames(grid: Dataset, copy_las
             raise AssertionError("asked for a frame")
 
     assert score_model(Blind(copy_last.config, copy_last.inputs), grid, settings=QUICK).figures == {}
+
+
+def test_a_models_single_steps_decode_no_masks(grid: Dataset, oracle: Oracle, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: Dataset, episode: int) -> None:
+        raise AssertionError(f"the masks of episode {episode} were decoded")
+
+    held_out, how = HeldOut(grid, "test"), Execution(batch_size=16)
+    expected = score_steps(oracle, held_out, how)
+    monkeypatch.setattr(Dataset, "labels", refuse)
+    assert score_steps(oracle, held_out, how) == expected
+    with pytest.raises(AssertionError, match="were decoded"):
+        score_reference_steps(held_out, how)

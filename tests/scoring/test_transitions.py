@@ -99,3 +99,13 @@ def test_unknown_actions_and_empty_splits_are_said(grid: Dataset, tmp_path: Path
         HeldOut(nameless, "test")
     with pytest.raises(DatasetError, match="no triplet; record more"):
         HeldOut(write_dataset(tmp_path / "one", episodes=1, frames=4), "test")
+
+
+@pytest.mark.parametrize("size", [7, 12, 1000])
+def test_batches_without_masks_are_the_same_otherwise(grid: Dataset, size: int) -> None:
+    held_out = HeldOut(grid, "test")
+    for batch, bare in zip(held_out.batches(size), held_out.batches(size, masks=False), strict=True):
+        assert bare.masks is None
+        for field in dataclasses.fields(batch):
+            if field.name != "masks":
+                np.testing.assert_array_equal(getattr(batch, field.name), getattr(bare, field.name))

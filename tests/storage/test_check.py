@@ -5,15 +5,19 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from noise_world import assert_same_episode, files_of, noise_episode, noise_lengths, write_noise
 
 from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch
 from dmotion_bench.recording.restore import repair_dataset
+from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.repair import salvage
+from dmotion_bench.storage.split import split_episodes
 from dmotion_bench.storage.writer import DatasetWriter
 
 
@@ -136,3 +140,19 @@ def test_where_nothing_can_be_read_nothing_is_touched(tmp_path: Path) -> None:
     with pytest.raises(DatasetCorrupt, match="not one episode"):
         repair_dataset(path)
     assert files_of(path) == before
+
+
+def test_a_check_divides_no_episodes_into_splits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, asked = write_noise(tmp_path / "d").path, list[int]()
+
+    def counted(seed: int, episodes: int, *more: Any) -> dict[SplitName, np.ndarray]:
+        asked.append(episodes)
+        return split_episodes(seed, episodes, *more)
+
+    monkeypatch.setattr("dmotion_bench.storage.dataset.split_episodes", counted)
+    assert check_dataset(path).damages == ()
+    dataset = Dataset.open(path)
+    assert asked == []
+    for name in ("train", "test"):
+        np.testing.assert_array_equal(dataset.split(name), split_episodes(dataset.recipe.seed, len(dataset))[name])
+    assert asked == [len(dataset)]

@@ -15,7 +15,7 @@ from dmotion_bench.specs import EnvSpec
 
 @dataclass(frozen=True, kw_only=True)
 class Feature:
-    """Squared distance between the features of a state and of the goal image, given twice; the agent counts."""
+    """Mean squared difference between the features of a state and of the goal image, given twice; the agent counts."""
 
     def reset(
         self, spec: EnvSpec, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]

@@ -5,8 +5,8 @@ A sequence costs the minimum over its steps, or what ``cost_at`` says. The first
 ever drawn is taken.
 
 For discrete actions, the paper's, the distribution is categorical for each step, at first uniform, and is fitted by
-setting it to the shares of the actions among the elites. For continuous actions it is a Gaussian for each number,
-whose mean itself is among the samples of the last iteration.
+setting it to the shares of the actions among the elites. For continuous actions it is a Gaussian for each number. In
+the last of several iterations its mean itself is among the samples.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ def model_lines(model: str, boards: Sequence[Board]) -> list[str]:
         lines += ["", *frozen]
     controlled = [place for place in predicted if _last(place[1]) is not None]
     if controlled:
-        lines += ["", *_control(controlled, boards)]
+        lines += ["", *_control(controlled, boards, "Control by other planners" if frozen else "Control")]
     if pictures := _pictures(model, boards):
         lines += ["", *_wrapped(SHOWN)]
     for kind, words in pictures.items():
@@ -116,7 +116,7 @@ def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
     return _table(columns, places, note)
 
 
-def _control(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
+def _control(places: Sequence[Place], boards: Sequence[Board], what: str) -> list[str]:
     columns: dict[str, Callable[[Board, Row], str]] = {
         "Data set": lambda board, row: plain(_dataset(board, boards)),
         "Variant": lambda board, row: plain(row.variant),
@@ -129,7 +129,7 @@ def _control(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
         "Tuned here": lambda board, row: tuned(board, row, _last(row) or ""),
     }
     note = (
-        "Control by other planners: the objects' distance to their goals after the last step, over that before. "
+        f"{what}: the objects' distance to their goals after the last step, over that before. "
         "*Tuned here*: whether the planner was tuned on the very tasks of the row; its figure is then too good."
     )
     return _table(columns, places, note)

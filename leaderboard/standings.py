@@ -74,12 +74,16 @@ def control_standings(board: Board, anchor: str) -> Markup | None:
 
 def column_standings(control: ColumnTable, anchor: str) -> Markup:
     """The table of control by columns: what each frozen planner leaves with each model."""
-    head = [_heading("Model"), _heading("Labels", "Action labels that the model was given.")]
+    heads = [("Model", ""), ("Labels", f"Action labels that the model was given. {EACH_MEANING}")]
+    each_column = [
+        ("solved", f"Share of the tasks that end with {SOLVED_AT:g} of the distance or less, with Wilson's interval."),
+        ("lost", "Objects that fall off the table, per task."),
+    ]
+    head = [_heading(*one) for one in heads]
     for place, name in enumerate(control.columns):
-        column = COLUMNS[name]
-        head.append(_heading(f"{column.title}: left", column.meaning, sorted_up=not place))
-        head.append(_heading("solved", f"Share of the tasks that end with {SOLVED_AT:g} of the distance or less."))
-        head.append(_heading("lost", "Objects that fall off the table, per task."))
+        heads.append((f"{COLUMNS[name].title}: left", COLUMNS[name].meaning))
+        head.append(_heading(*heads[-1], sorted_up=not place))
+        head += [_heading(*one) for one in each_column]
     body = [_column_row(row, control.columns) for row in control.rows]
     caption = f"{anchor}-columns-caption"
     table = element(
@@ -104,6 +108,7 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
             class_="note",
         ),
         element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=caption),
+        _meanings([*heads, *each_column]),
     )
 
 
@@ -120,10 +125,13 @@ def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
             continue
         share, low, high = cell.solved
         trained = {0: "", 1: ", one training"}.get(cell.trainings, f", {cell.trainings} trainings")
-        said = f"{interval(cell.left.low, cell.left.high)}, {cell.tasks} tasks{trained}"
+        between = "" if cell.left.low is None else f"95%: {interval(cell.left.low, cell.left.high)}, "
+        said = f"{between}{cell.tasks} tasks{trained}"
         cells += [
             element("td", number(cell.left.mean), element("small", said), data_value=repr(cell.left.mean)),
-            element("td", f"{share:.0%}", element("small", f"{low:.0%} \u2013 {high:.0%}"), data_value=repr(share)),
+            element(
+                "td", f"{share:.0%}", element("small", f"95%: {low:.0%} \u2013 {high:.0%}"), data_value=repr(share)
+            ),
             element("td", number(cell.lost), data_value=repr(cell.lost)),
         ]
     return element("tr", *cells, class_="measured" if row.entries else "reference")

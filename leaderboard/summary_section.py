@@ -91,7 +91,7 @@ def summary_lines(summary: Summary) -> list[str]:
 
 def _row(one: Standing) -> Markup:
     name = element("a", one.model, href=f"#{one.rows[0].entries[0].slug}")
-    between = element("small", _between(one) if one.interval else "1 training" if one.trainings == 1 else "")
+    between = element("small", f"95%: {_between(one)}" if one.interval else "1 training" if one.trainings == 1 else "")
     cells = [
         element("th", name, scope="row"),
         element("td", _score(one.iqm), between),

@@ -123,6 +123,8 @@ _CONTROL_AFTER: Final = (
     ),
     Column(figure="control_lost", heading="Objects lost", meaning="Objects that fall off the table, per task."),
 )
+HIGHER: Final = [one.heading for one in (*_SINGLE, *_AFTER, *_CONTROL_AFTER) if one.higher]
+"""The headings of figures of which more is better."""
 ROLLOUT_STEPS: Final = (5, 15)
 CONTROL_STEPS: Final = (10, 40, 100)
 

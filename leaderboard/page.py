@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import inspect
 import json
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -16,7 +17,7 @@ from typing import Final
 
 from dmotion_bench.registry import environment_versions, model_class, model_names
 from leaderboard.board import Board, make_boards
-from leaderboard.columns import count
+from leaderboard.columns import HIGHER, count
 from leaderboard.curves import Styles, assign_styles, charts, legend
 from leaderboard.entry import Entry
 from leaderboard.gallery import BUDGET, fitting_steps, gallery
@@ -129,7 +130,7 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary 
             element("summary", "How to read this"),
             element(
                 "ul",
-                element("li", "Lower is better, except for PSNR, SSIM, agent IoU and tasks solved."),
+                element("li", f"Lower is better, except for {', '.join(HIGHER)}."),
                 element(
                     "li",
                     "Small print under a number: \u201c95%\u201d is the interval of the mean over test episodes (a "
@@ -156,9 +157,13 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary 
 
 
 def _models(names: Collection[str]) -> Markup | None:
-    """What each model is, as the first line of its class says; of those that are installed."""
-    said = {name: (model_class(name).__doc__ or "").strip() for name in model_names() if name in names}
-    told = [joined([element("dt", name), element("dd", text.splitlines()[0])]) for name, text in said.items() if text]
+    """What each model is, as its module and its class begin to say of themselves; of those that are installed."""
+    told = []
+    for name in (name for name in model_names() if name in names):
+        kind = model_class(name)
+        said = (inspect.getdoc(one) for one in (inspect.getmodule(kind), kind) if one is not None)
+        begun = [" ".join(text.partition("\n\n")[0].split()) for text in said if text]
+        told.append(joined([element("dt", name), element("dd", " ".join(begun))]))
     return element("details", element("summary", "The models"), element("dl", joined(told))) if told else None
 
 

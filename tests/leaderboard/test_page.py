@@ -229,6 +229,13 @@ def test_of_each_entry_the_page_says_what_is_not_as_usual(sound: Entry, changed:
     assert "control objective" not in page
 
 
+def test_the_page_says_what_each_model_is_and_of_which_figures_more_is_better(sound: Entry) -> None:
+    page = make_page([sound])
+    assert "<dt>dmotion</dt><dd>DMotion (Yuan et al. 2021): a forward model" in page
+    assert "<dt>cswm</dt>" not in page
+    assert "except for PSNR, SSIM, Agent IoU" in page
+
+
 def test_small_print_says_what_it_is_of_and_compute_on_what(sound: Entry, changed: Changed) -> None:
     second = changed(
         run="dmotion-grid_world-tiny-s1", seed=1, weights="1" * 64, training={"seconds": 600, "device": "cuda:0"}

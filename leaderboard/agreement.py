@@ -16,6 +16,7 @@ import numpy as np
 
 from dmotion_bench.scoring.statistics import Estimate, rank_correlation
 from leaderboard.column_table import ColumnTable, RowKey
+from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND
 from leaderboard.row import USUAL_BUDGETS
 from leaderboard.value import Value
 
@@ -23,9 +24,11 @@ GAIN: Final = "planning_gain"
 OTHERS: Final[Mapping[str, str]] = {
     "mse": "MSE",
     "mse_push": "MSE, pushes",
-    "position_error_paper": "position error, paper's",
-    "position_error": "position error",
+    "position_error_paper": f"{POSITION_CHARGED[0].lower()}{POSITION_CHARGED[1:]}",
+    "position_error": f"{POSITION_FOUND[0].lower()}{POSITION_FOUND[1:]}",
 }
+FEWEST_ROWS: Final = 8
+"""Of fewer a correlation looks certain and says little."""
 _DISTANCE: Final = re.compile(r"control_distance\[(\d+)\]")
 
 
@@ -62,7 +65,7 @@ def agreements(rows: Mapping[RowKey, Mapping[str, Value]], control: ColumnTable 
     found = []
     for name, words in others.items():
         pairs = np.array([(own[GAIN], own[name]) for own in means.values() if GAIN in own and name in own])
-        estimate = rank_correlation(*pairs.T) if len(pairs) else None
+        estimate = rank_correlation(*pairs.T) if len(pairs) >= FEWEST_ROWS else None
         if estimate is not None:
             found.append(Agreement(figure=words, correlation=estimate))
     return tuple(found)

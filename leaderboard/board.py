@@ -19,17 +19,18 @@ from functools import cached_property
 from typing import Any, Final, TypeVar
 
 from dmotion_bench.planning.mpc import CONTROL_VERSION
-from dmotion_bench.registry import environment_title
+from dmotion_bench.registry import environment_title, environment_versions
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.agreement import Agreement, agreements
 from leaderboard.column_table import ColumnTable, column_table
+from leaderboard.columns import TRUE_MOTION
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.efficiency import beside_curves, label_curves
 from leaderboard.entry import Entry, Planner
 from leaderboard.row import Row
 from leaderboard.run_names import settings_of, unusual_settings, without_seed
-from leaderboard.value import values_of
+from leaderboard.value import Value, values_of
 
 RANKED_BY: Final = "mse"
 OTHER_PLANNER: Final = "another planner"
@@ -77,9 +78,10 @@ class Board:
 
     @property
     def title(self) -> str:
-        """The environment in words."""
+        """The environment in words, with the version of the data where the environment has several."""
         name = environment_title(self.environment)
-        return name if self.version == 1 else f"{name}, version {self.version}"
+        several = self.version > 1 or (self.fingerprint and environment_versions(self.environment))
+        return f"{name}, version {self.version}" if several else name
 
     @property
     def measured(self) -> list[Entry]:
@@ -95,6 +97,11 @@ class Board:
     def rows_beside_curves(self) -> list[Row]:
         """The rows without the points of label curves that have only a number for a budget."""
         return beside_curves(self.rows, RANKED_BY)
+
+    def reference(self, name: str) -> Mapping[str, Value]:
+        """The figures of a reference, by its name in reports; none where it was not scored."""
+        words = REFERENCE_WORDS.get(name, name)
+        return next((row.figures for row in self.rows if row.kind == "reference" and row.name == words), {})
 
     @property
     def entries(self) -> list[Entry]:
@@ -361,7 +368,7 @@ def _difference(row: Row, best: Row, figure: str) -> Estimate | None:
 
 def _sorted(rows: Iterable[Row]) -> tuple[Row, ...]:
     def key(row: Row) -> tuple[float, str]:
-        value = row.figures.get(RANKED_BY)
+        value = row.figures.get(RANKED_BY) or row.figures.get(TRUE_MOTION.figure)
         return (float("inf") if value is None else value.mean, row.name)
 
     return tuple(sorted(rows, key=key))

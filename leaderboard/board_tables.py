@@ -11,13 +11,13 @@ from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
-from leaderboard.columns import control_columns
+from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.label_table import label_lines
 from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import TO, between, figure, mean, written
 from leaderboard.planners import tuned_share
-from leaderboard.row import Row
+from leaderboard.row import Row, each
 from leaderboard.value import Value
 
 Cell = Callable[[Row], str]
@@ -47,7 +47,7 @@ def column_lines(control: ColumnTable) -> list[str]:
     """The table of control by columns, and what it cannot show."""
     columns: dict[str, Callable[[ColumnRow], str]] = {
         "Model": lambda row: plain(row.title),
-        "Labels": lambda row: "" if not row.entries else "?" if row.label_count is None else f"{row.label_count:,}",
+        "Labels": lambda row: budget_words(row.label_count, row.labels) if row.entries else "",
         "Trainings": lambda row: each_trainings(row, control.columns),
         "Tasks": lambda row: " / ".join(sorted({str(cell.tasks) for cell in row.cells.values()}, key=int)),
     }
@@ -117,9 +117,9 @@ def published_section(board: Board) -> list[str]:
     last = _last_distance(rows)
     columns: dict[str, Cell] = {
         "Model": lambda row: plain(row.name),
-        "Labels": labels,
+        "Labels": budget,
         "MSE": lambda row: figure(row.figures.get("mse")),
-        "Position error [px]": lambda row: figure(row.figures.get("position_error_paper")),
+        f"{POSITION_CHARGED} [px]": lambda row: figure(row.figures.get("position_error_paper")),
     }
     if last is not None:
         columns["Distance left"] = lambda row: figure(row.figures.get(last))
@@ -133,14 +133,15 @@ def _predictions(board: Board) -> list[str]:
 
     columns: dict[str, Cell] = {
         "Model": lambda row: plain(row.title),
-        "Labels": labels,
+        "Labels": budget,
         "Trainings": lambda row: trainings(row, RANKED_BY),
         "MSE": lambda row: figure(row.figures[RANKED_BY], strong=row.ties),
         "paper": lambda row: mean(_published(paper, row).get(RANKED_BY)),
         "pushes": lambda row: mean(row.figures.get("mse_push")),
         "15 ahead": lambda row: mean(row.figures.get("rollout_mse[15]")),
-        "Position error [px]": lambda row: figure(row.figures.get("position_error_paper")),
-        "detected": lambda row: mean(row.figures.get("position_error")),
+        f"{POSITION_CHARGED} [px]": lambda row: figure(row.figures.get("position_error_paper")),
+        f"{POSITION_FOUND} [px]": lambda row: mean(row.figures.get("position_error")),
+        "Gain captured": lambda row: _rounded(row.figures.get("planning_gain"), ".2f"),
     }
     return _lines(columns, rows)
 
@@ -154,7 +155,7 @@ def _control(board: Board) -> list[str]:
     steps = last.partition("[")[2].rstrip("]")
     columns: dict[str, Cell] = {
         "Model": lambda row: plain(row.title) + (f", {OTHER_PLANNER}" if row.planned_otherwise else ""),
-        "Labels": labels,
+        "Labels": budget,
         "Trainings": lambda row: trainings(row, last),
         "Tasks": lambda row: f"{row.figures[last].samples or ''}",
         f"Left after {steps} steps": lambda row: figure(row.figures[last], strong=last in row.leads),
@@ -181,7 +182,10 @@ def _published(paper: dict[tuple[str, str], Row], row: Row) -> dict[str, Value]:
 
 
 def _lines(columns: dict[str, Cell], rows: Sequence[Row]) -> list[str]:
-    return table(list(columns), [[cell(row) for cell in columns.values()] for row in rows])
+    """A table of the columns that say something of at least one row."""
+    cells = {head: [cell(row) for row in rows] for head, cell in columns.items()}
+    heads = [head for head, column in cells.items() if any(column)]
+    return table(heads, [[cells[head][place] for head in heads] for place in range(len(rows))])
 
 
 def _rounded(value: Value | None, form: str) -> str:
@@ -193,6 +197,17 @@ def labels(row: Row) -> str:
     if row.kind == "reference":
         return ""
     return "?" if row.label_count is None else f"{row.label_count:,}"
+
+
+def budget(row: Row) -> str:
+    """The same, and of demonstrations how many of each action: so many labels as they come are another budget."""
+    return "" if row.kind == "reference" else budget_words(row.label_count, row.labels)
+
+
+def budget_words(count: int | None, asked: str) -> str:
+    """A number of labels as a cell of a table, with what the budget gives of each action, such as ``4 (1 each)``."""
+    known = "?" if count is None else f"{count:,}"
+    return f"{known} ({each(asked)})" if each(asked) else known
 
 
 def trainings(row: Row, name: str) -> str:
@@ -212,3 +227,9 @@ def tuned(board: Board, row: Row, name: str) -> str:
     if share is None:
         return "not known"
     return "no" if not share else "yes" if share == 1 else f"{share:.0%}"
+
+
+def tuned_words(board: Board, row: Row, name: str) -> str:
+    """The same behind a row's name in a legend: empty where the planner was not tuned on these tasks."""
+    said = tuned(board, row, name)
+    return "" if said in ("", "no") else ", tuned here" if said == "yes" else f", tuned here: {said}"

@@ -8,7 +8,7 @@ are Okabe and Ito's for the colour-blind (2008, without the yellow that paper sw
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -20,9 +20,12 @@ COLORS: Final = 7
 
 MARKERS: Final = 8
 RADIUS: Final = 4.2
+RING: Final = 7.2
 WIDTH, HEIGHT = 460, 330
 LEFT, RIGHT, TOP, BOTTOM = 56, 14, 12, 46
 NAME_HEIGHT: Final = 13
+PLACES: Final = 9
+"""Along a line at which its name may stand."""
 
 
 SMALLEST: Final = 1e-12
@@ -34,30 +37,35 @@ class Style:
     """How a series looks.
 
     Args:
-        index: Of the series among all that stand on a page; decides colour and marker.
+        index: Of the series among all that stand on a page; below zero for a line that is grey.
+        hue: Number of its colour; by the index where none is given.
+        shape: Number of its marker's shape; likewise.
     """
 
     index: int
+    hue: int | None = None
+    shape: int | None = None
 
     @property
     def color(self) -> str:
         """A class of the style sheet."""
-        return f"c{self.index % COLORS}" if self.index >= 0 else "c-1"
+        return f"c{(self.index if self.hue is None else self.hue) % COLORS}" if self.index >= 0 else "c-1"
 
     @property
     def marker(self) -> int:
         """Number of the marker's shape."""
-        return self.index % MARKERS
+        return (self.index if self.shape is None else self.shape) % MARKERS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """A value with its interval."""
+    """A value with its interval; a ringed one is of another kind than its neighbours, as the legend says."""
 
     x: float
     y: float
     low: float | None = None
     high: float | None = None
+    ringed: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +98,8 @@ class Axis:
     Attributes:
         label: What it says.
         log: Logarithmic.
-        ticks: Where it is labelled; chosen by the range where none are given.
+        ticks: Where it is labelled, chosen by the range where none are given. Where two labels would touch, the tick
+            that stands first in this list has its label.
         zero: Whether a linear axis begins at zero.
     """
 
@@ -149,8 +158,8 @@ def line_chart(
         joined(_grid(y, up, vertical=False)),
         joined(_guide(guide, up) for guide in guides),
         joined(_series(one, across, up) for one in series if one.points),
-        joined(_names(guides, LEFT + 0.45 * (WIDTH - LEFT - RIGHT), "middle", up)),
-        joined(_names(_ends(series), WIDTH - RIGHT, "end", up)),
+        joined(_names(guides, up, lambda name, height: _free_place(name, height, series, across, up))),
+        joined(_names(_ends(series), up)),
         viewBox=f"0 0 {WIDTH} {HEIGHT}",
         width=WIDTH if sized else None,
         height=HEIGHT if sized else None,
@@ -165,12 +174,16 @@ def marker(style: Style, x: float, y: float, *, hollow: bool = False) -> Markup:
     return element("path", d=_marker_path(style.marker, x, y), class_="marker hollow" if hollow else "marker")
 
 
-def key(style: Style, *, dash: str = "solid", hollow: bool = False) -> Markup:
-    """A piece of a series for a legend."""
+def _ring(x: float, y: float) -> Markup:
+    return element("path", d=_marker_path(0, x, y, RING), class_="ring")
+
+
+def key(style: Style, *, dash: str = "solid", hollow: bool = False, ringed: bool = False) -> Markup:
+    """A piece of a series for a legend; of ringed points the ring alone."""
+    drawn = [element("path", d="M1 8H33", class_=f"line {dash}"), marker(style, 17, 8, hollow=hollow)]
     return element(
         "svg",
-        element("path", d="M1 8H33", class_=f"line {dash}"),
-        marker(style, 17, 8, hollow=hollow),
+        *([_ring(17, 8)] if ringed else drawn),
         viewBox="0 0 34 16",
         class_=f"key {style.color}",
         aria_hidden="true",
@@ -217,14 +230,14 @@ def _ticks(axis: Axis, scale: _Scale) -> list[float]:
 
 def _grid(axis: Axis, scale: _Scale, *, vertical: bool) -> Iterator[Markup]:
     floor, wall = HEIGHT - BOTTOM, WIDTH - RIGHT
-    last = -math.inf
+    labelled: list[tuple[float, int]] = []
     for tick in _ticks(axis, scale):
         place, text = round(scale(tick), 1), count(tick)
         if vertical:
             yield element("path", d=f"M{place:g} {floor}v5", class_="axis")
-            if place - last > 6.5 * len(text):  # labels that would touch are left away
+            if all(abs(place - other) > 3.5 * (len(text) + size) for other, size in labelled):  # none may touch
                 yield element("text", text, x=place, y=floor + 18, text_anchor="middle")
-                last = place
+                labelled.append((place, len(text)))
         else:
             yield element("path", d=f"M{LEFT} {place:g}H{wall}", class_="grid")
             yield element("text", text, x=LEFT - 8, y=place + 4, text_anchor="end")
@@ -245,12 +258,46 @@ def _ends(series: Sequence[Series]) -> list[Guide]:
     return [Guide(one.name, one.points[-1].y) for one in series if one.labelled and one.points]
 
 
-def _names(named: Sequence[Guide], x: float, anchor: str, up: _Scale) -> Iterator[Markup]:
-    """What lines are called, each name above its line, or higher where another name stands there."""
+def _free_place(name: str, height: float, series: Sequence[Series], across: _Scale, up: _Scale) -> float:
+    """Where a name has the fewest lines behind it: the middle of the text, in pixels; of equal places the leftmost."""
+    half = 3.2 * len(name)
+
+    def covered(middle: float) -> int:
+        left, right = middle - half, middle + half
+        return sum(_crosses(one, left, right, height, across, up) for one in series)
+
+    first, last = LEFT + half + 4, WIDTH - RIGHT - half - 4
+    steps = range(PLACES) if last > first else range(1)
+    return min((first + (last - first) * step / (PLACES - 1) for step in steps), key=covered)
+
+
+def _crosses(one: Series, left: float, right: float, foot: float, across: _Scale, up: _Scale) -> bool:
+    """Whether a series runs through the box of a text."""
+    places = [(across(point.x), up(point.y)) for point in one.points]
+    for (x0, y0), (x1, y1) in zip(places, places[1:] or places, strict=False):
+        begin, end = max(left, min(x0, x1)), min(right, max(x0, x1))
+        if begin > end:
+            continue
+        within = [y0 + (y1 - y0) * ((x - x0) / (x1 - x0) if x1 != x0 else share) for x, share in ((begin, 0), (end, 1))]
+        if min(within) <= foot + RADIUS and max(within) >= foot - NAME_HEIGHT:
+            return True
+    return False
+
+
+def _names(named: Sequence[Guide], up: _Scale, middle: Callable[[str, float], float] | None = None) -> Iterator[Markup]:
+    """What lines are called, each name above its line, or higher where another name stands there.
+
+    Args:
+        named: The lines.
+        up: Their heights.
+        middle: Where the middle of a name is, by the name and the foot of its text; at the right end if left out.
+    """
     free = math.inf
     for guide in sorted(named, key=lambda one: one.y):
         place = min(up(guide.y) - 4, free)
         free = place - NAME_HEIGHT
+        x = WIDTH - RIGHT if middle is None else middle(guide.name, place)
+        anchor = "end" if middle is None else "middle"
         yield element("text", guide.name, x=round(x, 1), y=round(place, 1), text_anchor=anchor, class_="name")
 
 
@@ -267,11 +314,11 @@ def _series(one: Series, across: _Scale, up: _Scale) -> Markup:
         for point, (x, y) in zip(one.points, places, strict=True)
         if one.marked is None or point.x in one.marked
     ]
+    drawn += [_ring(x, y) for point, (x, y) in zip(one.points, places, strict=True) if point.ringed]
     return element("g", *drawn, class_=f"series {one.style.color}", data_model=one.style.index)
 
 
-def _marker_path(shape: int, x: float, y: float) -> str:
-    r = RADIUS
+def _marker_path(shape: int, x: float, y: float, r: float = RADIUS) -> str:
     if shape == 0:
         return f"M{x - r:.4g} {y:.4g}a{r} {r} 0 1 0 {2 * r} 0a{r} {r} 0 1 0 {-2 * r} 0z"
     corners = {

@@ -27,6 +27,17 @@ class Column:
     higher: bool = False
 
 
+POSITION_CHARGED: Final = "Position error, missing charged"
+POSITION_FOUND: Final = "Position error, found objects"
+"""What the two figures of the objects' places are called in every table and chart."""
+
+TRUE_MOTION: Final = Column(
+    figure="mse_true_motion",
+    heading="MSE with the true motion",
+    meaning="Of frames drawn with the latent action of the true next frame: all that is known without actions.",
+)
+"""Shown where no MSE is known."""
+
 _SINGLE: Final = (
     Column(
         figure="mse", heading="MSE", meaning="Mean squared error of pixel values 0-255 over all pixels and channels."
@@ -36,13 +47,13 @@ _SINGLE: Final = (
     Column(figure="ssim", heading="SSIM", meaning="Structural similarity, 1 for identical frames.", higher=True),
     Column(
         figure="position_error_paper",
-        heading="Position error, paper's",
+        heading=POSITION_CHARGED,
         unit="px",
         meaning="Distance of the objects' centres; one missing in the prediction is charged its distance to (-1, -1).",
     ),
     Column(
         figure="position_error",
-        heading="Position error",
+        heading=POSITION_FOUND,
         unit="px",
         meaning="Distance of the objects' centres, over objects found in both frames.",
     ),
@@ -110,8 +121,10 @@ _CONTROL_AFTER: Final = (
         meaning="Share of the tasks that end with a fifth of the distance at the start, or less.",
         higher=True,
     ),
-    Column(figure="control_lost", heading="Objects lost", meaning="Of each task, in the mean; each counts 1."),
+    Column(figure="control_lost", heading="Objects lost", meaning="Objects that fall off the table, per task."),
 )
+HIGHER: Final = [one.heading for one in (*_SINGLE, *_AFTER, *_CONTROL_AFTER) if one.higher]
+"""The headings of figures of which more is better."""
 ROLLOUT_STEPS: Final = (5, 15)
 CONTROL_STEPS: Final = (10, 40, 100)
 
@@ -119,6 +132,7 @@ CONTROL_STEPS: Final = (10, 40, 100)
 def columns_for(figures: Collection[str]) -> list[Column]:
     """The columns of a table of predictions that have at least one of these figures."""
     chosen = [column for column in _SINGLE if column.figure in figures]
+    chosen += [TRUE_MOTION] if TRUE_MOTION.figure in figures and "mse" not in figures else []
     chosen += [column for column in _rollouts(figures) if column.figure in figures]
     return chosen + [column for column in _AFTER if column.figure in figures]
 
@@ -159,7 +173,7 @@ def number(value: float | int | None) -> str:
     if size >= 1e6:
         text = f"{size:.2e}"
     elif size >= 100:
-        text = f"{size:,.0f}".replace(",", "\u202f")
+        text = f"{size:,.0f}"
     elif size >= 10:
         text = f"{size:.1f}"
     elif size >= 1:
@@ -180,7 +194,7 @@ def interval(low: float | None, high: float | None, *, sign: bool = False) -> st
 
 def count(value: float) -> str:
     """A count, or a value on an axis, without superfluous digits."""
-    return f"{value:,.0f}".replace(",", "\u202f") if abs(value) >= 1 and value == int(value) else f"{value:g}"
+    return f"{value:,.0f}" if abs(value) >= 1 and value == int(value) else f"{value:g}"
 
 
 def signed(value: float) -> str:

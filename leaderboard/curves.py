@@ -3,26 +3,51 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board
-from leaderboard.chart import Axis, Guide, Point, Series, Style, key, line_chart
-from leaderboard.columns import UNWANTED, count, number
-from leaderboard.efficiency import WITHIN, LabelsNeeded, common_budgets, lines_of, needed_of_rows
+from leaderboard.board_tables import tuned_words
+from leaderboard.chart import COLORS, MARKERS, Axis, Guide, Point, Series, Style, key, line_chart
+from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, UNWANTED, count, number
+from leaderboard.efficiency import SHOT, WITHIN, common_budgets, learned, lines_of, needed_of_rows, of_budgets
 from leaderboard.markup import Markup, element, joined
 from leaderboard.row import Row
 
 Styles = Mapping[tuple[str, str], Style]
 """By model and variant."""
+OWN: Final = 2
+"""So many of the first models have a colour that no other model has."""
 COPYING: Final = REFERENCE_WORDS["copy_last"]
 _AHEAD: Final = re.compile(r"(\w+)\[(\d+)\]")
 
 
 def assign_styles(boards: Iterable[Board]) -> dict[tuple[str, str], Style]:
-    """The colour and the marker of each model and each variant of it, the same on every board of a page."""
-    return {one: Style(index) for index, one in enumerate(sorted({one for board in boards for one in _drawn(board)}))}
+    """The colour of each model and the marker of each variant of it, the same on every board of a page.
+
+    The models that were measured on most boards come first. As long as there are colours each has its own; the others
+    share those that are not of the first models. On a board no two lines have the same colour and marker, as far as
+    there are markers.
+    """
+    boards = list(boards)
+    drawn = {one for board in boards for one in _drawn(board)}
+    ranked = sorted({model for model, _ in drawn}, key=lambda model: (-_measured_on(model, boards), model))
+    places = dict(zip(ranked, range(len(ranked)), strict=True))
+    hues = {one: at if at < COLORS else OWN + (at - COLORS) % (COLORS - OWN) for one, at in places.items()}
+    styles: dict[tuple[str, str], Style] = {}
+    for index, one in enumerate(sorted(drawn, key=lambda one: (places[one[0]], one[1]))):
+        beside = {other for board in boards if one in (own := _drawn(board)) for other in own}
+        taken = {style.shape for other, style in styles.items() if other in beside and style.hue == hues[one[0]]}
+        free = next((shape for shape in range(MARKERS) if shape not in taken), index)
+        styles[one] = Style(index, hue=hues[one[0]], shape=free)
+    return styles
+
+
+def _measured_on(model: str, boards: Iterable[Board]) -> int:
+    """On how many boards a model was measured."""
+    return sum(any(row.kind == "measured" and row.model == model for row in board.rows) for board in boards)
 
 
 def _drawn(board: Board) -> list[tuple[str, str]]:
@@ -37,6 +62,9 @@ def legend(board: Board, styles: Styles) -> Markup:
         style, name = styles[model, variant], f"{model} ({variant})" if variant else model
         button = element("button", key(style), name, type="button", aria_pressed="false", data_model=style.index)
         items.append(element("li", button))
+    if any(SHOT in row.labels and row.label_count for row in board.rows):
+        ring = element("span", key(Style(-1), ringed=True), "ringed: demonstrations of each action", class_="kind")
+        items.append(element("li", ring))
     kinds = []
     if any(_dash(row) == "dashed" for row in board.rows_beside_curves):
         elsewhere = ", or trained on another data set" if any(row.elsewhere for row in board.rows) else ""
@@ -50,12 +78,12 @@ def legend(board: Board, styles: Styles) -> Markup:
     )
 
 
-def charts(board: Board, styles: Styles) -> Markup:
-    """All charts that the board's figures allow, each with its numbers as a table."""
+def charts(board: Board, styles: Styles) -> Markup | None:
+    """All charts that the board's figures allow, each with its numbers as a table; None where there is none."""
     where = f"{board.title}{f' ({board.dataset})' if board.dataset else ''}"
     drawn = [
         _labels(board, styles, "mse", "MSE", where),
-        _labels(board, styles, "position_error_paper", "position error, paper's [px]", where),
+        _labels(board, styles, "position_error_paper", f"{POSITION_CHARGED.lower()} [px]", where),
         _relative(board, styles, "mse", where),
         _against_copying(board, styles, "mse", where),
         _probes(board, styles, where),
@@ -64,7 +92,7 @@ def charts(board: Board, styles: Styles) -> Markup:
             board,
             styles,
             "rollout_position_error",
-            "position error [px]",
+            f"{POSITION_FOUND.lower()} [px]",
             "steps ahead",
             f"Position error over the rollout: {where}",
             log=True,
@@ -79,7 +107,7 @@ def charts(board: Board, styles: Styles) -> Markup:
             every=10,
         ),
     ]
-    return element("div", *drawn, class_="charts")
+    return element("div", *drawn, class_="charts") if any(drawn) else None
 
 
 def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -> Markup | None:
@@ -91,7 +119,9 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
     series = [
         Series(
             name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(row.figures[figure].mean)}" for row in rows),
-            points=[_point(float(row.label_count or 0), row, figure) for row in rows],
+            points=[
+                replace(_point(float(row.label_count or 0), row, figure), ringed=SHOT in row.labels) for row in rows
+            ],
             style=styles[rows[0].model, rows[0].variant],
             dash="dotted" if rows[0].kind == "published" else "dashed" if rows[0].elsewhere else "solid",
             hollow=rows[0].kind == "published",
@@ -102,10 +132,9 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
     if not series:
         return None
     title = f"Label efficiency, {words.partition(',')[0].partition(' [')[0]}: {where}"
-    counts = sorted({point.x for one in series for point in one.points})
     chart = line_chart(
         title,
-        Axis(label="action labels used", log=True, ticks=counts),
+        _label_axis(series),
         Axis(label=words, log=True),
         series,
         _guides(board, figure),
@@ -123,36 +152,45 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
 
 def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
     """Label curves as multiples of each model's own error with all labels, and the labels that each needs."""
-    curves = board.label_curves
+    curves = _same_trainings(board, figure)
     if not curves:
         return None
+    copied = board.reference("copy_last").get(figure)
     title = f"Worth of labels: {where}"
     series = [_divided(rows, figure, styles[name], rows[-1].figures[figure].mean) for name, rows in curves.items()]
-    budgets = common_budgets(curves.values())
+    budgets = common_budgets(board.label_curves.values())
+    needed = {
+        name: needed_of_rows(rows, figure, budgets)
+        for name, rows in board.label_curves.items()
+        if learned(rows, figure, None if copied is None else copied.mean)
+    }
     guides = [Guide("with all labels", 1.0), Guide(f"{WITHIN:.0%} above", 1 + WITHIN)]
     chart = line_chart(title, _label_axis(series), Axis(label="MSE / own with all labels", log=True), series, guides)
     numbers = _numbers(
-        ("model", f"labels to within {WITHIN:.0%} of its own with all", "95% interval"),
-        [(rows[-1].title, *_needed(needed_of_rows(rows, figure, budgets))) for rows in curves.values()],
+        ("model", f"labels to within {WITHIN:.0%} of its own with all, and the 95% interval where it reaches further"),
+        [
+            (rows[-1].title, "" if name not in needed else found.words if (found := needed[name]) else "not comparable")
+            for name, rows in curves.items()
+        ],
     )
     return _figure(chart, title, numbers)
 
 
 def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
     """Label curves as shares of the error of copying the last frame."""
-    curves = board.label_curves
-    copied = [row.figures[figure].mean for row in board.rows if row.name == COPYING and figure in row.figures]
-    if not curves or not copied:
+    curves = _same_trainings(board, figure)
+    copied = board.reference("copy_last").get(figure)
+    if not curves or copied is None:
         return None
     title = f"Label efficiency against copying: {where}"
-    series = [_divided(rows, figure, styles[name], copied[0]) for name, rows in curves.items()]
+    series = [_divided(rows, figure, styles[name], copied.mean) for name, rows in curves.items()]
     chart = line_chart(
         title, _label_axis(series), Axis(label="MSE / copying's", log=True), series, [Guide(COPYING, 1.0)]
     )
     numbers = _numbers(
         ("model", "labels", "MSE / copying's"),
         [
-            (row.title, f"{row.labels} ({count(row.label_count or 0)})", number(row.figures[figure].mean / copied[0]))
+            (row.title, f"{row.labels} ({count(row.label_count or 0)})", number(row.figures[figure].mean / copied.mean))
             for rows in curves.values()
             for row in rows
         ],
@@ -207,22 +245,27 @@ def _divided(rows: Sequence[Row], figure: str, style: Style, by: float) -> Serie
     values = [row.figures[figure].mean / by for row in rows]
     return Series(
         name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(y)}" for row, y in zip(rows, values, strict=True)),
-        points=[Point(x=float(row.label_count or 0), y=y) for row, y in zip(rows, values, strict=True)],
+        points=[
+            Point(x=float(row.label_count or 0), y=y, ringed=SHOT in row.labels)
+            for row, y in zip(rows, values, strict=True)
+        ],
         style=style,
     )
 
 
 def _label_axis(series: Sequence[Series]) -> Axis:
-    counts = sorted({point.x for one in series for point in one.points})
+    """The axis of the numbers of labels; those that most series have are labelled first."""
+    having = Counter(labels for one in series for labels in {point.x for point in one.points})
+    counts = sorted(having, key=lambda labels: (-having[labels], labels))
     return Axis(label="action labels used", log=True, ticks=counts)
 
 
-def _needed(found: LabelsNeeded | None) -> tuple[str, str]:
-    """The figure and its interval, as they are written."""
-    if found is None:
-        return "not comparable", ""
-    interval = "" if found.low is None or found.high is None else f"{number(found.low)} to {number(found.high)}"
-    return f"{'at most ' if found.at_most else ''}{number(found.labels)}", interval
+def _same_trainings(board: Board, figure: str) -> dict[tuple[str, str], list[Row]]:
+    """The board's label curves, each of the trainings that have all its budgets, as far as there are some."""
+    return {
+        name: of_budgets(rows, figure, [row.label_count or 0 for row in rows])
+        for name, rows in board.label_curves.items()
+    }
 
 
 def _ahead(
@@ -242,7 +285,7 @@ def _ahead(
     marked = frozenset(step for step in lengths if step % every == 0 or step == min(lengths))
     series = [
         Series(
-            name=f"{_title(row, base)}, labels {row.labels}",
+            name=f"{_title(board, row, base)}, labels {row.labels}",
             points=points,
             style=styles[row.model, row.variant],
             dash=_dash(row),
@@ -254,7 +297,7 @@ def _ahead(
     ]
     still = [
         Series(
-            name=_title(row, base),
+            name=row.title,
             points=points,
             style=Style(-1),
             dash="dotted",
@@ -274,7 +317,7 @@ def _ahead(
         [
             (name, labels, *(number(values.get(step)) for step in shown))
             for name, labels, points in (
-                *((_title(row, base), row.labels, points) for row, points in curves.values()),
+                *((_title(board, row, base), row.labels, points) for row, points in curves.values()),
                 *((one.name, "", one.points) for one in still),
             )
             if (values := {point.x: point.y for point in points})
@@ -314,9 +357,13 @@ def _steps(row: Row, base: str) -> list[Point]:
     return start + [_point(float(step), row, name) for step, name in sorted(places)]
 
 
-def _title(row: Row, base: str) -> str:
-    """A row's name; in charts of control with a remark if another version planned it."""
-    return f"{row.title}, {OTHER_PLANNER}" if row.planned_otherwise and base == "control_distance" else row.title
+def _title(board: Board, row: Row, base: str) -> str:
+    """A row's name; in charts of control with a remark if another planner, or one that was tuned here, planned it."""
+    if base != "control_distance":
+        return row.title
+    last = max((name for name in row.figures if name.startswith(base)), key=lambda name: int(name[len(base) + 1 : -1]))
+    other = f", {OTHER_PLANNER}" if row.planned_otherwise else ""
+    return f"{row.title}{other}{tuned_words(board, row, last)}"
 
 
 def _is_covered(row: Row, board: Board) -> bool:

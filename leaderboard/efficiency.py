@@ -4,7 +4,12 @@ A label curve is a model's error under each of its label budgets, on the same fr
 the fewest labels from which on the error stays within 10% of the model's own error with all labels. Between two
 measured budgets the curve is a straight line over the logarithm of the number of labels, so the figure depends on which
 budgets were measured: of a board it counts those that most of its models have. Where even the smallest of them is close
-enough, the figure is that budget, and says *at most*.
+enough, the figure is that budget, and says *at most*. What is shown are the two measured budgets between which the
+figure lies: nothing was measured between them.
+
+A model whose error with all labels is not below that of copying the last frame has no such figure: it comes close to
+its own best at once, because it learned nothing. Its budgets are compared by the same trainings, as far as there are
+some that have all of them.
 
 The interval is from a bootstrap: in each draw episodes are drawn anew, the same ones for all budgets, and so are
 trainings where there are several; the figure is found anew on each drawn curve. What drawn trainings differ from the
@@ -13,10 +18,11 @@ mean of all, as a factor, is widened for their small number (``statistics.wideni
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -24,6 +30,7 @@ from jaxtyping import Float
 
 from dmotion_bench.scoring.statistics import expanded_tail, widening
 from leaderboard.row import Row
+from leaderboard.value import values_of
 
 WITHIN: Final = 0.1
 ALL: Final = "100%"
@@ -31,6 +38,8 @@ FEWEST_BUDGETS: Final = 3
 SHOT: Final = "-shot"
 """In the name of a budget that counts demonstrations of each action."""
 RESAMPLES: Final = 2000
+ROUNDING: Final = 1e-9
+"""Share of a number of labels by which its logarithm and back may raise it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,13 +66,39 @@ class LabelsNeeded:
     Attributes:
         labels: So many.
         low, high: The 95% interval over episodes and trainings; None where fewer than two episodes were scored.
-        at_most: Whether the smallest budget that was measured is close enough, so that it may be fewer.
+        budgets: The numbers of labels that were measured, rising; the last is all.
     """
 
     labels: float
     low: float | None
     high: float | None
-    at_most: bool
+    budgets: tuple[int, ...]
+
+    @property
+    def at_most(self) -> bool:
+        """Whether the smallest budget that was measured is close enough, so that it may be fewer."""
+        return self.labels <= self.budgets[0]
+
+    @property
+    def words(self) -> str:
+        """Between which measured budgets the figure lies, and its interval where that reaches beyond them."""
+        below, above = self._beside(self.labels)
+        text = f"at most {below:,}" if self.at_most else f"between {below:,} and {self._named(above)}"
+        if self.low is None or self.high is None:
+            return text
+        lowest, highest = self._beside(self.low)[0], self._beside(self.high)[1]
+        fewer = self.low <= self.budgets[0]
+        if (lowest, highest, fewer) == (below, above, self.at_most):
+            return text
+        return f"{text} ({'at most ' if fewer else ''}{lowest:,} to {self._named(highest)})"
+
+    def _beside(self, labels: float) -> tuple[int, int]:
+        """The measured budgets below and above a number of labels; the smallest twice where that is enough."""
+        place = min(bisect.bisect_left(self.budgets, labels * (1 - ROUNDING)), len(self.budgets) - 1)
+        return self.budgets[max(place - 1, 0)], self.budgets[place]
+
+    def _named(self, budget: int) -> str:
+        return "all" if budget == self.budgets[-1] else f"{budget:,}"
 
 
 def crossing(labels: Sequence[float], errors: Sequence[float], bound: float) -> float:
@@ -116,7 +151,7 @@ def labels_needed(points: Sequence[CurvePoint], within: float = WITHIN, seed: in
         tail = expanded_tail(len(counts))
         low, high = (float(one) for one in np.quantile(drawn, [tail, 1 - tail]))
     needed = found(errors)
-    return LabelsNeeded(labels=needed, low=low, high=high, at_most=needed == labels[0])
+    return LabelsNeeded(labels=needed, low=low, high=high, budgets=tuple(labels))
 
 
 def _drawn(
@@ -177,6 +212,36 @@ def common_budgets(curves: Collection[Sequence[Row]]) -> list[int]:
     return sorted(count for count, models in having.items() if 2 * models > len(curves))
 
 
+def of_budgets(rows: Sequence[Row], figure: str, budgets: Collection[int]) -> list[Row]:
+    """The rows of a label curve that have some numbers of labels, and that of all labels, of the same trainings.
+
+    Trainings are known by their seeds. Where none has all these budgets, each row keeps those that it has.
+
+    Args:
+        rows: One for each budget of a model, the last of them all labels.
+        figure: Which its rows are compared by; the others stay those of all trainings.
+        budgets: Numbers of labels that count, besides all.
+    """
+    rows = [row for row in rows[:-1] if row.label_count in budgets] + [*rows[-1:]]
+    seeds = [{entry.content["seed"] for entry in row.entries if figure in entry.figures} for row in rows]
+    common = set[int]().union(*seeds[:1]).intersection(*seeds)
+    return [_of_seeds(row, figure, common) for row in rows] if common else rows
+
+
+def _of_seeds(row: Row, figure: str, seeds: Collection[int]) -> Row:
+    entries = tuple(entry for entry in row.entries if entry.content["seed"] in seeds and figure in entry.figures)
+    own = values_of(
+        [{figure: entry.figures[figure]} for entry in entries],
+        [{figure: entry.by_episode[figure]} for entry in entries if figure in entry.by_episode],
+    )
+    return replace(row, entries=entries, figures={**row.figures, **own})
+
+
+def learned(rows: Sequence[Row], figure: str, copying: float | None) -> bool:
+    """Whether a model's error with all labels, the last row, is below that of copying, where that is known."""
+    return copying is None or rows[-1].figures[figure].mean < copying
+
+
 def needed_of_rows(rows: Sequence[Row], figure: str, budgets: Collection[int]) -> LabelsNeeded | None:
     """The labels needed by the model of some rows; None where too few of the budgets were measured.
 
@@ -185,7 +250,7 @@ def needed_of_rows(rows: Sequence[Row], figure: str, budgets: Collection[int]) -
         figure: By which it is judged.
         budgets: Numbers of labels that count, besides all.
     """
-    rows = [row for row in rows[:-1] if row.label_count in budgets] + [*rows[-1:]]
+    rows = of_budgets(rows, figure, budgets)
     if len(rows) < FEWEST_BUDGETS:
         return None
     points = [

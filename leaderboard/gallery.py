@@ -12,30 +12,49 @@ from leaderboard.pictures import identity, shown
 from leaderboard.row import Row
 
 BUDGET: Final = 1_800_000
-"""Characters of pictures on a page; steps that do not fit are left out on every board alike."""
+"""Characters of pictures on a page."""
+LEFT_OUT: Final = "left out, for the size of the page"
 
 
-def fitting_steps(boards: Sequence[Board]) -> int:
-    """How many steps of each board the page has room for."""
-    most = max((len(_steps(board)) for board in boards), default=0)
-    for count in range(most, 0, -1):
-        total = 0
-        for board in boards:
-            chosen = _steps(board)[:count]
-            total += sum(len(picture["current"]) + len(picture["truth"]) for picture in chosen)
-            for row in _pictured(board):
-                total += sum(len(picture["predicted"]) for picture in _of(row.entries[0], chosen) if picture)
-        if total <= BUDGET:
-            return count
-    return 0
+def fitting_steps(boards: Sequence[Board], budget: int) -> tuple[list[int], int]:
+    """How many steps of each board fit, and the characters that they take.
+
+    Every board gets its first step before one gets its second. Where not all fit, those that take least go first.
+
+    Args:
+        boards: Of the page.
+        budget: Characters for all pictures.
+    """
+    sizes = [_sizes(board) for board in boards]
+    counts, taken = [0] * len(boards), 0
+    for step in range(max(map(len, sizes), default=0)):
+        waiting = [place for place, own in enumerate(sizes) if counts[place] == step < len(own)]
+        for place in sorted(waiting, key=lambda place: sizes[place][step]):
+            if taken + sizes[place][step] <= budget:
+                counts[place] += 1
+                taken += sizes[place][step]
+    return counts, taken
+
+
+def _sizes(board: Board) -> list[int]:
+    """The characters of the pictures of each step."""
+    rows = _pictured(board)
+    return [
+        len(step["current"])
+        + len(step["truth"])
+        + sum(len(own["predicted"]) for row in rows for own in _of(row.entries[0], [step]) if own)
+        for step in _steps(board)
+    ]
 
 
 def gallery(board: Board, steps: int) -> Markup | None:
-    """The pictures of a board; None where no entry has any."""
-    chosen = _steps(board)[:steps]
-    rows = _pictured(board)
-    if not chosen or not rows:
+    """The first steps of the pictures of a board, and how many are left out; None where no entry has any."""
+    every, rows = _steps(board), _pictured(board)
+    chosen = every[:steps]
+    if not every:
         return None
+    missing = "The pictures are" if not chosen else f"{len(every) - steps} of {len(every)} steps are"
+    left_out = f"{missing} {LEFT_OUT}; the entries hold them." if len(chosen) < len(every) else ""
     steps_shown = [_step(picture, rows) for picture in chosen]
     return element(
         "section",
@@ -43,7 +62,10 @@ def gallery(board: Board, steps: int) -> Markup | None:
         element(
             "p",
             "The same held-out steps for every model, chosen by the data set alone. "
-            "Of several seeds the first is shown.",
+            "Of several seeds the first is shown. "
+            if chosen
+            else None,
+            left_out,
             class_="note",
         ),
         joined(steps_shown),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 from leaderboard.board import RANKED_BY, Board
-from leaderboard.efficiency import WITHIN, LabelsNeeded, common_budgets, needed_of_rows
+from leaderboard.efficiency import WITHIN, common_budgets, learned, needed_of_rows, of_budgets
 from leaderboard.markdown import WIDTH, plain, table
-from leaderboard.markdown_numbers import between, mean, written
+from leaderboard.markdown_numbers import mean
 from leaderboard.row import Row
 
 MOST_BUDGETS: Final = 8
@@ -18,8 +18,12 @@ MOST_BUDGETS: Final = 8
 
 SAID: Final = (
     f"Labels needed: the fewest from which on the MSE stays within {WITHIN:.0%} of the model's own with all labels, "
-    "judged by the budgets of this table (not comparable with fewer than three of them), with the 95% interval over "
-    "episodes and, where a budget has several, trainings. Then the MSE by the number of labels."
+    "judged by the budgets of this table (not comparable with fewer than three of them), as the two measured budgets "
+    "between which that is; in brackets the 95% interval over episodes and, where a budget has several, trainings, "
+    "where that reaches beyond the two. It is blank where the MSE with all labels is not below that of copying the "
+    "last frame. Then the MSE by the number of labels, each of them the actions of so many transitions as they come. A "
+    "row is of the same trainings under every budget; where none has all of them, a cell of fewer trainings says of "
+    "how many it is."
 )
 
 
@@ -33,28 +37,30 @@ def label_lines(board: Board) -> list[str]:
         return []
     budgets = common_budgets(curves.values())
     shown = budgets[:: -math.ceil(len(budgets) / MOST_BUDGETS)][::-1] if budgets else []
-    by_count = [{row.label_count or 0: row for row in rows[:-1]} for rows in curves.values()]
+    copied = board.reference("copy_last").get(RANKED_BY)
+    same = [of_budgets(rows, RANKED_BY, budgets) for rows in curves.values()]
     head = ["Model", "Labels needed", "Trainings", *(f"{count:,}" for count in shown), "all"]
     lines = [
         [
             plain(rows[-1].title),
-            _needed(needed_of_rows(rows, RANKED_BY, budgets)),
-            _trainings(rows),
-            *(mean(points[count].figures[RANKED_BY]) if count in points else "" for count in shown),
-            mean(rows[-1].figures[RANKED_BY]),
+            _needed(rows, budgets) if learned(rows, RANKED_BY, None if copied is None else copied.mean) else "",
+            str(most := max(row.figures[RANKED_BY].seeds for row in rows)),
+            *(_error(next((row for row in rows[:-1] if row.label_count == count), None), most) for count in shown),
+            _error(rows[-1], most),
         ]
-        for rows, points in zip(curves.values(), by_count, strict=True)
+        for rows in same
     ]
     return [*textwrap.wrap(SAID, WIDTH), "", *table(head, lines)]
 
 
-def _needed(found: LabelsNeeded | None) -> str:
-    if found is None:
-        return "not comparable"
-    text = f"{'at most ' if found.at_most else ''}{written(found.labels)}"
-    return text if found.low is None or found.high is None else f"{text} ({between(found.low, found.high)})"
+def _needed(rows: Sequence[Row], budgets: Collection[int]) -> str:
+    found = needed_of_rows(rows, RANKED_BY, budgets)
+    return "not comparable" if found is None else found.words
 
 
-def _trainings(rows: Sequence[Row]) -> str:
-    counts = sorted({row.figures[RANKED_BY].seeds for row in rows})
-    return str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+def _error(row: Row | None, most: int) -> str:
+    """A row's error, and of how many trainings it is where others of its model have more."""
+    if row is None:
+        return ""
+    value = row.figures[RANKED_BY]
+    return mean(value) if value.seeds == most else f"{mean(value)} ({value.seeds} of {most})"

@@ -33,5 +33,5 @@ def between(low: float | None, high: float | None) -> str:
 
 
 def written(value: float | None) -> str:
-    """A number of a few digits, with commas and an ordinary minus sign."""
-    return number(value).replace("\u202f", ",").replace("\u2212", "-")
+    """A number of a few digits, with an ordinary minus sign."""
+    return number(value).replace("\u2212", "-")

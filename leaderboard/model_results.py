@@ -7,18 +7,23 @@ the light ones of ``page.css``, on paper.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from importlib import resources
-from typing import Final
+from typing import Final, TypeVar
 
+from dmotion_bench.planning.columns import COLUMNS
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
-from leaderboard.board_tables import labels, trainings
+from leaderboard.board_tables import budget, budget_words, each_trainings, left, solved, trainings, tuned, tuned_words
 from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
+from leaderboard.column_table import ColumnRow, Outcome
+from leaderboard.columns import POSITION_CHARGED
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import figure, mean
 from leaderboard.markup import Markup, element, joined
-from leaderboard.row import Row
+from leaderboard.row import EACH_MEANING, Row, each
 from leaderboard.value import Value
 
 CURVES: Final = "curves"
@@ -29,25 +34,36 @@ SHOWN: Final = (
     "The charts show every step ahead and every control step. Of each data set they have the variant with the least "
     "error, with the usual label budget and, dashed, with others."
 )
+FROZEN: Final = (
+    "Control by [frozen planners](../protocol.md#control-by-frozen-planners), on test tasks that nothing was tuned on: "
+    "the objects' distance to their goals after the last step over that before, with its 95% interval over tasks and "
+    "trainings; doing nothing is 1. Solved: the share of tasks that end with a fifth of the distance or less."
+)
 CURVE: Final = "Its error by the number of labels is in the boards' tables of labels needed."
 MORE_SHOTS: Final = re.compile(r"\d+-shot")
 _STEP: Final = re.compile(r"(\w+)\[(\d+)\]")
 _LINE_HEIGHT: Final = 18
+_LEGEND_LEFT, _LETTER = 52, 7
+"""Pixels: where a legend's words begin, and the most that a letter of them takes on average."""
 _STYLED: Final = re.compile(r"^\.(?:chart|axis|grid|line|dashed|dotted|marker|guide|c-?\d)\b.*$", re.MULTILINE)
 Place = tuple[Board, Row]
+_R = TypeVar("_R")
 
 
 def model_lines(model: str, boards: Sequence[Board]) -> list[str]:
     """The lines of a model's results in a Markdown page; a sentence where there are none."""
     predicted = [place for place in _places(model, boards) if RANKED_BY in place[1].figures]
+    frozen = _frozen(model, boards)
     if not predicted:
-        return ["", NOTHING, ""]
+        return ["", *(frozen or [NOTHING]), ""]
     lines = ["", *_predictions(predicted, boards)]
     if any(model == name for board in boards for name, _ in board.label_curves):
         lines += ["", CURVE]
+    if frozen:
+        lines += ["", *frozen]
     controlled = [place for place in predicted if _last(place[1]) is not None]
     if controlled:
-        lines += ["", *_control(controlled, boards)]
+        lines += ["", *_control(controlled, boards, "Control by other planners" if frozen else "Control")]
     if pictures := _pictures(model, boards):
         lines += ["", *_wrapped(SHOWN)]
     for kind, words in pictures.items():
@@ -83,38 +99,67 @@ def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
     columns: dict[str, Callable[[Board, Row], str]] = {
         "Data set": lambda board, row: plain(_dataset(board, boards)),
         "Variant": lambda board, row: plain(row.variant),
-        "Labels": lambda board, row: labels(row),
+        "Labels": lambda board, row: budget(row),
         "Trainings": lambda board, row: trainings(row, RANKED_BY).partition(":")[0],
         "MSE": lambda board, row: figure(row.figures[RANKED_BY], strong=row.ties),
-        "copying": lambda board, row: mean(_reference(board, "copy_last").get(RANKED_BY)),
+        "copying": lambda board, row: mean(board.reference("copy_last").get(RANKED_BY)),
         "paper": lambda board, row: mean(_published(board, row).get(RANKED_BY)),
         "15 ahead": lambda board, row: mean(row.figures.get("rollout_mse[15]")),
-        "Position error [px]": lambda board, row: figure(row.figures.get("position_error_paper")),
+        f"{POSITION_CHARGED} [px]": lambda board, row: figure(row.figures.get("position_error_paper")),
     }
     note = (
         "Error of the predicted next frame on the test episodes, with its 95% interval over them; of several trainings "
         "the mean. Bold: the best on its data set, or tied with the best, as trained here."
     )
+    if any(each(row.labels) for _, row in places):
+        note = f"{note} {EACH_MEANING}"
     return _table(columns, places, note)
 
 
-def _control(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
+def _control(places: Sequence[Place], boards: Sequence[Board], what: str) -> list[str]:
     columns: dict[str, Callable[[Board, Row], str]] = {
         "Data set": lambda board, row: plain(_dataset(board, boards)),
         "Variant": lambda board, row: plain(row.variant),
-        "Labels": lambda board, row: labels(row),
+        "Labels": lambda board, row: budget(row),
         "Tasks": lambda board, row: f"{row.figures[_last(row) or ''].samples or ''}",
         "Distance left": lambda board, row: figure(row.figures[_last(row) or ""], strong=_last(row) in row.leads),
-        "idle": lambda board, row: mean(_reference(board, "idle").get(_last(row) or "")),
-        "true simulator": lambda board, row: mean(_reference(board, "oracle").get(_last(row) or "")),
+        "idle": lambda board, row: mean(board.reference("idle").get(_last(row) or "")),
+        "true simulator": lambda board, row: mean(board.reference("oracle").get(_last(row) or "")),
         "paper": lambda board, row: mean(_published(board, row).get(_last(row) or "")),
+        "Tuned here": lambda board, row: tuned(board, row, _last(row) or ""),
     }
-    return _table(
-        columns, places, "Control: the objects' distance to their goals after the last step, over that before."
+    note = (
+        f"{what}: the objects' distance to their goals after the last step, over that before. "
+        "*Tuned here*: whether the planner was tuned on the very tasks of the row; its figure is then too good."
     )
+    return _table(columns, places, note)
 
 
-def _table(columns: dict[str, Callable[[Board, Row], str]], places: Sequence[Place], note: str) -> list[str]:
+def _frozen(model: str, boards: Sequence[Board]) -> list[str]:
+    """The table of a model's control by frozen planners; nothing where there is none."""
+    tables = [(board, board.control) for board in boards if board.control is not None]
+    places = [(board, row) for board, table in tables for row in table.rows if row.entries and row.name == model]
+    names = [name for name in COLUMNS if any(name in row.cells for _, row in places)]
+    if not places:
+        return []
+    columns: dict[str, Callable[[Board, ColumnRow], str]] = {
+        "Data set": lambda board, row: plain(_dataset(board, boards)),
+        "Variant": lambda board, row: plain(row.variant),
+        "Labels": lambda board, row: budget_words(row.label_count, row.labels),
+        "Trainings": lambda board, row: each_trainings(row, names),
+        "Tasks": lambda board, row: " / ".join(sorted({str(cell.tasks) for cell in row.cells.values()}, key=int)),
+    }
+    for name in names:
+        columns[f"{COLUMNS[name].title}: left"] = partial(_of_column, name, left)
+        columns[f"{COLUMNS[name].title}: solved"] = partial(_of_column, name, solved)
+    return _table(columns, places, FROZEN)
+
+
+def _of_column(name: str, words: Callable[[Outcome | None], str], board: Board, row: ColumnRow) -> str:
+    return words(row.cells.get(name))
+
+
+def _table(columns: dict[str, Callable[[Board, _R], str]], places: Sequence[tuple[Board, _R]], note: str) -> list[str]:
     """A note and a table without the columns that say nothing."""
     cells = {head: [cell(board, row) for board, row in places] for head, cell in columns.items()}
     heads = [head for head, column in cells.items() if any(column)]
@@ -137,11 +182,6 @@ def _dataset(board: Board, boards: Sequence[Board]) -> str:
     """The name of a board's data set; the beginning of its hash where another board has the same name."""
     alike = {one.fingerprint for one in boards if one.dataset == board.dataset}
     return f"{board.dataset} ({board.fingerprint[:8]})" if len(alike) > 1 else board.dataset
-
-
-def _reference(board: Board, name: str) -> dict[str, Value]:
-    words = REFERENCE_WORDS[name]
-    return next((dict(row.figures) for row in board.rows if row.kind == "reference" and row.name == words), {})
 
 
 def _published(board: Board, row: Row) -> dict[str, Value]:
@@ -182,7 +222,7 @@ def _drawn(model: str, boards: Sequence[Board], base: str) -> list[Place]:
 def _rollout(model: str, boards: Sequence[Board], words: str) -> str:
     series = []
     for place in (places := _drawn(model, boards, "rollout_mse")):
-        copied = _reference(place[0], "copy_last")
+        copied = place[0].reference("copy_last")
         own = _steps(place[1], "rollout_mse")
         known = {step: copied[f"rollout_mse[{step}]"].mean for step in own if f"rollout_mse[{step}]" in copied}
         points = [Point(x=float(step), y=own[step] / known[step]) for step in own if known.get(step)]
@@ -197,9 +237,10 @@ def _controlled(model: str, boards: Sequence[Board], words: str) -> str:
     for place in (places := _drawn(model, boards, "control_distance")):
         points = [Point(x=float(step), y=value) for step, value in _steps(place[1], "control_distance").items()]
         start = [] if points[0].x == 0 else [Point(x=0.0, y=1.0)]
-        series.append(_series(place, places, boards, start + points))
+        line = _series(place, places, boards, start + points)
+        series.append(replace(line, name=line.name + tuned_words(*place, _last(place[1]) or "")))
     for name in ("idle", "oracle"):
-        found = [one for one in (_reference(board, name) for board, _ in places) if one]
+        found = [one for one in (board.reference(name) for board, _ in places) if one]
         known = sorted((int(match[2]), value.mean) for one in found[:1] for match, value in _distances(one))
         points = [Point(x=0.0, y=1.0), *(Point(x=float(step), y=value) for step, value in known)]
         if known:
@@ -210,7 +251,7 @@ def _controlled(model: str, boards: Sequence[Board], words: str) -> str:
     return _file(line_chart(words, *axes, series, sized=True), series)
 
 
-def _distances(figures: dict[str, Value]) -> list[tuple[re.Match[str], Value]]:
+def _distances(figures: Mapping[str, Value]) -> list[tuple[re.Match[str], Value]]:
     found = ((_STEP.fullmatch(name), value) for name, value in figures.items())
     return [(match, value) for match, value in found if match and match[1] == "control_distance"]
 
@@ -243,6 +284,7 @@ def _file(chart: Markup, series: Sequence[Series]) -> str:
     colors = css.partition("{")[2].partition("}")[0]
     style = f":root {{{colors}}}\n" + "\n".join(_STYLED.findall(css))
     height = HEIGHT + 8 + _LINE_HEIGHT * len(series)
+    width = max(WIDTH, _LEGEND_LEFT + _LETTER * max((len(one.name) for one in series), default=0))
     legend = [_legend(one, HEIGHT + 14 + _LINE_HEIGHT * place) for place, one in enumerate(series)]
     picture = element(
         "svg",
@@ -251,8 +293,8 @@ def _file(chart: Markup, series: Sequence[Series]) -> str:
         chart,
         element("g", joined(legend), class_="chart"),
         xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"0 0 {WIDTH} {height}",
-        width=WIDTH,
+        viewBox=f"0 0 {width} {height}",
+        width=width,
         height=height,
     )
     return f"{picture}\n"
@@ -260,5 +302,5 @@ def _file(chart: Markup, series: Sequence[Series]) -> str:
 
 def _legend(one: Series, y: float) -> Markup:
     line = element("path", d=f"M12 {y:g}H44", class_=f"line {one.dash}")
-    text = element("text", one.name, x=52, y=f"{y + 4:g}")
+    text = element("text", one.name, x=_LEGEND_LEFT, y=f"{y + 4:g}")
     return element("g", line, marker(one.style, 28, y), text, class_=one.style.color)

@@ -8,40 +8,58 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import inspect
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib import resources
 from typing import Final
 
-from dmotion_bench.registry import environment_versions
+from dmotion_bench.registry import environment_versions, model_class, model_names
 from leaderboard.board import Board, make_boards
-from leaderboard.columns import count
+from leaderboard.columns import HIGHER, count
 from leaderboard.curves import Styles, assign_styles, charts, legend
 from leaderboard.entry import Entry
-from leaderboard.gallery import fitting_steps, gallery
+from leaderboard.gallery import BUDGET, fitting_steps, gallery
 from leaderboard.markup import Markup, element, escaped, joined
+from leaderboard.paper import ADDRESS as PAPER
+from leaderboard.paper import address
 from leaderboard.provenance import count_figures, provenance
-from leaderboard.standings import agreement_note, column_standings, control_standings, standings
+from leaderboard.row import EACH_MEANING
+from leaderboard.standings import PUBLISHED, agreement_note, column_standings, control_standings, standings
 from leaderboard.summary import Summary, summarise
 from leaderboard.summary_section import TITLE, shows, summary_section
 
 LARGEST: Final = 5_000_000
 """Bytes of the page."""
 
+WORDS: Final = {
+    "label": "an action that a model is told; without labels it sees video alone",
+    "one-shot": "one demonstration of each action",
+    "latent action": "the numbers by which a model of video describes what was done between two frames",
+    "rollout": "several predictions in a row, each fed with the ones before",
+    "gain captured": "of what the best of many action sequences brings, the share that the model's favourite brings",
+    "control": "a planner chooses actions by a model's predictions, to bring objects to where a picture has them",
+    "frozen planner": "one whose settings were chosen on other tasks than those of the table",
+    "copying": "predicting that nothing changes; a model above its error is of no use",
+}
+"""What the page says of its own words, as it may stand alone."""
+
 
 def make_page(entries: Sequence[Entry]) -> str:
     """The page of some entries; the same entries make the same bytes."""
     boards = make_boards(entries)
     summary = summarise(boards)
-    for steps in range(fitting_steps(boards), -1, -1):
-        page = _page(entries, boards, summary, steps)
-        if len(page.encode()) <= LARGEST or not steps:
-            break
-    return page
+    counts, taken = fitting_steps(boards, BUDGET)
+    while True:
+        page = _page(entries, boards, summary, counts)
+        beyond = len(page.encode()) - LARGEST
+        if beyond <= 0 or not any(counts):
+            return page
+        counts, taken = fitting_steps(boards, taken - beyond)
 
 
-def _page(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary | None, steps: int) -> str:
+def _page(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary | None, steps: Sequence[int]) -> str:
     style, script = _asset("page.css"), _asset("page.js")
     policy = f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'"
     head = element(
@@ -54,7 +72,7 @@ def _page(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary | 
         element("style", Markup(style)),
     )
     styles = assign_styles(boards)
-    sections = [_section(board, place, styles, steps) for place, board in enumerate(boards)]
+    sections = [_section(board, place, styles, steps[place]) for place, board in enumerate(boards)]
     body = element(
         "body",
         _header(entries, boards, summary),
@@ -99,7 +117,9 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary 
         element(
             "p",
             "Forward models of robot video, learned with few action labels or none, and scored on episodes that they "
-            "have not seen. ",
+            "have not seen. The benchmark follows ",
+            element("a", "the DMotion paper", href=PAPER),
+            ". ",
             f"{_counted(len(measured), 'result', 'results')} measured here, ",
             f"{_counted(len(entries) - len(measured), 'row', 'rows')} of published tables beside them.",
             class_="lead",
@@ -110,11 +130,12 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary 
             element("summary", "How to read this"),
             element(
                 "ul",
-                element("li", "Lower is better, except for PSNR, SSIM, agent IoU and tasks solved."),
+                element("li", f"Lower is better, except for {', '.join(HIGHER)}."),
                 element(
                     "li",
-                    "Small print under a number: of one run, the 95% interval over test episodes (a bootstrap); of "
-                    "several seeds, their range; of a published row, what its table printed after \u00b1.",
+                    "Small print under a number: \u201c95%\u201d is the interval of the mean over test episodes (a "
+                    "bootstrap), for the models as they were trained; \u201cseeds\u201d are the lowest and the highest "
+                    "of several trainings; of a published row, what its table printed after \u00b1.",
                 ),
                 element(
                     "li",
@@ -125,13 +146,25 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary 
                 element(
                     "li",
                     "\u201cLabels\u201d counts every action label that a model was handed, for training, validation "
-                    "and alignment.",
+                    f"and alignment. {EACH_MEANING}",
                 ),
-                element("li", "Errors over a rollout feed on the model's own predictions."),
                 element("li", "A model's name leads to where its numbers come from."),
             ),
+            element("dl", joined(joined([element("dt", word), element("dd", said)]) for word, said in WORDS.items())),
         ),
+        _models({row.model for board in boards for row in board.rows if row.kind == "measured"}),
     )
+
+
+def _models(names: Collection[str]) -> Markup | None:
+    """What each model is, as its module and its class begin to say of themselves; of those that are installed."""
+    told = []
+    for name in (name for name in model_names() if name in names):
+        kind = model_class(name)
+        said = (inspect.getdoc(one) for one in (inspect.getmodule(kind), kind) if one is not None)
+        begun = [" ".join(text.partition("\n\n")[0].split()) for text in said if text]
+        told.append(joined([element("dt", name), element("dd", " ".join(begun))]))
+    return element("details", element("summary", "The models"), element("dl", joined(told))) if told else None
 
 
 def _counted(count: int, one: str, many: str) -> str:
@@ -151,10 +184,11 @@ def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
         element("p", *_described(board), class_="note"),
         standings(board, _anchor(place)) if board.rows else None,
         agreement_note(board),
-        joined(element("p", note, class_="note") for note in _notes(board)),
+        joined(element("p", note, class_="note") for note in _on_version(board)),
+        _published(board, _anchor(place)),
         column_standings(board.control, _anchor(place)) if board.control is not None else None,
         control_standings(board, _anchor(place)),
-        joined([element("h3", "Curves"), legend(board, styles), drawn]) if board.rows else None,
+        joined([element("h3", "Curves"), legend(board, styles), drawn]) if drawn is not None else None,
         gallery(board, steps),
         provenance(board),
         id=_anchor(place),
@@ -176,10 +210,23 @@ def _described(board: Board) -> list[Markup]:
     return told
 
 
-def _notes(board: Board) -> list[str]:
+def _published(board: Board, anchor: str) -> Markup | None:
+    """Where the published rows of a board were printed; their names lead here."""
     published = [row.entries[0].content for row in board.rows if row.kind == "published"]
-    notes = list(dict.fromkeys(f"As published: {one['source']}. {one['note']}" for one in published))
-    return [*_on_version(board), *notes]
+    sources = dict.fromkeys((str(one["source"]), str(one["note"])) for one in published)
+    if not sources:
+        return None
+    told = [
+        joined(
+            [
+                "As published: ",
+                element("a", source, href=where) if (where := address(source)) else source,
+                f". {note} ",
+            ]
+        )
+        for source, note in sources
+    ]
+    return element("p", *told, "Copied by hand; not scored again here.", class_="note", id=f"{anchor}-{PUBLISHED}")
 
 
 def _on_version(board: Board) -> list[str]:

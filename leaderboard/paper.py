@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 from importlib import resources
-from typing import Any
+from typing import Any, Final
 
 from dmotion_bench.scoring.references import PublishedFigure, PublishedResult
 
@@ -24,10 +24,19 @@ def _stored() -> dict[str, Any]:
     return content
 
 
+ADDRESS: Final = str(_stored()["address"])
+"""Where the paper can be read."""
+
+
 def label_count(environment: str, labels: str) -> int | None:
     """How many labels the paper's models were given; None for what the paper does not have."""
     count: int | None = _stored()["label_counts"].get(environment, {}).get(labels)
     return count
+
+
+def address(source: str) -> str | None:
+    """Where a published source can be read; None of what is not the paper."""
+    return ADDRESS if source == _stored()["source"] else None
 
 
 def read_results() -> tuple[PublishedResult, ...]:

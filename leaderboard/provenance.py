@@ -1,56 +1,105 @@
-"""The provenance of a row: how each of its entries was made, and every figure of the entry."""
+"""The provenance of a board's results: how each entry was made, and the command that checks it.
+
+The JSON file of an entry has everything. So the page says once what most entries of a board have in common, and of
+each entry what differs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
 
 from dmotion_bench.scoring.earlier_planning import present_planning
 from leaderboard.board import Board
-from leaderboard.columns import control_columns, count, interval, number
+from leaderboard.columns import count
 from leaderboard.entry import Entry
 from leaderboard.markup import Markup, element, joined
 
+Facts = Mapping[str, Mapping[str, str]]
+"""By what they are about, by their names; a fact without a name stands alone."""
+WITHOUT: Final = "without"
+_SHARED: Final = ("settings", "solver", "objective", "training", "versions")
+"""What an entry may lack that most have."""
 
-def provenance(board: Board) -> Markup:
-    """One folded section an entry of the board."""
-    entries = board.entries
+
+def provenance(board: Board) -> Markup | None:
+    """What the measured entries of a board have in common, and a folded section for each; None where there are none."""
+    entries = [entry for entry in board.entries if entry.is_measured]
+    if not entries:
+        return None
+    known = [facts_of(entry) for entry in entries]
+    usual = usual_facts(known)
+    sections = [_folded(entry, different(facts, usual)) for entry, facts in zip(entries, known, strict=True)]
     return element(
         "section",
         element("h3", "Where the numbers come from"),
         element(
             "p",
-            "Each entry is a JSON file beside this page. With its run and its data set at hand, ",
-            element("code", "dmbench leaderboard check"),
-            " scores it again and says whether its figures hold.",
+            "Each entry is a JSON file beside this page, with every figure and how it was made. Its command scores it "
+            "again, where its run and its data set are in the workspace or are fetched with ",
+            element("code", "--from PLACE"),
+            ", and says whether its figures hold.",
             class_="note",
         ),
-        joined(_measured(entry) if entry.is_measured else _published(entry) for entry in entries),
+        _list(usual, element("summary", "What holds of each of them unless it says otherwise")) if usual else None,
+        joined(sections),
     )
 
 
-def _measured(entry: Entry) -> Markup:
+def facts_of(entry: Entry) -> Facts:
+    """How a measured entry was made, in words; what was not set is left away."""
     content = entry.content
-    labels, dataset, samples = content["labels"], content["dataset"], content["samples"]
+    labels, dataset = content["labels"], content["dataset"]
     own, planning = dataset.get("trained_on"), present_planning(content.get("planning", {}))
     given = ", ".join(f"{purpose} {count}" for purpose, count in labels["given"].items())
-    facts: dict[str, Any] = {
-        "model": f"{entry.model}, {content['arch']} architecture, preset {content['preset']}, seed {content['seed']}",
-        "labels": f"{labels['asked']}: {count(labels['total'])} handed out{f' ({given})' if given else ''}"
-        + (f"; {entry.label_use}" if entry.label_use else ""),
-        "data set": f"{dataset['name']} ({dataset['environment']})",
-        "data set's SHA-256": dataset["fingerprint"],
-        "trained on": _training(own) if own else "",
-        "weights' SHA-256": content["weights"],
-        "samples": f"{count(samples['rows'])} rows",
-        "samples' SHA-256": samples["sha256"],
-        "protocol": f"{content['protocol']}, scored by {content.get('code') or f'version {entry.scored_by}'}",
-        "settings": _listed(content["settings"]),
-        **{name: _listed(planning[name]) for name in ("solver", "objective") if name in planning},
-        "training": _listed(content["training"]),
-        "versions": _listed(content["versions"]),
+    facts: dict[str, Mapping[str, Any]] = {
+        "model": {"": f"{entry.model}, {content['arch']} architecture, preset {content['preset']}"},
+        "seed": {"": content["seed"]},
+        "labels": {
+            "": f"{labels['asked']}: {count(labels['total'])} handed out{f' ({given})' if given else ''}"
+            + (f"; {entry.label_use}" if entry.label_use else "")
+        },
+        "data set": {"": f"{dataset['name']} ({dataset['environment']})"},
+        "data set's SHA-256": {"": dataset["fingerprint"]},
+        "trained on": {"": _training(own) if own else None},
+        "weights' SHA-256": {"": content["weights"]},
+        "protocol": {"": f"{content['protocol']}, scored by {content.get('code') or f'version {entry.scored_by}'}"},
+        "settings": content["settings"],
+        **{name: planning[name] for name in ("solver", "objective") if name in planning},
+        "training": content["training"],
+        "versions": content["versions"],
     }
-    return _folded(entry, facts, content["remarks"])
+    facts |= {name: {"": text} for name, text in content["remarks"].items() if name not in facts}
+    told = {
+        about: {name.replace("_", " "): _said(value) for name, value in ones.items() if value not in (None, "", [], {})}
+        for about, ones in facts.items()
+    }
+    return {about: ones for about, ones in told.items() if ones}
+
+
+def usual_facts(known: Sequence[Facts]) -> Facts:
+    """What more than half of some entries have alike; nothing of a single entry."""
+    usual: dict[str, dict[str, str]] = {}
+    for about in dict.fromkeys(about for facts in known for about in facts):
+        for name in dict.fromkeys(name for facts in known for name in facts.get(about, {})):
+            values = Counter(facts[about][name] for facts in known if name in facts.get(about, {}))
+            ((value, having),) = values.most_common(1)
+            if len(known) > 1 and 2 * having > len(known):
+                usual.setdefault(about, {})[name] = value
+    return usual
+
+
+def different(facts: Facts, usual: Facts) -> Facts:
+    """The facts that are not the usual ones, and the names of the usual settings that an entry does without."""
+    own = {
+        about: {name: value for name, value in ones.items() if usual.get(about, {}).get(name) != value}
+        for about, ones in facts.items()
+    }
+    lacking = [name for about in _SHARED for name in usual.get(about, {}) if name and name not in facts.get(about, {})]
+    return {about: ones for about, ones in own.items() if ones} | (
+        {WITHOUT: {"": ", ".join(lacking)}} if lacking else {}
+    )
 
 
 def _training(own: Mapping[str, str]) -> str:
@@ -58,58 +107,30 @@ def _training(own: Mapping[str, str]) -> str:
     return f"{own['name']}{environment}, another data set; SHA-256 {own['fingerprint']}"
 
 
-def _published(entry: Entry) -> Markup:
-    given = entry.label_count
-    facts = {
-        "model": entry.model,
-        "labels": entry.labels + ("" if given is None else f": {count(given)}"),
-        "source": entry.content["source"],
-        "note": entry.content["note"],
-        "checked": "cannot be scored again here; the table was copied by hand",
-    }
-    return _folded(entry, facts, {})
+def _folded(entry: Entry, facts: Facts) -> Markup:
+    file = f"entries/{entry.slug}.json"
+    command = element("code", "dmbench leaderboard check ", element("a", file, href=file))
+    return _list(facts, element("summary", entry.name), element("p", command), anchor=entry.slug)
 
 
-def _folded(entry: Entry, facts: Mapping[str, str], remarks: Mapping[str, str]) -> Markup:
-    pairs = [(name, text) for name, text in facts.items() if text] + list(remarks.items())
-    told = joined(joined((element("dt", name), element("dd", text))) for name, text in pairs)
-    return element(
-        "details",
-        element("summary", entry.name, None if entry.is_measured else " (as published)"),
-        element("dl", told),
-        element("p", element("a", "This entry as JSON", href=f"entries/{entry.slug}.json")),
-        _figures(entry),
-        class_="provenance",
-        id=entry.slug,
-    )
-
-
-def _figures(entry: Entry) -> Markup:
-    distances = {column.figure for column in control_columns(entry.figures)}  # a hundred more are in the entry
-    head = element("tr", *(element("th", name, scope="col") for name in ("figure", "mean", "std", "95% interval", "n")))
-    body = [
-        element(
-            "tr",
-            element("th", name, scope="row"),
-            element("td", number(figure["mean"])),
-            element("td", number(figure["std"])),
-            element("td", interval(figure["low"], figure["high"])),
-            element("td", "" if figure["n"] is None else count(figure["n"])),
+def _list(facts: Facts, *before: Markup, anchor: str | None = None) -> Markup:
+    told = joined(
+        joined(
+            (
+                element("dt", about),
+                element("dd", ", ".join(f"{name} {value}".strip() for name, value in ones.items())),
+            )
         )
-        for name, figure in entry.figures.items()
-        if not name.startswith("control_distance[") or name in distances
-    ]
-    table = element("table", element("thead", head), element("tbody", joined(body)), class_="figures")
-    return element("div", table, class_="scroll", tabindex=0, role="region", aria_label=f"Every figure of {entry.name}")
-
-
-def _listed(facts: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {_said(value)}" for name, value in facts.items())
+        for about, ones in facts.items()
+    )
+    return element("details", *before, element("dl", told), class_="provenance", id=anchor)
 
 
 def _said(value: Any) -> str:
     if isinstance(value, list):
         return " and ".join(str(one) for one in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:g}"
     return str(value)

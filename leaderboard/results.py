@@ -13,6 +13,7 @@ A page asks for results by a pair of comments, which a reader does not see; what
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -25,7 +26,9 @@ from leaderboard.board_tables import board_section, published_section
 from leaderboard.chosen import chosen_table, find_rows, numbers, read_choices
 from leaderboard.entry_file import read_entries
 from leaderboard.layout import CHOSEN, ENTRIES
+from leaderboard.markdown import WIDTH
 from leaderboard.model_results import CURVES, model_charts, model_lines
+from leaderboard.row import EACH_MEANING
 from leaderboard.summary import summarise
 from leaderboard.summary_section import summary_lines
 
@@ -112,7 +115,7 @@ def _read(page: Path) -> str:
 
 
 def _every_board(boards: Sequence[Board]) -> list[str]:
-    lines: list[str] = []
+    lines = ["", *textwrap.wrap(EACH_MEANING, WIDTH)]
     for board in boards:
         if board.measured or board.control is not None:
             lines += ["", *board_section(board)]

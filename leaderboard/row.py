@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -14,6 +15,18 @@ RowKind = Literal["measured", "published", "reference"]
 
 USUAL_BUDGETS: Final = ("one-shot", "100%", "all")
 """The usual label budgets, the first that a model has: that of the paper's method, else all labels."""
+
+DEMONSTRATIONS: Final = re.compile(r"(one|\d+)-shot(-per-agent)?")
+EACH_MEANING: Final = (
+    "Labels such as 4 (1 each) are demonstrations, one of each of four actions. Without such a bracket the actions are "
+    "those of so many transitions as they come, so a small number may lack an action."
+)
+
+
+def each(labels: str) -> str:
+    """How many demonstrations of each action a budget asks for, such as ``1 each``; empty for another budget."""
+    found = DEMONSTRATIONS.fullmatch(labels)
+    return f"{found[1].replace('one', '1')} each" if found else ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
 from dmotion_bench.planning.columns import COLUMNS
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
+from leaderboard.board_tables import tuned
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable
 from leaderboard.columns import Column, columns_for, control_columns, count, interval, number, signed
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markup import Markup, element, joined
-from leaderboard.row import Row
+from leaderboard.row import EACH_MEANING, Row, each
 from leaderboard.value import Value
 
 SHOWN_SEPARATELY = "as published"
+PUBLISHED = "published"
+"""Behind a board's anchor: where its published rows were printed."""
+BEHIND = "MSE above the best"
+DEVICES = {"cuda": "GPU", "cpu": "CPU"}
 OTHER_PLANNER_NOTE = (
     f" Where it says '{OTHER_PLANNER}', the actions are those of other settings or another version: what they "
     "led to holds, but it is not compared with the others."
@@ -27,18 +33,18 @@ def standings(board: Board, anchor: str) -> Markup:
     """
     beside = board.rows_beside_curves
     rows = [row for row in beside if not row.figures or not set(row.figures) <= _of_control(row.figures)]
-    table = _predictions(board, rows, f"{anchor}-caption")
+    table = _predictions(board, rows, anchor, "caption")
     points = [row for row in board.rows if row not in beside]
     if not points:
         return table
     words = f"The label curves' points: {len(points)} more rows, each a model with a number of labels"
-    folded = element("details", element("summary", words), _predictions(board, points, f"{anchor}-points-caption"))
+    folded = element("details", element("summary", words), _predictions(board, points, anchor, "points-caption"))
     return joined([table, folded])
 
 
-def _predictions(board: Board, rows: Sequence[Row], caption_id: str) -> Markup:
+def _predictions(board: Board, rows: Sequence[Row], anchor: str, caption: str) -> Markup:
     columns = columns_for({name for row in rows for name in row.figures})
-    return _table(board, rows, columns, caption_id, ranks=RANKED_BY)
+    return _table(board, rows, columns, anchor, caption, ranks=RANKED_BY)
 
 
 def control_standings(board: Board, anchor: str) -> Markup | None:
@@ -62,18 +68,22 @@ def control_standings(board: Board, anchor: str) -> Markup | None:
             + (OTHER_PLANNER_NOTE if any(row.planned_otherwise for row in rows) else ""),
             class_="note",
         ),
-        _table(board, rows, columns, f"{anchor}-control-caption", ranks=last, words=", control"),
+        _table(board, rows, columns, anchor, "control-caption", ranks=last, words=", control"),
     )
 
 
 def column_standings(control: ColumnTable, anchor: str) -> Markup:
     """The table of control by columns: what each frozen planner leaves with each model."""
-    head = [_heading("Model"), _heading("Labels", "Action labels that the model was given.")]
+    heads = [("Model", ""), ("Labels", f"Action labels that the model was given. {EACH_MEANING}")]
+    each_column = [
+        ("solved", f"Share of the tasks that end with {SOLVED_AT:g} of the distance or less, with Wilson's interval."),
+        ("lost", "Objects that fall off the table, per task."),
+    ]
+    head = [_heading(*one) for one in heads]
     for place, name in enumerate(control.columns):
-        column = COLUMNS[name]
-        head.append(_heading(f"{column.title}: left", column.meaning, sorted_up=not place))
-        head.append(_heading("solved", f"Share of the tasks that end with {SOLVED_AT:g} of the distance or less."))
-        head.append(_heading("lost", "Objects lost in a task, in the mean."))
+        heads.append((f"{COLUMNS[name].title}: left", COLUMNS[name].meaning))
+        head.append(_heading(*heads[-1], sorted_up=not place))
+        head += [_heading(*one) for one in each_column]
     body = [_column_row(row, control.columns) for row in control.rows]
     caption = f"{anchor}-columns-caption"
     table = element(
@@ -98,6 +108,7 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
             class_="note",
         ),
         element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=caption),
+        _meanings([*heads, *each_column]),
     )
 
 
@@ -105,7 +116,7 @@ def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
     name = element("a", row.name, href=f"#{row.entries[0].slug}") if row.entries else element("span", row.name)
     cells = [
         element("th", name, element("small", row.variant or ("" if row.entries else "reference")), scope="row"),
-        element("td", "" if row.label_count is None else count(row.label_count), element("small", row.labels)),
+        element("td", "" if row.label_count is None else count(row.label_count), element("small", _budget(row.labels))),
     ]
     for column in columns:
         cell = row.cells.get(column)
@@ -114,10 +125,13 @@ def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
             continue
         share, low, high = cell.solved
         trained = {0: "", 1: ", one training"}.get(cell.trainings, f", {cell.trainings} trainings")
-        said = f"{interval(cell.left.low, cell.left.high)}, {cell.tasks} tasks{trained}"
+        between = "" if cell.left.low is None else f"95%: {interval(cell.left.low, cell.left.high)}, "
+        said = f"{between}{cell.tasks} tasks{trained}"
         cells += [
             element("td", number(cell.left.mean), element("small", said), data_value=repr(cell.left.mean)),
-            element("td", f"{share:.0%}", element("small", f"{low:.0%} \u2013 {high:.0%}"), data_value=repr(share)),
+            element(
+                "td", f"{share:.0%}", element("small", f"95%: {low:.0%} \u2013 {high:.0%}"), data_value=repr(share)
+            ),
             element("td", number(cell.lost), data_value=repr(cell.lost)),
         ]
     return element("tr", *cells, class_="measured" if row.entries else "reference")
@@ -140,26 +154,31 @@ def _of_control(figures: Iterable[str]) -> set[str]:
 
 
 def _table(
-    board: Board, rows: Sequence[Row], columns: Sequence[Column], caption_id: str, *, ranks: str, words: str = ""
+    board: Board,
+    rows: Sequence[Row],
+    columns: Sequence[Column],
+    anchor: str,
+    caption_id: str,
+    *,
+    ranks: str,
+    words: str = "",
 ) -> Markup:
-    """One table, sorted by the column that ranks."""
-    compared = ranks == RANKED_BY and any(row.behind is not None for row in rows)
-    compute = ranks == RANKED_BY and any(_compute(row) for row in rows)
-    head = [_heading("Model"), _heading("Labels", "Action labels that the model was given, and the budget asked for.")]
+    """One table, sorted by the column that ranks, and what its columns mean."""
+    caption_id = f"{anchor}-{caption_id}"
+    extra = _extra_columns(board, rows, ranks)
+    heads = [("Model", ""), ("Labels", f"Action labels that the model was given, and the budget. {EACH_MEANING}")]
+    head = [_heading(*one) for one in heads]
     for column in columns:
+        heads.append((column.heading, column.meaning))
         head.append(_heading(column.heading, column.meaning, unit=column.unit, sorted_up=column.figure == ranks))
-        if column.figure == RANKED_BY and compared:
-            head.append(
-                _heading(
-                    "MSE above the best",
-                    "Paired over the test episodes, with the 95% interval of the difference; "
-                    "tied where the interval reaches zero.",
-                )
-            )
-    if compute:
-        head.append(_heading("Compute", "Of the training, of all seeds together."))
-    controlled = ranks != RANKED_BY
-    body = [_row(row, columns, compared=compared, compute=compute, controlled=controlled) for row in rows]
+        if column.figure == RANKED_BY and BEHIND in extra:
+            heads.append((BEHIND, extra[BEHIND][0]))
+            head.append(_heading(*heads[-1]))
+    for name, (meaning, _) in extra.items():
+        if name != BEHIND:
+            heads.append((name, meaning))
+            head.append(_heading(name, meaning))
+    body = [_row(row, columns, extra, anchor, controlled=ranks != RANKED_BY) for row in rows]
     caption = f"{board.title}{f', {board.dataset}' if board.dataset else ''}{words}"
     table = element(
         "table",
@@ -168,7 +187,48 @@ def _table(
         element("tbody", joined(body)),
         class_="standings",
     )
-    return element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=caption_id)
+    return joined(
+        [
+            element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=caption_id),
+            _meanings(heads),
+        ]
+    )
+
+
+def _meanings(heads: Sequence[tuple[str, str]]) -> Markup:
+    """What the columns of a table mean, folded below it."""
+    told = (joined([element("dt", name), element("dd", meaning)]) for name, meaning in heads if meaning)
+    return element("details", element("summary", "What the columns mean"), element("dl", joined(told)))
+
+
+def _extra_columns(board: Board, rows: Sequence[Row], ranks: str) -> dict[str, tuple[str, Callable[[Row], Markup]]]:
+    """The columns that are no figures: what each means, and its cell of a row; those that say something."""
+    found: dict[str, tuple[str, Callable[[Row], Markup]]] = {}
+    if ranks != RANKED_BY:
+        if any(row.figures.get(ranks) and tuned(board, row, ranks) for row in rows):
+            meaning = "Whether the planner was tuned on the very tasks of the row; its figures are then too good."
+            found["Tuned here"] = meaning, partial(_tuned, board, ranks)
+        return found
+    if any(row.behind is not None for row in rows):
+        meaning = (
+            "Paired over the test episodes, with the 95% interval of the difference; tied where the interval "
+            "reaches zero."
+        )
+        found[BEHIND] = meaning, _behind
+    if any(_compute(row) for row in rows):
+        meaning = "Time of the training, of all seeds together, and on what. A GPU does more in the same time."
+        found["Compute"] = meaning, _computed
+    return found
+
+
+def _tuned(board: Board, ranks: str, row: Row) -> Markup:
+    return element("td", tuned(board, row, ranks) if ranks in row.figures else "")
+
+
+def _computed(row: Row) -> Markup:
+    seconds = _compute(row)
+    told = ", ".join(f"{_duration(own)} {device}" for device, own in seconds.items())
+    return element("td", told, data_value=sum(seconds.values()) or None)
 
 
 def _heading(text: str, meaning: str = "", *, unit: str = "", sorted_up: bool = False) -> Markup:
@@ -182,25 +242,30 @@ def _heading(text: str, meaning: str = "", *, unit: str = "", sorted_up: bool = 
     )
 
 
-def _row(row: Row, columns: Sequence[Column], *, compared: bool, compute: bool, controlled: bool) -> Markup:
-    cells = [_name(row, OTHER_PLANNER if controlled and row.planned_otherwise else ""), _labels(row)]
+def _row(
+    row: Row,
+    columns: Sequence[Column],
+    extra: Mapping[str, tuple[str, Callable[[Row], Markup]]],
+    anchor: str,
+    *,
+    controlled: bool,
+) -> Markup:
+    cells = [_name(row, OTHER_PLANNER if controlled and row.planned_otherwise else "", anchor), _labels(row)]
     for column in columns:
         cells.append(_value(row, row.figures.get(column.figure), strong=_is_strong(row, column.figure)))
-        if column.figure == "mse" and compared:
+        if column.figure == RANKED_BY and BEHIND in extra:
             cells.append(_behind(row))
-    if compute:
-        seconds = _compute(row)
-        cells.append(element("td", _duration(seconds), data_value=seconds or None))
+    cells += [cell(row) for name, (_, cell) in extra.items() if name != BEHIND]
     return element("tr", *cells, class_=row.kind)
 
 
-def _name(row: Row, remark: str) -> Markup:
+def _name(row: Row, remark: str, anchor: str) -> Markup:
     if row.kind == "measured":
         name: Markup = element("a", row.name, href=f"#{row.entries[0].slug}")
         seeds = f"{row.seeds} seeds" if row.seeds > 1 else f"seed {row.entries[0].content['seed']}"
         small = ", ".join(part for part in (row.variant, seeds, remark) if part)
     elif row.kind == "published":
-        name = element("a", row.name, href=f"#{row.entries[0].slug}")
+        name = element("a", row.name, href=f"#{anchor}-{PUBLISHED}")
         small = SHOWN_SEPARATELY
     else:
         name, small = element("span", row.name), f"reference, {remark}" if remark else "reference"
@@ -211,7 +276,12 @@ def _labels(row: Row) -> Markup:
     if row.kind == "reference":
         return element("td", "")
     known = "?" if row.label_count is None else count(row.label_count)
-    return element("td", known, element("small", row.labels), data_value=row.label_count)
+    return element("td", known, element("small", _budget(row.labels)), data_value=row.label_count)
+
+
+def _budget(labels: str) -> str:
+    """A budget as small print: demonstrations of each action are another one than a number of labels."""
+    return f"{labels}: {each(labels)}" if each(labels) else "as they come" if labels.isdecimal() else labels
 
 
 def _is_strong(row: Row, figure: str) -> bool:
@@ -222,14 +292,17 @@ def _is_strong(row: Row, figure: str) -> bool:
 def _value(row: Row, value: Value | None, *, strong: bool) -> Markup:
     if value is None:
         return element("td", "")
-    if value.seeds > 1 or row.kind != "published":
-        between = interval(value.low, value.high)
-    else:
-        between = "" if value.std is None else f"\u00b1 {number(value.std)}"
+    small = []
+    if row.kind == "published":
+        small += [f"\u00b1 {number(value.std)}"] * (value.std is not None)
+    elif value.interval is not None:
+        small.append(f"95%: {interval(*value.interval)}")
+    if value.seeds > 1:
+        small.append(f"seeds: {interval(value.low, value.high)}")
     if row.kind == "measured" and value.seeds < row.seeds:
-        between = ", ".join(part for part in (between, f"{value.seeds} of {row.seeds} seeds") if part)
+        small.append(f"{value.seeds} of {row.seeds} seeds")
     mean = element("b", number(value.mean)) if strong else number(value.mean)
-    return element("td", mean, element("small", between) if between else None, data_value=repr(value.mean))
+    return element("td", mean, *(element("small", one) for one in small), data_value=repr(value.mean))
 
 
 def _behind(row: Row) -> Markup:
@@ -243,15 +316,19 @@ def _behind(row: Row) -> Markup:
     return element("td", text, element("small", between) if between else None, data_value=repr(difference.mean))
 
 
-def _compute(row: Row) -> float:
-    """Seconds of training of all seeds together; zero if unknown."""
-    seconds = [entry.content["training"].get("seconds") for entry in row.entries if entry.is_measured]
-    return float(sum(one for one in seconds if isinstance(one, int | float)))
+def _compute(row: Row) -> dict[str, float]:
+    """Seconds of training of all seeds together, by the kind of device; none if unknown."""
+    found: dict[str, float] = {}
+    for entry in row.entries:
+        training = entry.content["training"] if entry.is_measured else {}
+        seconds, device = training.get("seconds"), str(training.get("device", "")).partition(":")[0]
+        if isinstance(seconds, int | float) and seconds:
+            name = DEVICES.get(device, device)
+            found[name] = found.get(name, 0.0) + float(seconds)
+    return found
 
 
 def _duration(seconds: float) -> str:
-    if not seconds:
-        return ""
     if seconds < 100:
         return f"{seconds:.0f} s"
     if seconds < 6000:

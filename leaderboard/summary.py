@@ -55,6 +55,11 @@ class Standing:
     over_next: float | None
 
     @property
+    def worlds(self) -> list[float]:
+        """The mean score over the trainings in each world."""
+        return [float(one) for one in self.scores.mean(axis=0)]
+
+    @property
     def trainings(self) -> int:
         """In each world."""
         return len(self.scores)

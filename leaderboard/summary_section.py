@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from dmotion_bench.registry import environment_class, environment_names
-from leaderboard.board import Board
+from leaderboard.board import RANKED_BY, Board
+from leaderboard.columns import TRUE_MOTION
 from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import TO
 from leaderboard.markup import Markup, element, joined
@@ -21,8 +22,10 @@ SCORE: Final = (
 )
 MEANING: Final = (
     "IQM is the interquartile mean, the mean of the middle half of a model's scores over worlds and trainings, all of "
-    "them if there are fewer than four. P(better) is the probability of improvement over the model below: that of a "
-    "higher score of a training drawn from each, averaged over the worlds. Both are rliable's definitions (Agarwal et "
+    "them if there are fewer than four. With three worlds it may pass over a whole world, so the plain mean over the "
+    "worlds and the worst world stand beside it. P(better) is the probability of improvement over the model below: "
+    "that of a higher score of a training drawn from each, averaged over the worlds. IQM and P(better) are "
+    "rliable's definitions (Agarwal et "
     "al. 2021). Each model has its usual label budget and its usual settings."
 )
 INTERVALS: Final = (
@@ -41,7 +44,7 @@ def summary_section(summary: Summary, anchors: Sequence[str]) -> Markup:
         summary: To be shown.
         anchors: Where the boards of its worlds are on the page.
     """
-    cells = [element("th", head, scope="col") for head in ("Model", "IQM")]
+    cells = [element("th", head, scope="col") for head in ("Model", "IQM", "Mean", "Worst world")]
     for board, anchor in zip(summary.boards, anchors, strict=True):
         link = element("a", board.title, href=f"#{anchor}")
         cells.append(element("th", link, element("small", f" {board.dataset}"), scope="col"))
@@ -73,14 +76,14 @@ def summary_lines(summary: Summary) -> list[str]:
         [
             plain(one.model),
             _ordinary(_score(one.iqm) + (f" ({_between(one)})" if one.interval else "")),
-            *(_ordinary(_score(mean)) for mean in _means(one)),
+            *(_ordinary(_score(mean)) for mean in (*_over_worlds(one), *one.worlds)),
             "" if one.over_next is None else f"{one.over_next:.2f}",
             f"{plain(one.labels)}: {_counts(one)}",
             f"{one.trainings}",
         ]
         for one in summary.standings
     ]
-    lines = table(["Model", "IQM", *worlds, "P(better)", "Labels", "Trainings"], body)
+    lines = table(["Model", "IQM", "Mean", "Worst world", *worlds, "P(better)", "Labels", "Trainings"], body)
     notes = (f"Data sets: {recorded}.", SCORE, MEANING, INTERVALS, *_absent(summary))
     said = [one for note in notes for one in (*textwrap.wrap(note, WIDTH), "")]
     return ["", *lines, "", *said]
@@ -88,11 +91,11 @@ def summary_lines(summary: Summary) -> list[str]:
 
 def _row(one: Standing) -> Markup:
     name = element("a", one.model, href=f"#{one.rows[0].entries[0].slug}")
-    between = element("small", _between(one) if one.interval else "1 training" if one.trainings == 1 else "")
+    between = element("small", f"95%: {_between(one)}" if one.interval else "1 training" if one.trainings == 1 else "")
     cells = [
         element("th", name, scope="row"),
         element("td", _score(one.iqm), between),
-        *(element("td", _score(mean)) for mean in _means(one)),
+        *(element("td", _score(mean)) for mean in (*_over_worlds(one), *one.worlds)),
         element("td", "" if one.over_next is None else f"{one.over_next:.2f}"),
         element("td", _counts(one), element("small", one.labels)),
         element("td", str(one.trainings)),
@@ -133,8 +136,9 @@ def _absent(summary: Summary) -> list[str]:
     return told
 
 
-def _means(one: Standing) -> list[float]:
-    return [float(mean) for mean in one.scores.mean(axis=0)]
+def _over_worlds(one: Standing) -> tuple[float, float]:
+    """The plain mean over the worlds, and the worst of them."""
+    return sum(one.worlds) / len(one.worlds), min(one.worlds)
 
 
 def _score(value: float) -> str:
@@ -160,14 +164,18 @@ def _counts(one: Standing) -> str:
 def shows(board: Board) -> str:
     """What a board shows, in one sentence."""
     kinds = {entry.actions for entry in board.measured}
-    with_ = f" with {' and '.join(sorted(kinds))} actions" if kinds - {"discrete"} else ""
-    planned = any(name.startswith("control_distance") for row in board.rows for name in row.figures)
+    with_ = f"with {' and '.join(sorted(kinds))} actions" if kinds - {"discrete"} else ""
+    shown = {name for row in board.rows for name in row.figures}
+    planned = any(name.startswith("control_distance") for name in shown)
     then = ", and how near a planner that uses it brings the objects to their goals" if planned else ""
-    predicted = f"how far each model's next frame{with_} is from the true one{then}"
+    predicted = f"how far each model's next frame is from the true one{then}"
+    if RANKED_BY not in shown and TRUE_MOTION.figure in shown:
+        predicted = "how near each model comes to the next frame when it is told the latent action of the true one"
     controlled = (
         "how near frozen planners bring the objects to their goals with each model, on tasks that nothing was chosen on"
     )
-    told = f"{_scene(board.environment)}{predicted if board.measured else controlled}."
+    where = ", ".join(part for part in (_scene(board.environment), with_) if part)
+    told = f"{where}{': ' if where else ''}{predicted if board.measured else controlled}."
     return told[0].upper() + told[1:]
 
 
@@ -176,4 +184,4 @@ def _scene(environment: str) -> str:
     if environment not in environment_names():
         return ""
     said = (environment_class(environment).__doc__ or "").strip().splitlines()[:1]
-    return "".join(f"{re.split(r'[;.]', line)[0]}: " for line in said)
+    return "".join(re.split(r"[;.]", line)[0] for line in said)

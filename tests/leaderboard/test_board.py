@@ -11,6 +11,7 @@ import pytest
 
 from dmotion_bench.errors import EntryInvalid
 from leaderboard.board import Board, make_boards
+from leaderboard.chart import COLORS
 from leaderboard.curves import assign_styles, legend
 from leaderboard.entry import Entry
 from leaderboard.page import make_page
@@ -64,7 +65,7 @@ def test_versions_of_an_environment_have_boards_of_their_own(result: Callable[..
 
     boards = make_boards([old, later, _published()])
 
-    assert [board.title for board in boards] == ["Grid World, version 2", "Grid World"]
+    assert [board.title for board in boards] == ["Grid World, version 2", "Grid World, version 1"]
     measured = [[row.name for row in board.rows if row.kind == "measured"] for board in boards]
     assert measured == [["new"], ["old"]]
     page = make_page([old, later, _published()])
@@ -218,6 +219,28 @@ def test_an_unusual_use_of_labels_stands_on_the_row(result: Callable[..., Entry]
     assert _row(board, "b").variant == ""
     with pytest.raises(EntryInvalid, match=r"labels\.use"):
         result("a", np.ones(40), labels=given | {"use": "never"})
+
+
+def test_a_model_has_one_colour_and_the_models_of_most_boards_share_theirs_with_nobody(
+    result: Callable[..., Entry],
+) -> None:
+    names = [f"m{number}" for number in range(COLORS + 3)]
+    second = {"dataset": result("y", np.ones(40)).content["dataset"] | {"fingerprint": "f" * 64}}
+    entries = [result(name, np.ones(40)) for name in (*names, "y", "z")]
+    entries += [result(name, np.ones(40), **second) for name in ("y", "z")]
+    entries += [result("z", np.ones(40), run="z-affine-s0", weights="1" * 64)]
+    boards = make_boards(entries)
+    styles = assign_styles(boards)
+
+    colors: dict[str, set[str]] = {}
+    for (model, _), style in styles.items():
+        colors.setdefault(model, set()).add(style.color)
+    assert {len(own) for own in colors.values()} == {1}
+    for first in ("y", "z"):
+        assert not any(colors[first] & own for model, own in colors.items() if model != first)
+    for board in boards:
+        lines = {(row.model, row.variant) for row in board.rows if row.model}
+        assert len({(styles[line].color, styles[line].marker) for line in lines}) == len(lines)
 
 
 def test_a_variant_of_a_model_has_its_own_colour_and_marker(result: Callable[..., Entry]) -> None:

@@ -60,7 +60,7 @@ def test_a_logarithmic_axis_gives_each_factor_the_same_room() -> None:
     assert steps[0][0] > 0 > steps[0][1]  # up is less y
     ticks = _ticks(svg, "middle")
     assert ticks["10"] == pytest.approx(places[1][0], abs=0.1)
-    assert ticks["1\u202f000"] == pytest.approx(places[3][0], abs=0.1)
+    assert ticks["1,000"] == pytest.approx(places[3][0], abs=0.1)
 
 
 def test_a_linear_axis_and_its_ticks() -> None:
@@ -109,6 +109,33 @@ def test_labels_on_an_axis_do_not_touch() -> None:
 
     assert next(text for text, _ in ticks) == "4"
     assert all(b[1] - a[1] > 5.5 * (len(a[0]) + len(b[0])) / 2 for a, b in itertools.pairwise(ticks))
+
+
+def test_where_labels_would_touch_the_tick_that_is_named_first_has_its_label() -> None:
+    counts = [1024.0, 4096.0, 4.0, 989.0, 3990.0]
+    points = [Point(x=count, y=1) for count in counts]
+    axes = Axis(label="x", log=True, ticks=counts), Axis(label="y")
+    svg = _drawn(line_chart("t", *axes, [Series(name="s", points=points, style=Style(0))]))
+
+    assert set(_ticks(svg, "middle")) == {"4", "1,024", "4,096"}
+
+
+def test_the_name_of_a_guide_stands_where_no_line_runs() -> None:
+    def middle(*levels: float) -> float:
+        points = [Point(x=float(x), y=y) for x, y in enumerate(levels)]
+        lines = [Series(name="s", points=points, style=Style(0))]
+        svg = _drawn(line_chart("t", Axis(label="x"), Axis(label="y"), lines, [Guide("all labels", 1.0)]))
+        (name,) = (text for text in svg.iter("text") if text.get("class") == "name")
+        return float(name.get("x", 0))
+
+    assert middle(1, 1, 1, 5, 5, 5) > (LEFT + WIDTH - RIGHT) / 2 > middle(5, 5, 5, 1, 1, 1)
+
+
+def test_a_ringed_point_keeps_its_marker_and_has_a_ring() -> None:
+    points = [Point(x=1, y=1, ringed=True), Point(x=2, y=2)]
+    svg = _drawn(line_chart("t", Axis(label="x"), Axis(label="y"), [Series(name="s", points=points, style=Style(0))]))
+    classes = [path.get("class") for path in svg.iter("path")]
+    assert (classes.count("marker"), classes.count("ring")) == (2, 1)
 
 
 def test_what_a_logarithm_cannot_show_is_left_out_and_nothing_at_all_is_no_error() -> None:

@@ -32,6 +32,7 @@ from leaderboard.check import check_entry
 from leaderboard.chosen import chosen_table, find_rows, read_choices
 from leaderboard.entry import Entry
 from leaderboard.markdown_numbers import written
+from leaderboard.model_results import model_lines
 from leaderboard.page import make_page
 
 MakeEntry = Callable[..., Entry]
@@ -258,7 +259,7 @@ def test_the_page_and_the_tables_show_it(board: Board) -> None:
     assert "are too small for this table" in page
     assert page.count("true simulator as the model") == 1
     (row,) = (line for line in lines.splitlines() if line.startswith("| dmotion |"))
-    assert row.startswith("| dmotion | 4 | 3 / 1 | 25 |")
+    assert row.startswith("| dmotion | 4 (1 each) | 3 / 1 | 25 |")
     assert "tasks, 3 trainings" in page
     assert "tasks, one training" in page
 
@@ -278,7 +279,7 @@ def test_the_gain_agrees_with_control_as_the_ranks_do(
 ) -> None:
     base, entries = left["dmotion", 0], []
     whole = {"labels": {"asked": "100%", "given": {}, "total": 64}}
-    for place, name in enumerate(("a", "b", "c", "d", "e", "f")):
+    for place, name in enumerate("abcdefgh"):
         entries.append(Entry(dict(controlled(name, base + 0.1 * place).content) | whole))
         predicted = controlled(name, base, column=None)
         figures = {"planning_gain": _figure(0.9 - 0.1 * place, 9), "mse": _figure(10.0 - place, 9)}
@@ -293,9 +294,25 @@ def test_the_gain_agrees_with_control_as_the_ranks_do(
 
     assert found["distance left, column generic"].mean == pytest.approx(-1.0)
     assert found["MSE"].mean == pytest.approx(1.0)
-    assert found["MSE"].n == 6
+    assert found["MSE"].n == 8
     assert "Spearman" in "\n".join(board_section(board))
     assert "Rank correlation of the gain captured" in make_page(entries)
+    assert "Gain captured" in next(line for line in board_section(board) if line.startswith("| Model"))
+    (smaller,) = make_boards([entry for entry in entries if entry.model != "h"])
+    assert smaller.agreement == ()  # seven rows say too little
+
+
+def test_a_model_s_page_has_its_control_by_frozen_planners_first(
+    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    old, new = (controlled("dmotion", left["dmotion", 0], column=column) for column in (None, "generic"))
+    predicted = {"figures": {**old.figures, "mse": _figure(1.0, 9)}}
+    boards = make_boards([Entry(dict(old.content) | predicted), new])
+    lines = model_lines("dmotion", boards)
+    heads = [line for line in lines if line.startswith("| Data set")]
+    wanted = ("MSE", "Generic: left", "Distance left")
+    assert all(name in head for name, head in zip(wanted, heads, strict=True))
+    assert "Generic: left" in "\n".join(model_lines("dmotion", make_boards([new])))
 
 
 def test_a_columns_report_is_an_entry_that_can_be_checked(

@@ -12,9 +12,8 @@ import pytest
 from leaderboard.board import make_boards
 from leaderboard.board_tables import board_section
 from leaderboard.curves import assign_styles, charts
-from leaderboard.efficiency import WITHIN, CurvePoint, crossing, labels_needed
+from leaderboard.efficiency import WITHIN, CurvePoint, LabelsNeeded, crossing, labels_needed
 from leaderboard.entry import Entry
-from leaderboard.markdown_numbers import TO
 from leaderboard.page import make_page
 
 EPISODES, FRAMES = 30, 10
@@ -128,7 +127,7 @@ def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(budgeted
     (board,) = make_boards([*curve, *two_points])
     drawn = str(charts(board, assign_styles([board])))
     assert drawn.count("labels to within 10% of its own with all") == 1
-    assert "55.7" in drawn  # 16 * 4 ** 0.9
+    assert "between 16 and all" in drawn
     assert "against copying" in drawn
     (board,) = make_boards(two_points)
     assert "Worth of labels" not in str(charts(board, assign_styles([board])))
@@ -146,14 +145,50 @@ def test_a_board_has_a_table_of_label_curves_with_the_budgets_that_most_of_them_
     place = next(number for number, line in enumerate(lines) if line.startswith("| Model | Labels needed |"))
     assert lines[place] == "| Model | Labels needed | Trainings | 4 | 16 | all |"
     assert lines[place + 2 : place + 4] == [
-        f"| a | 61.1 (61.1{TO}61.1) | 1 | 16.0 | 4.00 | 1.00 |",  # 16 * 4 ** (2.9 / 3): with 32 it would be 59.7
-        f"| b | 15.9 (15.9{TO}15.9) | 1 | 9.50 | 1.05 | 1.00 |",
+        "| a | between 16 and all | 1 | 16.0 | 4.00 | 1.00 |",  # 32 is no budget of most models
+        "| b | between 4 and 16 | 1 | 9.50 | 1.05 | 1.00 |",
     ]
     assert lines[place + 4] == "| c | not comparable | 1 | | 8.00 | 1.00 |"  # it lacks one of two
     assert "not comparable with fewer than" in " ".join(lines)
     measured = [line for line in lines[:place] if line.startswith(("| a |", "| b |", "| c |"))]
     assert len(measured) == 3  # a number of labels has its place in that table alone
     assert "Labels needed" not in "".join(board_section(make_boards(whole)[0]))
+
+
+def test_what_a_model_needs_is_said_by_the_budgets_that_were_measured() -> None:
+    def words(labels: float, low: float | None = None, high: float | None = None) -> str:
+        return LabelsNeeded(labels=labels, low=low, high=high, budgets=(4, 10, 64)).words
+
+    assert words(4.0) == "at most 4"
+    assert words(7.1) == words(10.000000000000002) == words(7.1, 5.0, 9.9) == "between 4 and 10"
+    assert words(11.0, 5.0, 60.0) == "between 10 and all (4 to all)"
+    assert words(7.1, 4.0, 9.0) == "between 4 and 10 (at most 4 to 10)"
+
+
+def test_a_model_that_is_worse_than_copying_with_all_labels_needs_no_number(budgeted: Callable[..., Entry]) -> None:
+    def cells(level: float) -> list[str]:
+        entries = [budgeted("a", str(count), count, level) for count in (4, 16)]
+        (board,) = make_boards([*entries, budgeted("a", "100%", 64, level)])
+        return [line for line in board_section(board) if line.startswith("| a | at most 4 |")]
+
+    copied = make_boards([budgeted("a", "100%", 64, 1.0)])[0].reference("copy_last")["mse"].mean
+    assert cells(copied * 0.99)
+    assert not cells(copied * 1.01)
+
+
+def test_a_label_curve_is_of_the_same_trainings_under_every_budget(budgeted: Callable[..., Entry]) -> None:
+    def trained(labels: str, total: int, errors: dict[int, float]) -> list[Entry]:
+        made = [(seed, dict(budgeted("a", labels, total, error).content)) for seed, error in errors.items()]
+        return [Entry(one | {"seed": seed, "run": f"a-{labels}-s{seed}"}) for seed, one in made]
+
+    few, some = trained("4", 4, {0: 8.0, 1: 4.0}), trained("16", 16, {0: 3.0})
+
+    def line(whole: list[Entry]) -> str:
+        (board,) = make_boards([*few, *some, *whole])
+        return next(line for line in board_section(board) if re.match(r"\| a \| (between|at most)", line))
+
+    assert line(trained("100%", 64, {0: 3.0, 1: 1.0})) == "| a | between 4 and 16 | 1 | 8.00 | 3.00 | 3.00 |"
+    assert line(trained("100%", 64, {1: 1.0})).endswith("| 2 | 6.00 | 3.00 (1 of 2) | 1.00 (1 of 2) |")
 
 
 def test_of_many_budgets_the_table_has_every_second_one(budgeted: Callable[..., Entry]) -> None:
@@ -209,9 +244,10 @@ def test_the_page_folds_the_points_of_curves_away_and_keeps_every_entry(budgeted
     table, _, folded = page.partition("<summary>The label curves&#x27; points: 2 more rows")
     assert folded
     shown = table[table.index('class="standings"') :]
-    assert re.findall(r"<td[^>]*>\d+<small>(100%|4|16)</small>", shown) == ["100%", "16"]  # b has no curve
+    labels = r"<td[^>]*>(\d+)<small>(?:100%|as they come)</small>"
+    assert re.findall(labels, shown) == ["64", "16"]  # b has no curve
     inside = folded[: folded.index("</details>")]
-    assert re.findall(r"<td[^>]*>\d+<small>(100%|4|16)</small>", inside) == ["16", "4"]
+    assert re.findall(labels, inside) == ["16", "4"]
     for entry in (*points, *rest):
         assert f'href="#{entry.slug}"' in page
         assert f'id="{entry.slug}"' in page

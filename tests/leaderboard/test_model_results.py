@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 from dmotion_bench.registry import model_names
+from leaderboard import planners
 from leaderboard.board import Board, make_boards
 from leaderboard.entry import Entry
 from leaderboard.entry_file import write_entry
@@ -92,16 +93,28 @@ def test_the_rows_of_all_boards_stand_beside_copying_and_control(boards: list[Bo
     predicted = rows[: next(place for place, row in enumerate(rows) if row[0] == "Data set")]
     assert head == ["Data set", "Variant", "Labels", "Trainings", "MSE", "copying"]
     assert [(row[0], row[1], row[2], row[5]) for row in predicted] == [
-        ("grid_world-tiny", "", "20", "100"),
-        ("grid_world-tiny", "warp true", "4", "100"),
-        ("grid_world-tiny", "", "4", "100"),
-        ("other\\|data", "", "4", "100"),
+        ("grid_world-tiny", "", "20 (5 each)", "100"),
+        ("grid_world-tiny", "warp true", "4 (1 each)", "100"),
+        ("grid_world-tiny", "", "4 (1 each)", "100"),
+        ("other\\|data", "", "4 (1 each)", "100"),
     ]
     assert [row[4].split(" ")[0].strip("*") for row in predicted] == ["1.00", "5.00", "10.0", "25.0"]
 
     control_head, control = rows[len(predicted) :]
-    assert control_head == ["Data set", "Labels", "Tasks", "Distance left", "idle", "true simulator"]
-    assert control[2:] == ["60", "**0.500** (0.25\u00a0to\u00a01.0)", "1.00", "0.250"]
+    assert control_head == ["Data set", "Labels", "Tasks", "Distance left", "idle", "true simulator", "Tuned here"]
+    assert control[2:] == ["60", "**0.500** (0.25\u00a0to\u00a01.0)", "1.00", "0.250", "not known"]
+
+
+def test_a_planner_that_was_tuned_on_the_tasks_is_marked_in_the_table_and_in_the_chart(
+    boards: list[Board], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = {board.fingerprint: 60 for board in boards}
+    monkeypatch.setattr(planners, "_tuned_tasks", lambda: {"planner-1": known})
+    assert _rows(model_lines("dmotion", boards))[-1][-1] == "yes"
+    assert "grid_world-tiny, one-shot, tuned here" in model_charts("dmotion", boards)["dmotion-control.svg"]
+    monkeypatch.setattr(planners, "_tuned_tasks", lambda: {"planner-1": {}})
+    assert _rows(model_lines("dmotion", boards))[-1][-1] == "no"
+    assert "tuned here" not in model_charts("dmotion", boards)["dmotion-control.svg"]
 
 
 def test_a_model_without_entries_has_a_sentence(boards: list[Board]) -> None:
@@ -123,8 +136,9 @@ def test_charts_have_the_best_variant_of_each_data_set_at_its_place(boards: list
     assert heights[2] < heights[1]
 
     controlled = _series(drawn["dmotion-control.svg"])
-    assert sorted(controlled) == ["grid_world-tiny, one-shot", "idle", "true simulator as the model"]
-    start, middle, end = (height for _, height in _places(drawn["dmotion-control.svg"], "grid_world-tiny, one-shot"))
+    name = "grid_world-tiny, one-shot, tuned here: not known"
+    assert sorted(controlled) == [name, "idle", "true simulator as the model"]
+    start, middle, end = (height for _, height in _places(drawn["dmotion-control.svg"], name))
     assert (middle - start) == pytest.approx((end - start) / 5, abs=0.2)  # 1, 0.9, 0.5
 
 
@@ -166,6 +180,8 @@ def test_charts_are_named_pictures_that_load_nothing(boards: list[Board]) -> Non
         assert "url(" not in text
         assert len(text) < 20_000
         picture = ElementTree.fromstring(text)
+        longest = max(len(one) for one in _series(picture))
+        assert float(picture.attrib["width"]) >= 52 + 6 * longest  # its legend does not run past the edge
         assert picture.tag == f"{SVG}svg"
         assert {name.rpartition("}")[2] for one in picture.iter() for name in one.attrib} & {"href", "src"} == set()
 

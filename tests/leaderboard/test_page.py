@@ -9,15 +9,20 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from dmotion_bench.scoring.references import published_results
+from leaderboard import planners
+from leaderboard.board import make_boards
+from leaderboard.columns import number
 from leaderboard.entry import Entry, published_entry
+from leaderboard.gallery import LEFT_OUT, fitting_steps
 from leaderboard.markup import VOID
-from leaderboard.page import make_page
-from leaderboard.paper import label_count
+from leaderboard.page import LARGEST, make_page
+from leaderboard.paper import ADDRESS, label_count
 
 from .conftest import controlled
 from .test_markup import Reader
@@ -76,9 +81,10 @@ def test_the_page_is_whole_and_says_what_is_in_it(entries: list[Entry]) -> None:
 
 
 def test_nothing_is_fetched_and_every_link_leads_somewhere(entries: list[Entry]) -> None:
-    tags = Reader(make_page(entries)).tags
+    elsewhere = dict(entries[0].content) | {"dataset": entries[0].content["dataset"] | {"fingerprint": "2" * 64}}
+    tags = Reader(make_page([*entries, Entry(elsewhere)])).tags  # published rows stand on both boards
     names = Counter(attributes["id"] for _, attributes in tags if "id" in attributes)
-    files = {f"entries/{entry.slug}.json" for entry in entries} | {"schema.json"}
+    files = {f"entries/{entry.slug}.json" for entry in (*entries, Entry(elsewhere))} | {"schema.json", ADDRESS}
 
     assert set(names.values()) == {1}
     for tag, attributes in tags:
@@ -162,16 +168,102 @@ def test_the_same_entries_make_the_same_page(entries: list[Entry]) -> None:
 def test_pictures_give_way_before_the_page_grows_too_large(
     entries: list[Entry], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = make_page(entries)
-    monkeypatch.setattr("leaderboard.gallery.BUDGET", 4_000)
+    other = dict(entries[0].content) | {"dataset": entries[0].content["dataset"] | {"fingerprint": "2" * 64}}
+    boards = make_boards([*entries, Entry(other)])
+    small, large = sorted(fitting_steps([board], 10**9)[1] for board in boards if board.measured)
+    whole = make_page([*entries, Entry(other)])
+    monkeypatch.setattr("leaderboard.page.BUDGET", small)
 
-    fewer = make_page(entries)
+    fewer = make_page([*entries, Entry(other)])
     monkeypatch.setattr("leaderboard.page.LARGEST", 1_000)
-    none = make_page(entries)
+    none = make_page([*entries, Entry(other)])
 
+    assert small < large
     counts = [page.count("<img") for page in (whole, fewer, none)]
     assert counts[0] > counts[1] > counts[2] == 0
-    assert "What the models predict" not in none
+    assert whole.count(LEFT_OUT) == 0
+    assert re.findall(r"\d of 3 steps are left out", fewer)
+    assert none.count(f"The pictures are {LEFT_OUT}") == 2
+
+
+def test_each_board_has_its_first_picture_before_one_has_its_second(entries: list[Entry]) -> None:
+    other = dict(entries[0].content) | {"dataset": entries[0].content["dataset"] | {"fingerprint": "2" * 64}}
+    boards = [board for board in make_boards([*entries, Entry(other)]) if board.measured]
+    sizes = [fitting_steps([board], 10**9)[1] for board in boards]
+    first = [
+        next(b for b in range(0, size + 100, 100) if any(fitting_steps([board], b)[0]))
+        for board, size in zip(boards, sizes, strict=True)
+    ]
+
+    assert fitting_steps(boards, min(first) - 100) == ([0, 0], 0)
+    counts, taken = fitting_steps(boards, sum(first))
+    assert counts == [1, 1]
+    assert taken <= sum(first)
+    assert fitting_steps(boards, sum(sizes)) == ([3, 3], sum(sizes))
+
+
+def test_the_published_page_has_pictures_and_is_no_larger_than_a_page_may_be() -> None:
+    page = (Path(__file__).parents[2] / "docs/leaderboard/index.html").read_text()
+    assert "What the models predict" in page
+    assert "data:image/webp" in page
+    assert len(page.encode()) <= LARGEST
+
+
+def test_of_each_entry_the_page_says_what_is_not_as_usual(sound: Entry, changed: Changed) -> None:
+    planned = sound.content["settings"] | {"control_objective": None, "control_set": []}
+    alike = [changed(run=f"dmotion-s{seed}", seed=seed, weights=f"{seed}" * 64, settings=planned) for seed in (1, 2)]
+    without = {name: value for name, value in planned.items() if name != "resamples"}
+    other = changed(run="another", seed=7, weights="7" * 64, settings=without | {"horizon": 99})
+    page = make_page([*alike, other])
+    _, usual, *folded = page.split('<details class="provenance"')
+
+    assert "horizon 3, precision float32, resamples 200" in usual
+    assert len(folded) == 3
+    for entry, own in zip([*alike, other], sorted(folded, key=lambda text: "another" in text), strict=True):
+        assert entry.content["weights"] in own
+        assert f"entries/{entry.slug}.json" in own
+        assert "dmbench leaderboard check " in own
+        assert ("<dt>settings</dt><dd>horizon 99</dd>" in own) == (entry is other)
+        assert ("<dt>without</dt><dd>resamples</dd>" in own) == (entry is other)
+    assert "None" not in "".join(re.findall(r"<dd>.*?</dd>", page))
+    assert "control objective" not in page
+
+
+def test_the_page_says_what_each_model_is_and_of_which_figures_more_is_better(sound: Entry) -> None:
+    page = make_page([sound])
+    assert "<dt>dmotion</dt><dd>DMotion (Yuan et al. 2021): a forward model" in page
+    assert "<dt>cswm</dt>" not in page
+    assert "except for PSNR, SSIM, Agent IoU" in page
+
+
+def test_small_print_says_what_it_is_of_and_compute_on_what(sound: Entry, changed: Changed) -> None:
+    second = changed(
+        run="dmotion-grid_world-tiny-s1", seed=1, weights="1" * 64, training={"seconds": 600, "device": "cuda:0"}
+    )
+    first = changed(training={"seconds": 50, "device": "cpu"})
+    page = make_page([first, second])
+    (row,) = re.findall(r"<tr class=\"measured\">.*?</tr>", page)
+    (own,) = (one for one in make_boards([first, second])[0].rows if one.kind == "measured")
+    value = own.figures["mse"]
+    assert value.interval is not None
+
+    low, high = (number(one) for one in value.interval)
+    assert f"<small>95%: {low} \u2013 {high}</small><small>seeds: " in row
+    assert "50 s CPU, 10 min GPU" in row
+    assert "<small>one-shot: 1 each</small>" in row
+
+
+def test_a_board_without_known_actions_shows_the_error_with_the_true_motion_and_no_heading_of_nothing(
+    changed: Changed, sound: Entry
+) -> None:
+    figures = {"mse_true_motion": sound.figures["mse"]}
+    bare = changed(figures=figures, by_episode={}, reference={"copy_last": figures}, pictures=[])
+    page = make_page([bare])
+
+    assert "MSE with the true motion" in page
+    assert "when it is told the latent action of the true one" in page
+    assert ">Curves<" not in page
+    assert "MSE with the true motion" not in make_page([sound])
 
 
 def test_control_has_a_table_and_a_chart_of_its_own(sound: Entry) -> None:
@@ -195,6 +287,23 @@ def test_control_has_a_table_and_a_chart_of_its_own(sound: Entry) -> None:
     chart = re.search(r"<svg[^>]*aria-label=\"Control:.*?</svg>", page, re.DOTALL)
     assert chart is not None
     assert re.findall(r"class=\"name\"[^>]*>([^<]*)", chart[0]) == ["true simulator as the model", "idle"]
+
+
+def test_control_by_a_planner_that_was_tuned_on_the_tasks_says_so_in_the_table_and_in_the_chart(
+    sound: Entry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = dict(controlled(sound, "near", 0.3).content)
+    entry = Entry(made | {"settings": made["settings"] | {"control_code": "planner-1", "control_tasks": 7}})
+    fingerprint = entry.content["dataset"]["fingerprint"]
+    monkeypatch.setattr(planners, "_tuned_tasks", lambda: {"planner-1": {fingerprint: 7}})
+    page = make_page([entry])
+    assert ">Tuned here</th>" in page
+    assert "<td>yes</td>" in page
+    assert "near, tuned here, labels one-shot" in page
+    monkeypatch.setattr(planners, "_tuned_tasks", lambda: {"planner-1": {}})
+    page = make_page([entry])
+    assert "<td>no</td>" in page
+    assert "near, labels one-shot" in page
 
 
 def test_without_control_there_is_no_table_of_it(sound: Entry) -> None:

@@ -113,7 +113,7 @@ def test_several_trainings_have_their_mean_its_interval_over_episodes_and_their_
 
     section = board_section(board)
     cells = _cells(section[: section.index("", 4)], "a")
-    assert cells[1] == "4"
+    assert cells[1] == "4 (1 each)"
     assert cells[2] == f"2: {value.low:.2f} to {value.high:.2f}"
     assert cells[3] == f"**{mean.mean():.2f}** ({low:#.2g}{TO}{high:#.2g})"
     assert cells[4] == "14.3"
@@ -180,7 +180,7 @@ def test_a_board_says_which_version_of_the_environment_recorded_its_data(
 def test_published_rows_say_where_they_were_printed(board: Board) -> None:
     lines = published_section(board)
     assert "A paper. A note." in lines
-    assert _cells(lines, "a") == ["a", "4", "14.3 ± 99.8", ""]
+    assert _cells(lines, "a") == ["a", "4 (1 each)", "14.3 ± 99.8"]
 
 
 def test_a_name_cannot_break_out_of_its_cell(result: Callable[..., Entry], errors: list[np.ndarray]) -> None:

@@ -197,7 +197,7 @@ def test_the_page_opens_with_it_and_each_board_says_what_it_shows(entries: list[
     for data, _, sentence in headings:
         assert ("frozen planners" if data.endswith("-test") else "next frame") in sentence
     assert any(data == "robot_push-test" for data, _, _ in headings)
-    assert re.search(r'<a href="#board-\d">Grid World</a>', page)
+    assert re.search(r'<a href="#board-\d">Grid World, version [12]</a>', page)
 
 
 def test_what_a_board_shows_in_a_sentence(sound: Entry) -> None:

@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from dmotion_bench.errors import UsageError
 from leaderboard.board import AGENT_MOVES, REFERENCE_WORDS, Board
-from leaderboard.board_tables import labels, trainings, tuned, world
+from leaderboard.board_tables import budget, labels, trainings, tuned, world
 from leaderboard.column_table import Outcome
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import between, figure, mean
@@ -218,7 +218,7 @@ def _cells(one: Chosen) -> list[str]:
         world(one.board),
         f"{one.value.samples or 0:,} {one.choice.title}",
         one.choice.model_title,
-        labels(one.row),
+        budget(one.row),
         trainings(one.row, one.choice.figure).partition(":")[0],
         figure(one.value) + (f"\u00a0{TUNED_MARK}" if one.tuned else ""),
         mean(one.baseline),

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from dmotion_bench.scoring.statistics import expanded_tail, widening
+from dmotion_bench.scoring.statistics import FEWEST_EPISODES, expanded_tail, widening
 from leaderboard.row import Row
 
 WITHIN: Final = 0.1
@@ -56,7 +56,8 @@ class LabelsNeeded:
 
     Attributes:
         labels: So many.
-        low, high: The 95% interval over episodes and trainings; None where fewer than two episodes were scored.
+        low, high: The 95% interval over episodes and trainings; None where fewer than
+            ``FEWEST_EPISODES`` episodes were scored.
         at_most: Whether the smallest budget that was measured is close enough, so that it may be fewer.
     """
 
@@ -109,7 +110,7 @@ def labels_needed(points: Sequence[CurvePoint], within: float = WITHIN, seed: in
 
     errors = [float(one.mean(0).sum() / counts.sum()) for one in totals]
     low = high = None
-    if len(counts) > 1:
+    if len(counts) >= FEWEST_EPISODES:
         generator = np.random.default_rng(seed)
         together = len({tuple(point.seeds) for point in points}) == 1
         drawn = [found(errors) for errors in _drawn(totals, counts, together, generator)]

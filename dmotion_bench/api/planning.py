@@ -217,7 +217,16 @@ class Trial:
             film.current.append(worlds[0].frame)
             shown = self.model if self._pictures else None
             distance, actions = result.distance[0], result.actions[0]
-            picture = filmstrip(film, self.problem.goal_frame, distance, actions, shown, ahead=self._horizon)
+            picture = filmstrip(
+                film,
+                self.problem.goal_frame,
+                distance,
+                actions,
+                shown,
+                ahead=self._horizon,
+                title=self.title,
+                lost=int(result.lost[0, -1]),
+            )
             write_filmstrip(picture, strip)
         return self._planned(result)
 

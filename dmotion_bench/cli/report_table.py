@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.cli.tables import show_figures, stdout_console
+from dmotion_bench.wording import rounded
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
@@ -67,14 +68,32 @@ def show_report(report: Report, run: Path) -> None:
     for name in _shown(report.figures):
         figure = report.figures[name]
         others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
-        rows.append((_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others))
-    show_figures(_headline(report), ("figure", "mean ± std", "95% interval", "n", *beside), rows)
+        counts = [_count(figure.get(name)) for name in ("n", "episodes")]
+        rows.append((_words(name), _mean_std(figure), _interval(figure), *counts, *others))
+    headings = ("figure", "mean ± std", "95% interval", "n", "episodes", *map(_plain, beside))
+    show_figures(_headline(report), headings, rows)
     _show_probes(report)
     console = stdout_console()
+    _say_why_no_interval(report.figures.values())
     for name in (*beside, "labels", "trained_on", "actions", "positions", "gain", "control", "rollout", "split"):
         if name in report.remarks:
-            console.print(f"  {name.replace('_', ' ')}: {report.remarks[name]}")
+            console.print(f"  {_plain(name)}: {report.remarks[name]}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
+
+
+def _say_why_no_interval(figures: Iterable[FigureJson]) -> None:
+    from dmotion_bench.scoring.report import why_no_interval
+
+    if (why := why_no_interval(figures)) is not None:
+        stdout_console().print(f"  95% interval: {why}")
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _count(count: float | None) -> str:
+    return "" if count is None else f"{count:,.0f}"
 
 
 def _show_probes(report: Report) -> None:
@@ -82,7 +101,7 @@ def _show_probes(report: Report) -> None:
     rows: list[tuple[str, ...]] = []
     for factor, words in FACTORS.items():
         found = [report.figures.get(f"{column}[{factor}]") for column in PROBE_COLUMNS]
-        cells = [f"{_number(figure['mean'])} ({_interval(figure)})" for figure in found if figure is not None]
+        cells = [_with_interval(figure) for figure in found if figure is not None]
         if cells:
             rows.append((words, "yes" if factor in HELD else "no", *cells))
     if rows:
@@ -111,6 +130,7 @@ def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) ->
             ]
             rows.append((_words(figure), *(cell for pair in pairs for cell in pair)))
     show_figures(title, ("figure", *headings), rows)
+    _say_why_no_interval(figure for one in figures.values() for figure in one.values())
 
 
 def show_overview(reports: Mapping[Path, Report]) -> None:
@@ -140,7 +160,7 @@ def _show_board(reports: Mapping[Path, Report]) -> None:
             paper = _row(report.reference["paper"], shown, "" if behind else None)
             rows.append((f"  {report.model} in the paper", "", *paper))
     known = [name for name in ("agent_moves", "copy_last") if name in here[0].reference]
-    rows += [(name, "", *_row(here[0].reference[name], shown, "" if behind else None)) for name in known]
+    rows += [(_plain(name), "", *_row(here[0].reference[name], shown, "" if behind else None)) for name in known]
     title = f"{here[0].dataset['name']}, {here[0].settings['split']} episodes"
     show_figures(title, headings, rows, below=len(known))
 
@@ -176,7 +196,7 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
     for path in paths[1:]:
         difference = behind(samples[path], samples[paths[0]]) if path in samples else None
         if difference is not None:
-            above, between = f"+{_number(difference.mean)}", _interval(difference.to_json())
+            above, between = f"+{rounded(difference.mean)}", _interval(difference.to_json())
             told[path] = standing_words(difference, above, between)
     return told
 
@@ -188,7 +208,7 @@ def show_differences(differences: Sequence[Any], first: str, second: str, *, eve
     for one in differences:
         if everything or one.figure in shown:
             estimate = one.difference.to_json()
-            values = (_number(one.first), _number(one.second), _number(estimate["mean"]), _interval(estimate))
+            values = (rounded(one.first), rounded(one.second), rounded(estimate["mean"]), _interval(estimate))
             rows.append((_words(one.figure), *values, one.verdict))
     headings = ("figure", "first", "second", "first - second", "95% interval", "better")
     show_figures(f"{first} against {second}, on the same held-out frames", headings, rows)
@@ -261,17 +281,13 @@ def _mean_std(figure: FigureJson | None, *, short: bool = False) -> str:
     if figure is None:
         return ""
     if short or figure["std"] is None:
-        return _number(figure["mean"])
-    return f"{_number(figure['mean'])} ± {_number(figure['std'])}"
+        return rounded(figure["mean"])
+    return f"{rounded(figure['mean'])} ± {rounded(figure['std'])}"
+
+
+def _with_interval(figure: FigureJson) -> str:
+    return rounded(figure["mean"]) + ("" if figure["low"] is None else f" ({_interval(figure)})")
 
 
 def _interval(figure: FigureJson) -> str:
-    return "" if figure["low"] is None else f"{_number(figure['low'])} to {_number(figure['high'])}"
-
-
-def _number(value: float | int | None) -> str:
-    """A number with three significant digits, without an exponent."""
-    if value is None:
-        return ""
-    size = abs(value)
-    return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.3g}" if size >= 1e-4 else "0"
+    return "" if figure["low"] is None else f"{rounded(figure['low'])} to {rounded(figure['high'])}"

@@ -203,7 +203,9 @@ class Trial:
                     self._log(recording, scene)
 
             def advance(told: ControlProgress) -> None:
-                tell(JobProgress(what=self.title, done=told.steps, total=self.chosen.steps, status=said[0]))
+                tell(
+                    JobProgress(what=self.title, done=told.steps, total=self.chosen.steps, status=said[0], unit="steps")
+                )
 
             result = control(
                 self.agent,

@@ -52,7 +52,7 @@ FACTORS = {
 }
 """What probes read from a latent action; it should hold the first two."""
 HELD = ("action", "agent_motion")
-PROBE_COLUMNS = ("probe_linear", "probe_mlp", "probe_linear_shuffled", "probe_mlp_shuffled")
+PROBE_COLUMNS = ("probe_linear", "probe_linear_shuffled", "probe_mlp", "probe_mlp_shuffled")
 
 CONTROL_STEPS = (10, 20, 40, 60, 80, 100)
 """Steps of control that a table shows; the report has all steps."""
@@ -101,19 +101,16 @@ def _show_probes(report: Report) -> None:
     rows: list[tuple[str, ...]] = []
     for factor, words in FACTORS.items():
         found = [report.figures.get(f"{column}[{factor}]") for column in PROBE_COLUMNS]
-        cells = [_with_interval(figure) for figure in found if figure is not None]
+        cells = [
+            _share(figure) + ("" if name.endswith("shuffled") else _share_interval(figure))
+            for name, figure in zip(PROBE_COLUMNS, found, strict=True)
+            if figure is not None
+        ]
         if cells:
-            rows.append((words, "yes" if factor in HELD else "no", *cells))
+            rows.append((words + " (wanted)" * (factor in HELD), *cells))
     if rows:
-        headings = (
-            "in the latent action",
-            "wanted",
-            "linear probe (95%)",
-            "small network",
-            "chance, linear",
-            "chance, small",
-        )
-        show_figures("What probes read: accuracy of named actions, else R²", headings, rows)
+        headings = ("factor", "linear probe (95%)", "chance", "network (95%)", "chance")
+        show_figures("What probes read from the latent action: accuracy of named actions, else R²", headings, rows)
 
 
 def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
@@ -285,8 +282,12 @@ def _mean_std(figure: FigureJson | None, *, short: bool = False) -> str:
     return f"{rounded(figure['mean'])} ± {rounded(figure['std'])}"
 
 
-def _with_interval(figure: FigureJson) -> str:
-    return rounded(figure["mean"]) + ("" if figure["low"] is None else f" ({_interval(figure)})")
+def _share(figure: FigureJson) -> str:
+    return "" if figure["mean"] is None else f"{figure['mean']:.2f}"
+
+
+def _share_interval(figure: FigureJson) -> str:
+    return "" if figure["low"] is None else f" ({figure['low']:.2f} to {figure['high']:.2f})"
 
 
 def _interval(figure: FigureJson) -> str:

@@ -82,7 +82,7 @@ def show_report(report: Report, run: Path) -> None:
 
 
 def _say_why_no_interval(figures: Iterable[FigureJson]) -> None:
-    from dmotion_bench.scoring.report import why_no_interval
+    from dmotion_bench.api.scoring import why_no_interval
 
     if (why := why_no_interval(figures)) is not None:
         stdout_console().print(f"  95% interval: {why}")

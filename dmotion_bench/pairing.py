@@ -83,8 +83,8 @@ class Difference:
 
     @property
     def verdict(self) -> str:
-        """Which is better, or why that is not said: they are tied, or one episode has no interval."""
-        return self.better or ("unknown: one episode" if standing(self.difference) == "unknown" else "tied")
+        """Which is better, or why that is not said: they are tied, or too few episodes have no interval."""
+        return self.better or (_unknown(self.difference) if standing(self.difference) == "unknown" else "tied")
 
 
 def better(figure: str, low: float | None, high: float | None) -> Better | None:
@@ -168,7 +168,7 @@ def behind(samples: pa.Table, best: pa.Table, figure: str = "mse") -> Estimate |
 
 
 def standing(difference: Estimate) -> Standing:
-    """Whether a run with this difference is behind the best or tied with it; unknown with one episode only."""
+    """Whether a run with this difference is behind the best or tied with it; unknown with too few episodes."""
     if difference.low is None or difference.high is None:
         return "unknown"
     return "tie" if difference.low <= 0 <= difference.high else "behind"
@@ -176,8 +176,14 @@ def standing(difference: Estimate) -> Standing:
 
 def standing_words(difference: Estimate, above: str, between: str) -> str:
     """A run's standing in words; ``above`` is its difference from the best as text, ``between`` the interval."""
-    words = {"behind": f"{above} ({between})", "tie": f"tied ({between})", "unknown": "unknown: one episode"}
+    words = {"behind": f"{above} ({between})", "tie": f"tied ({between})", "unknown": _unknown(difference)}
     return words[standing(difference)]
+
+
+def _unknown(difference: Estimate) -> str:
+    """That a difference without an interval says nothing, and of how few episodes it is."""
+    count = difference.episodes
+    return "unknown" if count is None else f"unknown: {'one episode' if count == 1 else f'{count} episodes'}"
 
 
 def _single_steps(samples: pa.Table) -> pa.Table:

@@ -1,4 +1,4 @@
-"""Names, values and commands for use in messages: shortened, printable, ready to paste into a shell."""
+"""Names, values, numbers and commands for use in messages: shortened, printable, ready to paste into a shell."""
 
 from __future__ import annotations
 
@@ -35,6 +35,24 @@ def shown(value: object) -> str:
 def sentence(text: str) -> str:
     """A whole sentence that is safe to print: of bounded length, without control characters or lone surrogates."""
     return _UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], shortened(text, SENTENCE_LIMIT))
+
+
+def rounded(value: float | None) -> str:
+    """A figure with three significant digits and without an exponent, thousands set apart; empty for None.
+
+    Below 1e-4 it is zero: no figure of this benchmark is told apart there.
+    """
+    if value is None:
+        return ""
+    size = abs(value)
+    if size >= 10:
+        return f"{value:,.0f}" if size >= 99.95 else f"{value:.1f}"
+    return f"{value:.3g}" if size >= 1e-4 else "nan" if value != value else "0"
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things, such as ``1 step`` and ``2 steps``."""
+    return f"{count:,} {what}" + ("" if count == 1 else "s")
 
 
 def command(start: str, *words: str | os.PathLike[str]) -> str:

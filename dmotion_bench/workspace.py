@@ -115,6 +115,11 @@ class Workspace:
             raise UsageError(f"several runs are here; name one:\n{listed}")
         return found[0]
 
+    def short(self, folder: AnyPath) -> AnyPath:
+        """What to type for a data set or a run: its name where that finds it, otherwise its path or address."""
+        path = Path(folder)
+        return path.name if path.parent in (self.data, self.runs) and not Path(path.name).exists() else folder
+
     @staticmethod
     def _named(given: Path, folder: Path, manifest: str, kind: str, known: list[Path]) -> Path:
         for candidate in (given, folder / given):

@@ -26,7 +26,7 @@ from dmotion_bench.scoring.transfer import fitting, transfer_folders
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import command, shown
-from leaderboard.comparison import scored, sums_by_episode
+from leaderboard.comparison import as_in_an_entry, scored, sums_by_episode
 from leaderboard.control import actions_of
 from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
 from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
@@ -190,6 +190,10 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
     stored = json.loads((folder / REPORT_FILE).read_text())
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
     content |= stored
+    content |= {
+        "figures": as_in_an_entry(stored["figures"]),
+        "reference": {name: as_in_an_entry(figures) for name, figures in stored["reference"].items()},
+    }
     content |= {"by_episode": sums_by_episode(samples), "control": actions_of(samples), "pictures": []}
     entry = Entry(content)
     if not shows_pictures(run.spec.labels):

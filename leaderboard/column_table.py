@@ -26,6 +26,7 @@ from dmotion_bench.scoring.statistics import (
     standard_error,
     wilson,
 )
+from leaderboard.comparison import PARTS
 from leaderboard.entry import Entry
 from leaderboard.run_names import unusual_settings, without_seed
 
@@ -224,7 +225,7 @@ def _reference_cell(figures: Mapping[str, Any], figure: str) -> Outcome:
     left, tasks = figures[figure], int(figures[figure]["n"])
     share = float(figures[SUCCEEDED]["mean"])
     return Outcome(
-        left=Estimate(**{name: left[name] for name in ("mean", "std", "low", "high", "n")}),
+        left=Estimate(**{part: left[part] for part in PARTS}),
         solved=(share, *wilson(share, tasks)),
         lost=float(figures[LOST]["mean"]),
         tasks=tasks,

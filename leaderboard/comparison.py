@@ -1,4 +1,4 @@
-"""Errors summed by episode, which an entry holds so that entries can be compared without their samples.
+"""An entry's figures from samples, and errors summed by episode, which allow comparing entries without samples.
 
 Runs, whose samples are at hand, are compared by ``dmotion_bench/pairing.py``; the two come to the same.
 """
@@ -14,14 +14,53 @@ import pyarrow.compute as pc
 from jaxtyping import Float, Int
 
 from dmotion_bench.pairing import Difference, better, compare_runs, scored
-from dmotion_bench.scoring.figures import PUSH
+from dmotion_bench.scoring.figures import PUSH, figures_of
 from dmotion_bench.scoring.samples import CONTROL, column
-from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
+from dmotion_bench.scoring.statistics import EARLIER_FEWEST, EpisodeBootstrap, Estimate
 
-__all__ = ["Difference", "better", "compare_runs", "difference_by_episode", "scored", "sums_by_episode"]
+__all__ = [
+    "Difference",
+    "as_in_an_entry",
+    "better",
+    "compare_runs",
+    "difference_by_episode",
+    "figures_by_samples",
+    "scored",
+    "sums_by_episode",
+]
+
+PARTS: Final = ("mean", "std", "low", "high", "n")
+"""Of a figure in an entry. The number of its episodes, which a report has, is that of the sums by episode."""
 
 BY_EPISODE: Final = ("mse", "mse_push", "position_error_paper")
 """Figures whose sums stand in an entry. Which frames have a value is a matter of the true frames alone."""
+
+
+def as_in_an_entry(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """A report's figures with the parts that an entry has."""
+    return {name: {part: figure[part] for part in PARTS} for name, figure in figures.items()}
+
+
+def figures_by_samples(
+    samples: pa.Table, predictor: str, said: Mapping[str, Mapping[str, Any]], resamples: int
+) -> dict[str, dict[str, Any]]:
+    """The figures of samples, to compare an entry's with.
+
+    An interval over fewer episodes than an interval takes today is there only where the entry has one: some of the
+    first entries have.
+
+    Args:
+        samples: Of any predictors.
+        predictor: Whose figures.
+        said: The entry's figures.
+        resamples: Draws for an interval.
+    """
+    found = figures_of(samples, predictor, resamples=resamples)
+    short = [name for name, one in found.items() if one.low is None and said.get(name, {}).get("low") is not None]
+    if short:
+        earlier = figures_of(samples, predictor, resamples=resamples, fewest=EARLIER_FEWEST)
+        found |= {name: earlier[name] for name in short}
+    return as_in_an_entry({name: one.to_json() for name, one in found.items()})
 
 
 def sums_by_episode(samples: pa.Table) -> dict[str, dict[str, list[Any]]]:
@@ -87,7 +126,12 @@ def _estimate(total: Float[np.ndarray, " e"], count: Float[np.ndarray, " e"]) ->
     bootstrap = EpisodeBootstrap(np.arange(len(count)))
     low, high = bootstrap.interval(np.stack([total, count], axis=1), lambda sums: sums[:, 0] / sums[:, 1])
     return Estimate(
-        mean=float(total.sum() / count.sum()), std=float((total / count).std()), low=low, high=high, n=int(count.sum())
+        mean=float(total.sum() / count.sum()),
+        std=float((total / count).std()),
+        low=low,
+        high=high,
+        n=int(count.sum()),
+        episodes=len(count),
     )
 
 

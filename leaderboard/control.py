@@ -30,10 +30,10 @@ from dmotion_bench.planning.solvers.base import PlanContext
 from dmotion_bench.planning.tasks import Problem, World, load_problems, task_environment
 from dmotion_bench.scoring.control import QUICK, ControlScoring, agent_of, control_samples, score_control
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
-from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import column, vectors
 from dmotion_bench.storage.dataset import Dataset
+from leaderboard.comparison import figures_by_samples
 from leaderboard.verdict import SHOWN, Findings, short
 
 METRIC: Final = "control"
@@ -232,7 +232,7 @@ def _same_figures(check: Findings, name: str, table: pa.Table) -> None:
     content = check.entry.content
     said = content["figures"] if name == MODEL else content["reference"].get(name, {})
     resamples = content["settings"]["resamples"]
-    mine = {figure: one.to_json() for figure, one in figures_of(table, name, resamples=resamples).items()}
+    mine = figures_by_samples(table, name, said, resamples)
     where = "figures" if name == MODEL else f"reference.{name}"
     own = {figure: value for figure, value in said.items() if figure.startswith(FIGURES)}
     check.expect_figures(f"{where}, from the actions", own, mine, ROUNDING)

@@ -28,7 +28,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from dmotion_bench.scoring.statistics import expanded_tail, widening
+from dmotion_bench.scoring.statistics import FEWEST_EPISODES, expanded_tail, widening
 from leaderboard.row import Row
 from leaderboard.value import values_of
 
@@ -65,7 +65,7 @@ class LabelsNeeded:
 
     Attributes:
         labels: So many.
-        low, high: The 95% interval over episodes and trainings; None where fewer than two episodes were scored.
+        low, high: The 95% interval over episodes and trainings; None where fewer than ``FEWEST_EPISODES`` were scored.
         budgets: The numbers of labels that were measured, rising; the last is all.
     """
 
@@ -144,7 +144,7 @@ def labels_needed(points: Sequence[CurvePoint], within: float = WITHIN, seed: in
 
     errors = [float(one.mean(0).sum() / counts.sum()) for one in totals]
     low = high = None
-    if len(counts) > 1:
+    if len(counts) >= FEWEST_EPISODES:
         generator = np.random.default_rng(seed)
         together = len({tuple(point.seeds) for point in points}) == 1
         drawn = [found(errors) for errors in _drawn(totals, counts, together, generator)]

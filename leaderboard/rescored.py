@@ -12,7 +12,6 @@ import pyarrow.compute as pc
 from jaxtyping import Bool
 
 from dmotion_bench.errors import RunCorrupt
-from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.prediction import MODEL
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import SAMPLES_FILE, samples_path
@@ -28,7 +27,7 @@ from dmotion_bench.scoring.samples import (
 from dmotion_bench.scoring.score import Scores
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.storage.shard import file_facts
-from leaderboard.comparison import sums_by_episode
+from leaderboard.comparison import figures_by_samples, sums_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.pictures import from_png, identity
 from leaderboard.verdict import SAME, SHOWN, Findings
@@ -75,8 +74,7 @@ def against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings)
     for predictor, said in everything.items():
         if predictor == "paper":
             continue
-        found = figures_of(samples, predictor, resamples=settings.resamples)
-        mine = {name: one.to_json() for name, one in found.items()}
+        mine = figures_by_samples(samples, predictor, said, settings.resamples)
         where = "figures" if predictor == MODEL else f"reference.{predictor}"
         check.expect_figures(f"{where}, from the samples", said, mine)
     said, ours = content["by_episode"], sums_by_episode(samples)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
+from leaderboard.comparison import PARTS
 from leaderboard.entry import Entry
 
 SAME: Final = 1e-9
@@ -75,7 +76,7 @@ class Findings:
         wrong = [f"{name} is missing" for name in found if name not in said]
         wrong += [f"{name} is nobody's" for name in said if name not in found]
         for name in (name for name in said if name in found):
-            for part in ("mean", "n") if means_only else ("mean", "std", "low", "high", "n"):
+            for part in ("mean", "n") if means_only else PARTS:
                 left, right = said[name][part], found[name][part]
                 if not _close(left, right, rounding, absolute):
                     wrong.append(f"{name}.{part} is said to be {left} and is {right}")

@@ -203,7 +203,9 @@ class Trial:
                     self._log(recording, scene)
 
             def advance(told: ControlProgress) -> None:
-                tell(JobProgress(what=self.title, done=told.steps, total=self.chosen.steps, status=said[0]))
+                tell(
+                    JobProgress(what=self.title, done=told.steps, total=self.chosen.steps, status=said[0], unit="steps")
+                )
 
             result = control(
                 self.agent,
@@ -217,7 +219,16 @@ class Trial:
             film.current.append(worlds[0].frame)
             shown = self.model if self._pictures else None
             distance, actions = result.distance[0], result.actions[0]
-            picture = filmstrip(film, self.problem.goal_frame, distance, actions, shown, ahead=self._horizon)
+            picture = filmstrip(
+                film,
+                self.problem.goal_frame,
+                distance,
+                actions,
+                shown,
+                ahead=self._horizon,
+                title=self.title,
+                lost=int(result.lost[0, -1]),
+            )
             write_filmstrip(picture, strip)
         return self._planned(result)
 

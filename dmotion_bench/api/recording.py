@@ -102,7 +102,7 @@ def record_recipe(recipe: DatasetRecipe, folder: Path, executor: Executor, progr
 
         def say(done: Done) -> None:
             status = f"{done.frames_per_s:.0f} frames/s"
-            tell(JobProgress(what=what, done=done.episodes, total=done.total, status=status))
+            tell(JobProgress(what=what, done=done.episodes, total=done.total, status=status, unit="episodes"))
 
         return record_dataset(folder, recipe, executor, say)
 

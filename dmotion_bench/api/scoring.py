@@ -21,7 +21,7 @@ from dmotion_bench.scoring.control import ControlScoring, control_samples
 from dmotion_bench.scoring.control import score_reference as control_of_reference
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import Execution, Precision
-from dmotion_bench.scoring.report import Report, read_report_samples
+from dmotion_bench.scoring.report import Report, read_report_samples, why_no_interval
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import METRICS, Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
@@ -39,6 +39,7 @@ __all__ = [
     "score",
     "score_references",
     "score_runs",
+    "why_no_interval",
 ]
 
 _LOG = logging.getLogger(__name__)

@@ -277,7 +277,7 @@ def _train(
 
         def on_step(report: Report) -> None:
             status = f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s"
-            tell(JobProgress(what=what, done=report.step, total=report.steps, status=status))
+            tell(JobProgress(what=what, done=report.step, total=report.steps, status=status, unit="steps"))
 
         return train_steps(run, training_data(run, dataset, loaders), fabric, on_step, tuple(trackers))
 

@@ -5,6 +5,7 @@ runs, so that ``dmbench --help`` loads no torch.
 """
 
 import contextlib
+import io
 import os
 import sys
 
@@ -47,7 +48,12 @@ def bound_waiting() -> None:
 
 
 def _open_streams() -> None:
-    """Open closed streams (``2>&-``) on /dev/null; else the next file that is opened would take the stream's number."""
+    """See that everything can be printed.
+
+    Closed streams (``2>&-``) are opened on /dev/null; else the next file that is opened would take the stream's number.
+    A character that stdout's encoding lacks, such as ± in ASCII, becomes a question mark; stderr, where an error ends,
+    has its escape sequence in Python already.
+    """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -55,3 +61,5 @@ def _open_streams() -> None:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free: this one
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")

@@ -13,6 +13,7 @@ from dmotion_bench.cli.options import AsJson, listed
 from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.errors import Interrupted
 from dmotion_bench.wording import command, sentence
+from dmotion_bench.workspace import Workspace
 
 if TYPE_CHECKING:
     from dmotion_bench.execution.job_progress import JobProgress
@@ -219,7 +220,8 @@ def _summary(report: ImportReport, size: int, hz: float) -> str:
     if report.actions is not None:
         lines.append(f"  actions, held out as labels: {report.actions}")
     else:
-        lines.append("  no actions: what an action leads to cannot be scored; with '--actions TOPIC' it can")
+        with_actions = "; with '--actions TOPIC' it can" * report.may_hold_actions
+        lines.append(f"  no actions: what an action leads to cannot be scored{with_actions}")
     lines += [f"  {sentence(told)}" for told in report.advice]
     if report.skipped:
         many = "1 recording is" if len(report.skipped) == 1 else f"{len(report.skipped)} recordings are"
@@ -227,8 +229,9 @@ def _summary(report: ImportReport, size: int, hz: float) -> str:
         lines += [f"    {sentence(why)}" for _, why in report.skipped[:_SHOWN]]
         if len(report.skipped) > _SHOWN:
             lines.append(f"    and {len(report.skipped) - _SHOWN} more; '--json' names all")
+    name = Workspace.current().short(report.path)
     lines.append(
-        f"Look at it with {command('dmbench view', report.path)}, "
-        f"train on it with {command('dmbench train dmotion --data', report.path)}."
+        f"Look at it with {command('dmbench view', name)}, "
+        f"train on it with {command('dmbench train dmotion --data', name)}."
     )
     return "\n".join(lines)

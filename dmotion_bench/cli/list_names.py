@@ -117,7 +117,7 @@ def datasets(as_json: AsJson = False) -> None:
             state = f"{len(dataset)} episodes, {int(dataset.lengths.sum())} frames"
         except DatasetError as error:
             state = str(error)
-        rows.append({"data set": str(path), "state": state})
+        rows.append({"data set": str(path if as_json else workspace.short(path)), "state": state})
     _show("datasets", rows, as_json, f"none in {workspace.data}; record one with 'dmbench record grid_world'.")
 
 
@@ -132,10 +132,11 @@ def runs(as_json: AsJson = False) -> None:
     for path in workspace.all_runs():
         from dmotion_bench.api.runs import Run
 
+        name = str(path if as_json else workspace.short(path))
         try:
             run = Run.open(path)
             done = f"trained, {run.result['steps']} steps" if run.result else "not finished"
-            rows.append({"run": str(path), "model": run.spec.model, "labels": run.spec.labels, "state": done})
+            rows.append({"run": name, "model": run.spec.model, "labels": run.spec.labels, "state": done})
         except RunError as error:
-            rows.append({"run": str(path), "model": "?", "labels": "?", "state": str(error)})
+            rows.append({"run": name, "model": "?", "labels": "?", "state": str(error)})
     _show("runs", rows, as_json, f"none in {workspace.runs}; train one with 'dmbench train dmotion'.")

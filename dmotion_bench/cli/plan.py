@@ -9,7 +9,7 @@ import typer
 
 from dmotion_bench.cli.options import ObjectiveName, ObjectiveSettings, PlanColumnName, PlannerName, PlannerSettings
 from dmotion_bench.cli.stdout import print_json, reserve_stdout
-from dmotion_bench.wording import command, shown
+from dmotion_bench.wording import command, counted, shown
 
 if TYPE_CHECKING:
     from dmotion_bench.api.planning import Planned
@@ -87,9 +87,9 @@ def _show(planned: Planned, save: Path | None) -> None:
     typer.echo(f"{planned.run}, task {planned.task} of {planned.dataset}")
     readings = ", ".join(f"{distance[at]:.3f} after {at}" for at in (10, 20, 40, 60, 80) if at < len(distance) - 1)
     typer.echo(f"  distance 1.000 at the start, {readings + ', ' if readings else ''}", nl=False)
-    typer.echo(f"{distance[-1]:.3f} after {planned.steps} steps")
+    typer.echo(f"{distance[-1]:.3f} after {counted(planned.steps, 'step')}")
     if planned.lost:
-        typer.echo(f"  {planned.lost} object(s) lost, each counting 1")
+        typer.echo(f"  {counted(planned.lost, 'object')} lost, each adding 1")
     if planned.frames:
         each = planned.frames / planned.steps
         typer.echo(f"  {each:.0f} frames predicted a step, {planned.planning_seconds:.1f} s of planning in all")

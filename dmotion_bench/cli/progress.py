@@ -14,13 +14,15 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     Task,
     TaskID,
     TaskProgressColumn,
-    TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
+from rich.text import Text
 
 if TYPE_CHECKING:
     from dmotion_bench.execution.job_progress import JobProgress
@@ -37,6 +39,31 @@ SECONDS: Final = 15.0
 _NAMED: Final = 5  # jobs in a line of all that run
 
 
+class _Words(ProgressColumn):
+    """Text in one line, which gives way where the others need the room."""
+
+    def __init__(self, words: Callable[[Task], str]) -> None:
+        self._words = words
+        super().__init__()
+
+    def render(self, task: Task) -> Text:
+        return Text(self._words(task), no_wrap=True, overflow="ellipsis")
+
+
+def bar_columns(width: int) -> list[ProgressColumn]:
+    """What stands beside each other in a line of progress, on a terminal of so many columns."""
+    whole = Column(no_wrap=True)
+    return [
+        _Words(lambda task: task.description),
+        BarColumn(bar_width=min(40, max(8, width - 80)), table_column=whole),
+        TaskProgressColumn(table_column=whole),
+        MofNCompleteColumn(table_column=whole),
+        _Words(lambda task: task.fields["status"]),
+        TimeElapsedColumn(table_column=whole),
+        TimeRemainingColumn(table_column=whole),
+    ]
+
+
 class ProgressDisplay:
     """The progress of one or more pieces of work, one after the other; used as a context manager.
 
@@ -45,16 +72,10 @@ class ProgressDisplay:
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        terminal = sys.stderr.isatty()
+        terminal, console = sys.stderr.isatty(), Console(stderr=True)
         self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[status]}"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
+            *bar_columns(console.width),
+            console=console,
             disable=not terminal,
             transient=True,
         )
@@ -75,7 +96,7 @@ class ProgressDisplay:
             self._bar.remove_task(self._jobs.pop(name))
         for name, job in jobs.items():
             if name not in self._jobs:
-                self._jobs[name] = self._bar.add_task(job.what, total=job.total, status=job.status)
+                self._jobs[name] = self._bar.add_task(job.what, total=job.total, status=job.status, unit=job.unit)
             self._bar.update(
                 self._jobs[name], description=job.what, completed=job.done, total=job.total, status=job.status
             )
@@ -86,19 +107,20 @@ class ProgressDisplay:
         if self._told is None or self._told[1] != told.what:
             if self._told is not None:
                 self._bar.remove_task(self._told[0])
-            self._told = (self.add_task(told.what, total=told.total, status=told.status), told.what)
+            self._told = (self.add_task(told.what, total=told.total, status=told.status, unit=told.unit), told.what)
         done = None if told.total is None else told.done  # before the end is known, nothing has begun
-        self.update(self._told[0], completed=done, total=told.total, status=told.status)
+        self.update(self._told[0], completed=done, total=told.total, status=told.status, unit=told.unit)
 
-    def add_task(self, description: str, *, total: float | None = None, status: str = "") -> TaskID:
+    def add_task(self, description: str, *, total: float | None = None, status: str = "", unit: str = "") -> TaskID:
         """A piece of work.
 
         Args:
             description: What it is.
             total: How much there is to do, if that is known.
             status: Free text beside it.
+            unit: What is counted.
         """
-        return self._bar.add_task(description, total=total, status=status)
+        return self._bar.add_task(description, total=total, status=status, unit=unit)
 
     def update(
         self,
@@ -108,9 +130,11 @@ class ProgressDisplay:
         completed: float | None = None,
         total: float | None = None,
         status: str | None = None,
+        unit: str | None = None,
     ) -> None:
         """Say how far a piece of work is; what is left out stays as it was."""
-        given: dict[str, Any] = {} if status is None else {"status": status}
+        fields = {"status": status, "unit": unit}
+        given: dict[str, Any] = {name: value for name, value in fields.items() if value is not None}
         before = self._progress_of(task).completed
         if completed is not None and completed < before:  # another part of the work, counted from the start
             self._began.pop(task, None)
@@ -129,7 +153,7 @@ class ProgressDisplay:
     def _line(self, task: TaskID, now: float) -> str:
         known = self._progress_of(task)
         done, total, status = known.completed, known.total, known.fields["status"]
-        parts = [] if total is None else [f"{done:,.0f} of {total:,.0f}"]
+        parts = [] if total is None else [f"{done:,.0f} of {total:,.0f} {known.fields['unit']}".rstrip()]
         parts += [status] if status else []
         began, before = self._began.get(task, (now, done))
         if total is not None and done > before:

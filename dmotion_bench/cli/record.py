@@ -154,6 +154,7 @@ def _follower(folder: Path, recipe: DatasetRecipe) -> Follower:
 def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
     """Print the result of a recording."""
     from dmotion_bench.storage.dataset import Dataset
+    from dmotion_bench.workspace import Workspace
 
     tasks, replay = len(Dataset.open(recorded.dataset).tasks()), recorded.replay
     if as_json:
@@ -188,7 +189,8 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
         typer.echo(f"  {recorded.made.frames} frames recorded at {recorded.made.frames_per_s:.0f} frames/s")
     else:
         typer.echo("  the data set was complete already; a larger --episodes extends it")
+    name = Workspace.current().short(recorded.dataset)
     typer.echo(
-        f"Look at it with {command('dmbench view', recorded.dataset)}, "
-        f"train on it with {command('dmbench train dmotion --data', recorded.dataset)}."
+        f"Look at it with {command('dmbench view', name)}, "
+        f"train on it with {command('dmbench train dmotion --data', name)}."
     )

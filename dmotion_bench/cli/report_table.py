@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.cli.tables import show_figures, stdout_console
+from dmotion_bench.wording import rounded
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
@@ -51,7 +52,7 @@ FACTORS = {
 }
 """What probes read from a latent action; it should hold the first two."""
 HELD = ("action", "agent_motion")
-PROBE_COLUMNS = ("probe_linear", "probe_mlp", "probe_linear_shuffled", "probe_mlp_shuffled")
+PROBE_COLUMNS = ("probe_linear", "probe_linear_shuffled", "probe_mlp", "probe_mlp_shuffled")
 
 CONTROL_STEPS = (10, 20, 40, 60, 80, 100)
 """Steps of control that a table shows; the report has all steps."""
@@ -67,14 +68,32 @@ def show_report(report: Report, run: Path) -> None:
     for name in _shown(report.figures):
         figure = report.figures[name]
         others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
-        rows.append((_words(name), _mean_std(figure), _interval(figure), str(figure["n"]), *others))
-    show_figures(_headline(report), ("figure", "mean ± std", "95% interval", "n", *beside), rows)
+        counts = [_count(figure.get(name)) for name in ("n", "episodes")]
+        rows.append((_words(name), _mean_std(figure), _interval(figure), *counts, *others))
+    headings = ("figure", "mean ± std", "95% interval", "n", "episodes", *map(_plain, beside))
+    show_figures(_headline(report), headings, rows)
     _show_probes(report)
     console = stdout_console()
+    _say_why_no_interval(report.figures.values())
     for name in (*beside, "labels", "trained_on", "actions", "positions", "gain", "control", "rollout", "split"):
         if name in report.remarks:
-            console.print(f"  {name.replace('_', ' ')}: {report.remarks[name]}")
+            console.print(f"  {_plain(name)}: {report.remarks[name]}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
+
+
+def _say_why_no_interval(figures: Iterable[FigureJson]) -> None:
+    from dmotion_bench.api.scoring import why_no_interval
+
+    if (why := why_no_interval(figures)) is not None:
+        stdout_console().print(f"  95% interval: {why}")
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _count(count: float | None) -> str:
+    return "" if count is None else f"{count:,.0f}"
 
 
 def _show_probes(report: Report) -> None:
@@ -82,19 +101,16 @@ def _show_probes(report: Report) -> None:
     rows: list[tuple[str, ...]] = []
     for factor, words in FACTORS.items():
         found = [report.figures.get(f"{column}[{factor}]") for column in PROBE_COLUMNS]
-        cells = [f"{_number(figure['mean'])} ({_interval(figure)})" for figure in found if figure is not None]
+        cells = [
+            _share(figure) + ("" if name.endswith("shuffled") else _share_interval(figure))
+            for name, figure in zip(PROBE_COLUMNS, found, strict=True)
+            if figure is not None
+        ]
         if cells:
-            rows.append((words, "yes" if factor in HELD else "no", *cells))
+            rows.append((words + " (wanted)" * (factor in HELD), *cells))
     if rows:
-        headings = (
-            "in the latent action",
-            "wanted",
-            "linear probe (95%)",
-            "small network",
-            "chance, linear",
-            "chance, small",
-        )
-        show_figures("What probes read: accuracy of named actions, else R²", headings, rows)
+        headings = ("factor", "linear probe (95%)", "chance", "network (95%)", "chance")
+        show_figures("What probes read from the latent action: accuracy of named actions, else R²", headings, rows)
 
 
 def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) -> None:
@@ -111,6 +127,7 @@ def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) ->
             ]
             rows.append((_words(figure), *(cell for pair in pairs for cell in pair)))
     show_figures(title, ("figure", *headings), rows)
+    _say_why_no_interval(figure for one in figures.values() for figure in one.values())
 
 
 def show_overview(reports: Mapping[Path, Report]) -> None:
@@ -140,7 +157,7 @@ def _show_board(reports: Mapping[Path, Report]) -> None:
             paper = _row(report.reference["paper"], shown, "" if behind else None)
             rows.append((f"  {report.model} in the paper", "", *paper))
     known = [name for name in ("agent_moves", "copy_last") if name in here[0].reference]
-    rows += [(name, "", *_row(here[0].reference[name], shown, "" if behind else None)) for name in known]
+    rows += [(_plain(name), "", *_row(here[0].reference[name], shown, "" if behind else None)) for name in known]
     title = f"{here[0].dataset['name']}, {here[0].settings['split']} episodes"
     show_figures(title, headings, rows, below=len(known))
 
@@ -176,7 +193,7 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
     for path in paths[1:]:
         difference = behind(samples[path], samples[paths[0]]) if path in samples else None
         if difference is not None:
-            above, between = f"+{_number(difference.mean)}", _interval(difference.to_json())
+            above, between = f"+{rounded(difference.mean)}", _interval(difference.to_json())
             told[path] = standing_words(difference, above, between)
     return told
 
@@ -188,7 +205,7 @@ def show_differences(differences: Sequence[Any], first: str, second: str, *, eve
     for one in differences:
         if everything or one.figure in shown:
             estimate = one.difference.to_json()
-            values = (_number(one.first), _number(one.second), _number(estimate["mean"]), _interval(estimate))
+            values = (rounded(one.first), rounded(one.second), rounded(estimate["mean"]), _interval(estimate))
             rows.append((_words(one.figure), *values, one.verdict))
     headings = ("figure", "first", "second", "first - second", "95% interval", "better")
     show_figures(f"{first} against {second}, on the same held-out frames", headings, rows)
@@ -261,17 +278,17 @@ def _mean_std(figure: FigureJson | None, *, short: bool = False) -> str:
     if figure is None:
         return ""
     if short or figure["std"] is None:
-        return _number(figure["mean"])
-    return f"{_number(figure['mean'])} ± {_number(figure['std'])}"
+        return rounded(figure["mean"])
+    return f"{rounded(figure['mean'])} ± {rounded(figure['std'])}"
+
+
+def _share(figure: FigureJson) -> str:
+    return "" if figure["mean"] is None else f"{figure['mean']:.2f}"
+
+
+def _share_interval(figure: FigureJson) -> str:
+    return "" if figure["low"] is None else f" ({figure['low']:.2f} to {figure['high']:.2f})"
 
 
 def _interval(figure: FigureJson) -> str:
-    return "" if figure["low"] is None else f"{_number(figure['low'])} to {_number(figure['high'])}"
-
-
-def _number(value: float | int | None) -> str:
-    """A number with three significant digits, without an exponent."""
-    if value is None:
-        return ""
-    size = abs(value)
-    return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.3g}" if size >= 1e-4 else "0"
+    return "" if figure["low"] is None else f"{rounded(figure['low'])} to {rounded(figure['high'])}"

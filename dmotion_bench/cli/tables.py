@@ -2,26 +2,46 @@
 
 from __future__ import annotations
 
+import os
 import textwrap
 from collections.abc import Iterable, Sequence
 
+import typer
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
+from rich.text import Text
 
 ENDLESS = 10_000
 """Columns of what has no edge."""
+_BETWEEN, _EDGES = 3, 2
+"""Terminal columns between two columns of a table, and at its edges together."""
 HEADING = 16
 """Columns from which on a figure's heading takes several lines on a terminal."""
 
 
 def stdout_console() -> Console:
-    """A console that takes every text as it is, and neither folds nor cuts what goes to a file or a pipe."""
+    """A console that takes every text as it is, and neither folds nor cuts what goes to a file or a pipe.
+
+    Where the variable COLUMNS says how wide a file or a pipe is, it is taken for a terminal of that width.
+    """
     console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
+    if not (console.is_terminal or os.environ.get("COLUMNS", "").isdigit()):
         console.width = ENDLESS
     return console
+
+
+def _print(console: Console, table: Table) -> None:
+    """Print a table; outside a terminal without blanks at the ends of its lines."""
+    if console.is_terminal:
+        console.print(table)
+        return
+    with console.capture() as captured:
+        console.print(table)
+    for line in captured.get().splitlines():
+        typer.echo(line.rstrip())
 
 
 def _table(title: str | None = None) -> Table:
@@ -48,7 +68,7 @@ def show_figures(title: str, headings: Sequence[str], rows: Sequence[Sequence[st
             last -= 1
         table = _figures(console, headings, rows, range(first, last), below)
         table.title = title if first == 1 else None
-        console.print(table)
+        _print(console, table)
         first = last
 
 
@@ -58,7 +78,7 @@ def _figures(
     """A table of some of the columns, after the first, which folds where it would take more than half the room."""
     table = _table()
     table.add_column(headings[0], overflow="fold", max_width=console.width // 2)
-    widest = min(HEADING if console.is_terminal else ENDLESS, console.width)
+    widest = HEADING if console.width < ENDLESS else ENDLESS
     for column in columns:
         table.add_column("\n".join(textwrap.wrap(headings[column], widest)), justify="right", no_wrap=True)
     for place, row in enumerate(rows):
@@ -76,16 +96,49 @@ def _fits(console: Console, table: Table) -> bool:
 
 
 def show_rows(headings: Iterable[str], rows: Iterable[Iterable[str]], *, right: frozenset[str] = frozenset()) -> None:
-    """Print rows of text under their headings; on a narrow terminal cells are folded, so that names stay whole.
+    """Print rows of text under their headings.
+
+    On a narrow terminal cells take several lines, and where not even the longest words fit beside each other, each row
+    becomes lines of its own. So names stay whole.
 
     Args:
         headings: Of the columns.
         rows: A text for each column.
         right: Headings whose columns are set to the right.
     """
+    console, names, cells = stdout_console(), list(headings), [list(row) for row in rows]
+    columns = [[name, *column] for name, column in zip(names, zip(*cells, strict=True), strict=True)]
+    widths = _widths(columns, console.width - _EDGES - _BETWEEN * (len(names) - 1))
+    if widths is None:
+        _show_records(console, names, cells)
+        return
     table = _table()
-    for heading in headings:
-        table.add_column(heading, justify="right" if heading in right else "left", overflow="fold")
-    for row in rows:
+    for name, width in zip(names, widths, strict=True):
+        table.add_column(name, justify="right" if name in right else "left", width=width)
+    for row in cells:
         table.add_row(*row)
-    stdout_console().print(table)
+    _print(console, table)
+
+
+def _widths(columns: Sequence[Sequence[str]], room: int) -> list[int] | None:
+    """The widths of columns of text in so much room, by narrowing the widest; None if their words do not fit."""
+    least = [max((cell_len(word) for text in column for word in text.split()), default=0) for column in columns]
+    widths = [max(cell_len(text) for text in column) for column in columns]
+    while sum(widths) > room:
+        spare = [width if width > enough else 0 for width, enough in zip(widths, least, strict=True)]
+        if not any(spare):
+            return None
+        widths[spare.index(max(spare))] -= 1
+    return widths
+
+
+def _show_records(console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print each row as a line with its name, and a line for each other cell below it."""
+    for row in rows:
+        table = Table.grid(padding=(0, 2))
+        table.add_column()
+        table.add_column(overflow="fold")
+        for heading, cell in zip(headings[1:], row[1:], strict=True):
+            table.add_row(f"  {heading}", cell)
+        console.print(Text(row[0], overflow="fold"))
+        _print(console, table)

@@ -246,6 +246,7 @@ def _follower(run: Path) -> Follower:
 def _tell(run: Run, dataset: Dataset, result: dict[str, Any], as_json: bool) -> None:
     """Print the result of a training."""
     from dmotion_bench.cli.progress import duration
+    from dmotion_bench.workspace import Workspace
 
     summary = {
         "run": str(run.path),
@@ -284,7 +285,7 @@ def _tell(run: Run, dataset: Dataset, result: dict[str, Any], as_json: bool) -> 
             f"The same command with '--labels {first_labels(dataset)}' tells it, without training again."
         )
     else:
-        typer.echo(f"Score it with {command('dmbench score', run.path)}.")
+        typer.echo(f"Score it with {command('dmbench score', Workspace.current().short(run.path))}.")
 
 
 def _conditions(conditions: Conditions) -> str:

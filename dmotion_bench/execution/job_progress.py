@@ -34,12 +34,14 @@ class JobProgress:
         what: What it does now.
         done, total: So much of so much; None where the end is not known.
         status: Free text beside it.
+        unit: What is counted, such as ``"steps"``; empty where ``what`` says it.
     """
 
     what: str
     done: float
     total: float | None
     status: str = ""
+    unit: str = ""
 
 
 @contextlib.contextmanager

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -23,7 +27,7 @@ from dmotion_bench.scoring.samples import (
     column,
     vectors,
 )
-from dmotion_bench.scoring.statistics import RESAMPLES, EpisodeBootstrap, Estimate
+from dmotion_bench.scoring.statistics import FEWEST_EPISODES, RESAMPLES, EpisodeBootstrap, Estimate
 from dmotion_bench.scoring.true_factors import FACTORS
 
 PUSH = "_push"
@@ -34,17 +38,34 @@ SUCCESS = 0.2
 THRESHOLDS = (0.1, 0.2, 0.5)
 
 Figures = dict[str, Estimate]
+Bootstraps = Callable[[Any], EpisodeBootstrap]
+"""From the episodes of some samples to their bootstrap."""
 
 
-def figures_of(samples: pa.Table, predictor: str, *, resamples: int = RESAMPLES, seed: int = 0) -> Figures:
-    """Every figure that can be computed from a predictor's samples; figures without any value are left out."""
+def figures_of(
+    samples: pa.Table,
+    predictor: str,
+    *,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+    fewest: int = FEWEST_EPISODES,
+) -> Figures:
+    """Every figure that can be computed from a predictor's samples; figures without any value are left out.
+
+    Args:
+        samples: Of any predictors.
+        predictor: Whose figures.
+        resamples, seed: Of the draws for the intervals.
+        fewest: Episodes that an interval takes.
+    """
+    bootstrap = partial(EpisodeBootstrap, resamples=resamples, seed=seed, fewest=fewest)
     mine = _where(samples, "predictor", predictor)
     single, rollout, controlled = (_where(mine, "metric", metric) for metric in ("prediction", "rollout", CONTROL))
-    found = _single_steps(single, resamples, seed) if len(single) else {}
-    found |= _rollouts(rollout, resamples, seed)
-    found |= _gain(_where(mine, "metric", GAIN), resamples, seed)
-    found |= _control_by_pictures(_where(mine, "metric", PICTURE_CONTROL), resamples, seed)
-    return found | _control(controlled, resamples, seed)
+    found = _single_steps(single, bootstrap) if len(single) else {}
+    found |= _rollouts(rollout, bootstrap)
+    found |= _gain(_where(mine, "metric", GAIN), bootstrap)
+    found |= _control_by_pictures(_where(mine, "metric", PICTURE_CONTROL), bootstrap)
+    return found | _control(controlled, bootstrap)
 
 
 def _where(samples: pa.Table, name: str, value: str) -> pa.Table:
@@ -52,8 +73,8 @@ def _where(samples: pa.Table, name: str, value: str) -> pa.Table:
     return samples.filter(pc.equal(samples[name], value))
 
 
-def _single_steps(single: pa.Table, resamples: int, seed: int) -> Figures:
-    bootstrap = EpisodeBootstrap(column(single, "episode"), resamples=resamples, seed=seed)
+def _single_steps(single: pa.Table, over_episodes: Bootstraps) -> Figures:
+    bootstrap = over_episodes(column(single, "episode"))
     pushed = column(single, "pushed").astype(bool)
     found: Figures = {}
     for suffix, counted in (("", np.ones(len(single), bool)), (PUSH, pushed)):
@@ -123,27 +144,27 @@ def _each_agent(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:
     return found
 
 
-def _rollouts(rollout: pa.Table, resamples: int, seed: int) -> Figures:
+def _rollouts(rollout: pa.Table, over_episodes: Bootstraps) -> Figures:
     found: Figures = {}
     ahead, episode = column(rollout, "ahead"), column(rollout, "episode")
     for name in ROLLOUT_COLUMNS:
         values = column(rollout, name)
         for step in np.unique(ahead).tolist():
             at = ahead == step
-            bootstrap = EpisodeBootstrap(episode[at], resamples=resamples, seed=seed)
+            bootstrap = over_episodes(episode[at])
             if (estimate := bootstrap.mean(values[at])) is not None:
                 found[f"rollout_{name}[{step}]"] = estimate
     return found
 
 
-def _control(samples: pa.Table, resamples: int, seed: int) -> Figures:
+def _control(samples: pa.Table, over_episodes: Bootstraps) -> Figures:
     """The mean distance over tasks after each step, and the shares of tasks that end near the goal."""
     if not len(samples):
         return {}
     ahead, episode = column(samples, "ahead"), column(samples, "episode")
     distance = column(samples, "control_distance").astype(np.float64)
     final = ahead == ahead.max()
-    bootstrap = EpisodeBootstrap(episode[final], resamples=resamples, seed=seed)  # rows of a moment: the same tasks
+    bootstrap = over_episodes(episode[final])  # rows of a moment: the same tasks
     steps = range(1, int(ahead.max()) + 1)
     values = {f"control_distance[{step}]": distance[ahead == step] for step in steps}
     values["control_success"] = (distance[final] <= SUCCESS).astype(np.float64)
@@ -154,7 +175,7 @@ def _control(samples: pa.Table, resamples: int, seed: int) -> Figures:
     return {name: estimate for name, estimate in estimates.items() if estimate is not None}
 
 
-def _control_by_pictures(samples: pa.Table, resamples: int, seed: int) -> Figures:
+def _control_by_pictures(samples: pa.Table, over_episodes: Bootstraps) -> Figures:
     """The mean difference from the goal image over tasks after each step: it says nothing about tasks that are solved.
 
     Pictures may differ a lot where little is wrong, and little where much is.
@@ -162,7 +183,7 @@ def _control_by_pictures(samples: pa.Table, resamples: int, seed: int) -> Figure
     if not len(samples):
         return {}
     ahead, distance = column(samples, "ahead"), column(samples, "control_distance").astype(np.float64)
-    bootstrap = EpisodeBootstrap(column(samples, "episode")[ahead == ahead.max()], resamples=resamples, seed=seed)
+    bootstrap = over_episodes(column(samples, "episode")[ahead == ahead.max()])
     estimates = {
         f"control_picture_distance[{step}]": bootstrap.mean(distance[ahead == step])
         for step in range(1, int(ahead.max()) + 1)
@@ -170,11 +191,11 @@ def _control_by_pictures(samples: pa.Table, resamples: int, seed: int) -> Figure
     return {name: estimate for name, estimate in estimates.items() if estimate is not None}
 
 
-def _gain(samples: pa.Table, resamples: int, seed: int) -> Figures:
+def _gain(samples: pa.Table, over_episodes: Bootstraps) -> Figures:
     """The share of what could be gained at some moments that was."""
     if not len(samples):
         return {}
-    bootstrap = EpisodeBootstrap(column(samples, "episode"), resamples=resamples, seed=seed)
+    bootstrap = over_episodes(column(samples, "episode"))
     gain, best = (column(samples, name).astype(np.float64) for name in ("gain", "best_gain"))
     estimate = bootstrap.ratio(gain, best)
     return {} if estimate is None else {"planning_gain": estimate}

@@ -393,7 +393,14 @@ def motion_within_over_between(
         return np.asarray((total - explained).sum(1) / across.sum(1))
 
     low, high = bootstrap.interval(bootstrap.totals(columns), statistic)
-    return Estimate(mean=float(ratio.mean()), std=float(ratio.std()), low=low, high=high, n=len(ratio))
+    return Estimate(
+        mean=float(ratio.mean()),
+        std=float(ratio.std()),
+        low=low,
+        high=high,
+        n=len(ratio),
+        episodes=bootstrap.present(np.ones(len(ratio), np.bool_)),
+    )
 
 
 def codebook_use(codes: Int[np.ndarray, "n m"], size: int) -> dict[str, Estimate]:

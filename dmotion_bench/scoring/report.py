@@ -16,7 +16,7 @@
       planning       of control: the planner and the cost, every field and every constant, and the arithmetic
       training       what the run cost; threads: that trained it, and scored it
       versions       of Python and the packages
-      figures        name -> mean, std, low, high, n
+      figures        name -> mean, std, low, high, n, episodes; without the last in older reports
       reference      the same for predictors that know nothing, and published results, by their names
       remarks        what to bear in mind of each reference, and what could not be scored
       samples        file, rows and hash of samples.parquet
@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
@@ -43,6 +43,7 @@ import pyarrow as pa
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.samples import read_samples, write_samples
+from dmotion_bench.scoring.statistics import FEWEST_EPISODES
 from dmotion_bench.storage.atomic import sync_folder, write_atomically
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
@@ -58,7 +59,7 @@ SCORING_VERSION: Final = 1
 
 Raise it when a change gives another figure, beyond rounding, of the same model on the same data. ``tests/golden/
 scoring.json`` holds figures to notice that by. A report of another version is scored again. A figure that is new and
-leaves the others as they are needs no new version.
+leaves the others as they are needs no new version, nor does an interval that is no longer given.
 """
 
 SCORING_OF_CODE: Final[Mapping[str, int]] = MappingProxyType({"0.1.0+f4b222bec15f": 1})
@@ -157,6 +158,15 @@ def report_place(dataset: str | None, split: str = "test", column: str | None = 
     if column is not None:
         return there / Path(column).name
     return there if split == "test" else there / Path(split).name
+
+
+def why_no_interval(figures: Iterable[FigureJson]) -> str | None:
+    """In words that some figures are of too few episodes for an interval; None where none is."""
+    known = {figure.get("episodes") for figure in figures if figure["low"] is None}
+    few = sorted(int(count) for count in known if count is not None and count < FEWEST_EPISODES)
+    if not few:
+        return None
+    return f"too few episodes for an interval: {' or '.join(map(str, few))}, it takes {FEWEST_EPISODES}"
 
 
 def write_report(folder: Path, report: Report, samples: pa.Table) -> Report:

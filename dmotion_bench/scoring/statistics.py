@@ -4,7 +4,8 @@ The steps of one episode are alike, so an interval over samples would be far too
 anew instead (a cluster bootstrap): each draw gives the figure of its pooled samples, a ratio of sums over
 episodes, and the interval is read from the draws' quantiles. With few episodes plain quantiles lie too close
 together; they are widened as Hesterberg proposes (2015, "What teachers should know about the bootstrap", section
-4.4: expanded percentile intervals), by Student's t instead of the normal and n - 1 instead of n.
+4.4: expanded percentile intervals), by Student's t instead of the normal and n - 1 instead of n. Of fewer than
+``FEWEST_EPISODES`` no widening helps, because there are too few different draws: such a figure has no interval.
 """
 
 from __future__ import annotations
@@ -16,12 +17,17 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 from scipy.special import ndtr, ndtri, stdtrit
 
 LEVEL = 0.95
 RESAMPLES = 2000
 FEWEST_PAIRS: Final = 5
+FEWEST_EPISODES: Final = 5
+"""That an interval takes. In simulations intervals over 2, 3 and 4 hold the truth in 52, 77 and 86% of the cases."""
+
+EARLIER_FEWEST: Final = 2
+"""As many it took when the first results were published; some of these have intervals over fewer than today."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +37,10 @@ class Estimate:
     Attributes:
         mean: Over all samples.
         std: Over samples, the population's.
-        low, high: Bounds of the 95% interval over episodes; None where fewer than two episodes have a sample.
+        low, high: Bounds of the 95% interval over episodes; None where fewer than ``FEWEST_EPISODES`` episodes have a
+            sample.
         n: Number of samples.
+        episodes: Number of episodes that have a sample; None where that is not known.
     """
 
     mean: float
@@ -40,10 +48,12 @@ class Estimate:
     low: float | None
     high: float | None
     n: int
+    episodes: int | None = None
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in a report."""
-        return {"mean": self.mean, "std": self.std, "low": self.low, "high": self.high, "n": self.n}
+        figure = {"mean": self.mean, "std": self.std, "low": self.low, "high": self.high, "n": self.n}
+        return figure if self.episodes is None else figure | {"episodes": self.episodes}
 
 
 class EpisodeBootstrap:
@@ -53,11 +63,19 @@ class EpisodeBootstrap:
         episodes: Of each sample.
         resamples: Number of draws.
         seed: Of the draws.
+        fewest: Episodes that an interval takes.
     """
 
-    def __init__(self, episodes: Shaped[np.ndarray, " n"], *, resamples: int = RESAMPLES, seed: int = 0) -> None:
+    def __init__(
+        self,
+        episodes: Shaped[np.ndarray, " n"],
+        *,
+        resamples: int = RESAMPLES,
+        seed: int = 0,
+        fewest: int = FEWEST_EPISODES,
+    ) -> None:
         self._clusters, self._cluster = np.unique(episodes, return_inverse=True)
-        self._resamples, self._seed = resamples, seed
+        self._resamples, self._seed, self._fewest = resamples, seed, fewest
 
     def mean(self, values: Float[np.ndarray, " n"]) -> Estimate | None:
         """The mean of samples; those that are NaN or infinite are left out. None if there are no others."""
@@ -67,7 +85,14 @@ class EpisodeBootstrap:
             return None
         totals = self.totals(np.stack([np.where(counted, values, 0.0), counted], axis=1))
         low, high = self.interval(totals, lambda sums: sums[:, 0] / sums[:, 1])
-        return Estimate(mean=float(samples.mean()), std=float(samples.std()), low=low, high=high, n=len(samples))
+        return Estimate(
+            mean=float(samples.mean()),
+            std=float(samples.std()),
+            low=low,
+            high=high,
+            n=len(samples),
+            episodes=self.present(counted),
+        )
 
     def ratio(self, parts: Float[np.ndarray, " n"], wholes: Float[np.ndarray, " n"]) -> Estimate | None:
         """The sum of some parts divided by the sum of their wholes; its std is that of each part's own share.
@@ -82,7 +107,8 @@ class EpisodeBootstrap:
         low, high = self.interval(totals, lambda sums: sums[:, 0] / sums[:, 1])
         shares = parts[counted] / wholes[counted]
         mean = float(parts[counted].sum() / wholes[counted].sum())
-        return Estimate(mean=mean, std=float(shares.std()), low=low, high=high, n=len(shares))
+        present = self.present(counted)
+        return Estimate(mean=mean, std=float(shares.std()), low=low, high=high, n=len(shares), episodes=present)
 
     def explained(self, errors: Float[np.ndarray, " n"], wholes: Float[np.ndarray, " n"]) -> Estimate | None:
         """R^2: 1 - the sum of some errors / the sum of their wholes; its std is that of the samples' parts in it.
@@ -96,7 +122,12 @@ class EpisodeBootstrap:
         totals = self.totals(np.stack([np.where(counted, one, 0.0) for one in (errors, wholes)], axis=1))
         low, high = self.interval(totals, lambda sums: 1 - sums[:, 0] / sums[:, 1])
         own = 1 - errors[counted] / wholes[counted].mean()
-        return Estimate(mean=float(own.mean()), std=float(own.std()), low=low, high=high, n=len(own))
+        mean, present = float(own.mean()), self.present(counted)
+        return Estimate(mean=mean, std=float(own.std()), low=low, high=high, n=len(own), episodes=present)
+
+    def present(self, counted: Bool[np.ndarray, " n"]) -> int:
+        """The number of episodes that have one of the samples that count."""
+        return len(np.unique(self._cluster[counted]))
 
     def totals(self, values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "e m"]:
         """Sums over each episode's samples."""
@@ -115,7 +146,7 @@ class EpisodeBootstrap:
             statistic: From the sums of ``r`` draws to the figure of each; NaN where a draw has none.
         """
         present = totals[(totals != 0).any(axis=1)]
-        if len(present) < 2:
+        if len(present) < self._fewest:
             return None, None
         with np.errstate(divide="ignore", invalid="ignore"):
             drawn = statistic(_draws(len(present), self._resamples, self._seed) @ present)
@@ -152,6 +183,7 @@ def over_trainings(
     instead of the normal. And it is scaled to what trainings truly differ by: means over the same episodes also differ
     because each training does some tasks better by chance, which the draws of episodes hold already. Of one training
     the interval is over episodes alone. Of a figure that is nowhere negative it does not reach below zero.
+    Over fewer than ``FEWEST_EPISODES`` episodes there is none.
 
     Args:
         sums: Of each training, each episode's sum over its samples.
@@ -161,7 +193,7 @@ def over_trainings(
     trainings, episodes = sums.shape
     each = sums.sum(axis=1) / counts.sum()
     low = high = None
-    if episodes >= 2:
+    if episodes >= FEWEST_EPISODES:
         drawn = _draws(episodes, resamples, seed)
         means = drawn @ sums.T / (drawn @ counts)[:, None]
         middle = means.mean(axis=1)
@@ -174,7 +206,14 @@ def over_trainings(
         if (sums >= 0).all():
             low = max(low, 0.0)
     per_episode = sums.mean(axis=0) / counts
-    return Estimate(mean=float(each.mean()), std=float(per_episode.std()), low=low, high=high, n=int(counts.sum()))
+    return Estimate(
+        mean=float(each.mean()),
+        std=float(per_episode.std()),
+        low=low,
+        high=high,
+        n=int(counts.sum()),
+        episodes=episodes,
+    )
 
 
 def widening(sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"]) -> float:

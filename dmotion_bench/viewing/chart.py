@@ -16,6 +16,7 @@ import rerun as rr
 from jaxtyping import Float, Int, Real
 
 from dmotion_bench.viewing.tracks import WORDS, Color
+from dmotion_bench.wording import rounded
 
 WIDTH, HEIGHT = 1000.0, 600.0
 MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 90.0, 230.0, 30.0, 60.0
@@ -76,7 +77,7 @@ def log_chart(
         recording.log(
             entity, rr.LineStrips2D([line], colors=[colors[name]], radii=[widths[name]], draw_order=10.0), static=True
         )
-        text = f"{name}: {curve.value[-1]:.3g}"
+        text = f"{name}: {rounded(curve.value[-1])}"
         _write(recording, f"{entity}/name", [(right + MARGIN_RIGHT / 2, height - 12)], [text], colors[name])
 
 

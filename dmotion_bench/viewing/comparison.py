@@ -17,13 +17,14 @@ from dmotion_bench.pairing import behind, standing_words
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, read_report_samples
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart
-from dmotion_bench.viewing.dataset import labels_if_any
+from dmotion_bench.viewing.dataset import labels_if_any, part_of
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
 from dmotion_bench.viewing.labels import ACTION_COLORS, log_events, log_legend, plain, what_happens
 from dmotion_bench.viewing.report import episode_means, figure_text, interval_text, rollout_curves
 from dmotion_bench.viewing.run import AMPLIFIED, COPIED, log_prediction
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import Color, log_curve, log_images, log_mark, log_rings
+from dmotion_bench.wording import rounded
 
 MOST = 10
 """Models that fit beside each other."""
@@ -110,9 +111,10 @@ def contrasting_episodes(runs: Sequence[Path]) -> dict[int, str]:
     for word, place in (
         ("worst", mse.mean(0).argmax()),
         ("best", mse.mean(0).argmin()),
-        ("most apart", apart.argmax()),
+        ("differ most", apart.argmax()),
     ):
-        told.setdefault(common[int(place)], f"{word}, mean MSE {mse.mean(0)[place]:.3g}")
+        words = (f"{word}, " if len(common) > 1 else "") + f"mean MSE {rounded(mse.mean(0)[place])}"
+        told.setdefault(common[int(place)], words)
     return told
 
 
@@ -233,7 +235,7 @@ def _mark_worst(recording: rr.RecordingStream, path: str, predictions: Mapping[s
 
 
 def _about(dataset: ReadableDataset, episode: int, note: str, seen: Mapping[str, Imagination]) -> str:
-    part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
+    part = part_of(dataset, episode)
     means = {name: (float(one.one_step.mse.mean()), float(one.imagined.mse.mean())) for name, one in seen.items()}
     best = [min(means, key=lambda name: means[name][place]) for place in (0, 1)]
     lines = [
@@ -243,7 +245,9 @@ def _about(dataset: ReadableDataset, episode: int, note: str, seen: Mapping[str,
         "|---|---|---|",
     ]
     for name, values in means.items():
-        cells = [f"**{value:.3g}**" if name == best[place] else f"{value:.3g}" for place, value in enumerate(values)]
+        cells = [
+            f"**{rounded(value)}**" if name == best[place] else rounded(value) for place, value in enumerate(values)
+        ]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     by_motion = any(one.by_motion for one in seen.values())
     told = (
@@ -300,7 +304,7 @@ def _table(reports: Mapping[str, tuple[Path, Report]]) -> str:
         own, report = samples[name], reports[name][1]
         apart = "" if name != order[0] else "best"
         if name != order[0] and own is not None and best is not None and (found := behind(own, best)) is not None:
-            apart = standing_words(found, f"**+{found.mean:.3g}**", interval_text(found.to_json()))
+            apart = standing_words(found, f"**+{rounded(found.mean)}**", interval_text(found.to_json()))
         lines.append(f"| {name} | {' | '.join(figure_text(report.figures.get(key)) for key in shown)} | {apart} |")
     lines += ["", "Mean over the test episodes; differences are paired, with their 95% interval over episodes."]
     return "\n".join(lines)

@@ -9,13 +9,15 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dmotion_bench.errors import LabelsNotAvailable
-from dmotion_bench.specs import EnvSpec, EpisodeLabels
+from dmotion_bench.specs import EnvSpec, EpisodeLabels, SplitName
 from dmotion_bench.storage.readable import ReadableDataset
+from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.viewing.eye import eye_of_camera
 from dmotion_bench.viewing.labels import log_labels, log_legend, places_known, what_happens
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import log_images
 
+_APART = "kept apart (of the actions a training gets only those that its budget pays for, of the rest nothing)"
 _KEYS = ("", "*Space* plays and pauses; drag a view to pan it, scroll to zoom, double-click to reset.")
 
 
@@ -40,6 +42,11 @@ def labels_if_any(dataset: ReadableDataset, episode: int) -> EpisodeLabels | Non
         return dataset.labels(episode)
     except LabelsNotAvailable:
         return None
+
+
+def part_of(dataset: ReadableDataset, episode: int) -> SplitName:
+    """The split that an episode is in."""
+    return next(part for part in SPLIT_NAMES if episode in dataset.split(part))
 
 
 def _tab(dataset: ReadableDataset, episode: int) -> Tab:
@@ -89,7 +96,7 @@ def _eye(labels: EpisodeLabels) -> rrb.EyeControls3D | None:
 def _explanation(dataset: ReadableDataset, episode: int, frames: int, labels: EpisodeLabels | None) -> str:
     recipe, spec = dataset.recipe, dataset.spec
     seconds = frames * spec.step_ns / 1e9
-    part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
+    part = part_of(dataset, episode)
     lines = [
         f"**{dataset.name}, episode {episode}**",
         "",
@@ -102,10 +109,10 @@ def _explanation(dataset: ReadableDataset, episode: int, frames: int, labels: Ep
     if labels is None:
         return "\n".join([*lines, "", "This data set has no labels.", *_KEYS])
     if not places_known(labels):
-        return "\n".join([*lines, "The actions are *labels*, held out of the training; no others are known.", *_KEYS])
+        return "\n".join([*lines, f"The actions are *labels*, {_APART}; no others are known.", *_KEYS])
     lines += [
-        "Everything else is *labels*, held out of the training: the rings and trails (where things are and were), "
-        "the masks, the places in metres, the actions.",
+        f"Everything else is *labels*, {_APART}: the rings and trails (where things are and were), the masks, the "
+        "places in metres, the actions.",
         "",
         "**What happens**: the action taken *at* a frame leads to the *next* one. A coloured stretch below it "
         "is a step in which that object is pushed; grey: it is gone for good.",

@@ -23,6 +23,7 @@ from dmotion_bench.planning.agents import was_taken
 from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.viewing.captions import Frame, captioned, picture_file
+from dmotion_bench.wording import counted
 
 SHARES: Final = (0.25, 0.5, 1.0)
 """Of the task's steps: when pictures are taken, besides the start."""
@@ -71,6 +72,8 @@ def filmstrip(
     model: ForwardModel[Any] | None,
     *,
     ahead: int,
+    title: str = "",
+    lost: int = 0,
 ) -> Image.Image:
     """The picture.
 
@@ -81,6 +84,8 @@ def filmstrip(
         actions: That were taken, in the units of the environment.
         model: That imagined; None leaves its row out.
         ahead: See ``Film.imagined``.
+        title: Above everything, such as who worked on which task.
+        lost: Number of objects that were lost by the end.
     """
     steps = len(distance) - 1
     moments = sorted({0, *(round(share * steps) for share in SHARES)})
@@ -88,8 +93,12 @@ def filmstrip(
     rows: list[tuple[str, list[Frame | None]]] = [("seen", [*(film.current[moment] for moment in moments), goal])]
     if model is not None:
         drawn = [film.imagined(model, actions, moment, ahead) for moment in moments]
-        rows.append((f"imagined from the images {ahead} steps before", [*drawn, None]))
-    return captioned(titles, rows, "the numbers are the distance left: 1 at the start, 0 at the goal")
+        before = ("" if moments[1] >= ahead else "up to ") + counted(ahead, "step")
+        rows.append((f"imagined from the images {before} before", [*drawn, None]))
+    below = "the numbers are the distance left: 1 at the start, 0 at the goal"
+    if lost:
+        below += f"; each lost object adds 1, {lost} lost"
+    return captioned(titles, rows, below, heading=title)
 
 
 def write_filmstrip(picture: Image.Image, path: Path) -> None:

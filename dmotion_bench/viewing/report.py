@@ -10,11 +10,19 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dmotion_bench.scoring.report import REPORT_FOLDER, FigureJson, Report, read_report, read_report_samples
+from dmotion_bench.scoring.report import (
+    REPORT_FOLDER,
+    FigureJson,
+    Report,
+    read_report,
+    read_report_samples,
+    why_no_interval,
+)
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, Curve, log_chart
 from dmotion_bench.viewing.labels import plain
 from dmotion_bench.viewing.scene import Tab, picture_view
 from dmotion_bench.viewing.tracks import Color
+from dmotion_bench.wording import rounded
 
 ROOT = "/report"
 COLORS: tuple[Color, ...] = ((230, 159, 0), (140, 140, 140), (86, 180, 233))
@@ -38,7 +46,8 @@ AHEAD = re.compile(r"rollout_mse\[(\d{1,4})\]")
 def telling_episodes(run: Path, folder: Path | None = None) -> dict[int, str]:
     """The worst, the middle and the best episode by single-step MSE, each with a short description.
 
-    Of the run's own report, or of the one in a folder.
+    Of two scored episodes they are the worst and the best; a single one has no word that compares it. They are those of
+    the run's own report, or of the one in a folder.
 
     Empty where the run has no report, or its samples are gone.
 
@@ -48,9 +57,9 @@ def telling_episodes(run: Path, folder: Path | None = None) -> dict[int, str]:
     means = episode_means(run, folder)
     order = sorted(means, key=lambda episode: -means[episode])
     told: dict[int, str] = {}
-    for word, rank in (("worst", 0), ("middle", len(order) // 2), ("best", -1)) if order else ():
-        told.setdefault(order[rank], f"{word}, MSE {means[order[rank]]:.3g}")
-    return told
+    for word, rank in (("worst", 0), ("best", -1), ("middle", len(order) // 2)) if order else ():
+        told.setdefault(order[rank], (f"{word}, " if len(order) > 1 else "") + f"MSE {rounded(means[order[rank]])}")
+    return {episode: told[episode] for episode in order if episode in told}
 
 
 def episode_means(run: Path, folder: Path | None = None) -> dict[int, float]:
@@ -139,21 +148,19 @@ def _figures(report: Report) -> str:
         if name in report.figures:
             figure = report.figures[name]
             others = " | ".join(figure_text(report.reference[other].get(name)) for other in beside)
-            spread = f"{figure_text(figure)} ± {_number(figure['std'])}"
+            spread = f"{figure_text(figure)} ± {rounded(figure['std'])}"
             lines.append(f"| {plain(name)} | {spread} | {interval_text(figure)} | {others} |")
-    lines += ["", "On the other tabs: the worst, the middle and the best episode by the MSE of single steps."]
+    if (why := why_no_interval(report.figures[name] for name in SHOWN if name in report.figures)) is not None:
+        lines += ["", f"95% interval: {why}."]
+    lines += ["", "On the other tabs: telling episodes by the MSE of single steps, the worst first."]
     return "\n".join(lines)
 
 
 def figure_text(figure: FigureJson | None) -> str:
     """A figure's mean as text; empty if there is no such figure."""
-    return "" if figure is None else _number(figure["mean"])
+    return "" if figure is None else rounded(figure["mean"])
 
 
 def interval_text(figure: FigureJson) -> str:
     """A figure's interval as text."""
-    return "" if figure["low"] is None else f"{_number(figure['low'])} ... {_number(figure['high'])}"
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
+    return "" if figure["low"] is None else f"{rounded(figure['low'])} ... {rounded(figure['high'])}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import rerun as rr
@@ -16,7 +17,7 @@ from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import EpisodeLabels
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.curves import read_curves, training_tab
-from dmotion_bench.viewing.dataset import labels_if_any
+from dmotion_bench.viewing.dataset import labels_if_any, part_of
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
 from dmotion_bench.viewing.labels import log_events, log_legend, what_happens
 from dmotion_bench.viewing.maps import brightest, tile_corners, tiles
@@ -31,6 +32,7 @@ from dmotion_bench.viewing.tracks import (
     log_rings,
     log_words,
 )
+from dmotion_bench.wording import rounded
 
 AMPLIFIED = 4
 """How much the difference between a prediction and the truth is magnified."""
@@ -217,7 +219,7 @@ def _log_maps(recording: rr.RecordingStream, root: str, seen: Imagination) -> No
 
 def _headline(run: Run, dataset: ReadableDataset, episode: int) -> str:
     spec = run.spec
-    part = next((name for name in ("test", "validation") if episode in dataset.split(name)), "train")
+    part = part_of(dataset, episode)
     elsewhere = dataset.fingerprint != spec.fingerprint
     trained = f"trained on *{spec.dataset}*, shown on *{dataset.name}*" if elsewhere else f"on *{spec.dataset}*"
     seen_before = "" if part == "test" or elsewhere else ": *not held out*"
@@ -275,6 +277,13 @@ def _means(seen: Imagination) -> list[str]:
     return ["| mean of this episode | MSE | position error | missed |", "|---|---|---|---|", *rows]
 
 
+_ABOUT_SAMPLES: Final = (
+    "Below it, a few transitions whose action the run was given: the frame before, the true next frame, and what was "
+    "predicted then.",
+    "",
+)
+
+
 def _of_training(run: Run) -> str:
     result = run.result or {}
     lines = ["**Training**", "", "| | |", "|---|---|"]
@@ -293,9 +302,7 @@ def _of_training(run: Run) -> str:
         "",
         "The chart shows every loss, dimmed: in training, bright: in validation.",
         "",
-        "Below it, a few transitions whose action the run was given: the frame before, the true next frame, and what "
-        "was predicted then.",
-        "",
+        *_ABOUT_SAMPLES * bool(samples_of(run.path)),
         "The plots on the tabs above can be read off and zoomed. They run over another timeline and are empty until "
         "you click **frame** at the bottom left and choose **step**; choose *frame* again for the episodes.",
     ]
@@ -310,4 +317,4 @@ def _labels_used(run: Run) -> str:
 def _mean(values: Float[np.ndarray, " s"] | None, factor: float = 1.0) -> str:
     if values is None or not np.isfinite(values).any():
         return "-"
-    return f"{np.nanmean(values) * factor:.3g}"
+    return rounded(float(np.nanmean(values)) * factor)

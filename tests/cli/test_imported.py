@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from dmbench_command import Outcome, dmbench
 from jaxtyping import UInt8
+from PIL import Image
 from storage.foreign import foxglove_file, ros_file, ros_image, steady
 
 MOVES = {"up": (0, -8), "down": (0, 8), "left": (-8, 0), "right": (8, 0)}
@@ -80,6 +81,15 @@ def test_with_its_actions(write, typed, tmp_path: Path) -> None:  # type: ignore
     saved = typed("view", "lab", "--save", "lab.rrd")
     assert saved.code == 0, saved.err
     assert (tmp_path / "lab.rrd").stat().st_size > 0
+
+
+def test_pictures_alone_are_not_advised_to_take_actions(typed, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    folder = tmp_path / "recordings" / "a"
+    folder.mkdir(parents=True)
+    for number in range(4):
+        Image.new("RGB", (16, 16), (60 * number, 0, 0)).save(folder / f"{number}.png")
+    imported = typed("data", "import", str(tmp_path / "recordings"), "--size", "16", "--hz", "10")
+    assert "  no actions: what an action leads to cannot be scored\n" in imported.out
 
 
 def test_as_video_alone(typed, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -57,13 +57,12 @@ class Parts:
         self.asked.append((first, second, split))
         clear = Estimate(mean=-2.0, std=1.0, low=-3.0, high=-1.0, n=70)
         unclear = Estimate(mean=0.1, std=1.0, low=-1.0, high=1.2, n=70)
+        of_two = Estimate(mean=-0.3, std=0.1, low=None, high=None, n=7, episodes=2)
         return [
             Difference(figure="mse", first=10.0, second=12.0, difference=clear),
             Difference(figure="position_error", first=1.1, second=1.0, difference=unclear),
             Difference(figure="miss_rate_objects", first=0.1, second=0.1, difference=unclear),
-            Difference(
-                figure="ssim", first=0.6, second=0.9, difference=Estimate(mean=-0.3, std=0.1, low=None, high=None, n=7)
-            ),
+            Difference(figure="ssim", first=0.6, second=0.9, difference=of_two),
             *(
                 Difference(figure=f"rollout_mse[{ahead}]", first=1.0, second=1.0, difference=unclear)
                 for ahead in range(1, 5)
@@ -143,7 +142,7 @@ def test_compare_says_better_only_where_the_interval_does(run: Callable[..., Res
     assert mse == ["MSE", "10.0", "12.0", "-2", "-3", "to", "-1", "first"]
     assert position[-1] == "tied"
     (ssim,) = (line for line in lines if line.startswith("SSIM"))
-    assert ssim.endswith("unknown: one episode")
+    assert ssim.endswith("unknown: 2 episodes")
     assert [line[:11] for line in lines if " ahead" in line] == ["MSE 1 ahead", "MSE 2 ahead", "MSE 4 ahead"]
     assert not any("objects" in line for line in lines)
     assert any("miss_rate_objects" in line for line in run("compare", "a", "b", "--all").stdout.splitlines())
@@ -159,7 +158,7 @@ def test_compare_as_json(run: Callable[..., Result], parts: Parts) -> None:
     found = json.loads(run("compare", "a", "b", "--json").stdout)
 
     assert [one["better"] for one in found["differences"]][:4] == ["first", None, None, None]
-    said = ["first", "tied", "tied", "unknown: one episode"]
+    said = ["first", "tied", "tied", "unknown: 2 episodes"]
     assert [one["verdict"] for one in found["differences"]][:4] == said
     assert set(found["differences"][0]["difference"]) == {"mean", "std", "low", "high", "n"}
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 from dmbench_command import dmbench
 
 from dmotion_bench import registry
-from dmotion_bench.cli.tables import show_rows
+from dmotion_bench.cli.tables import show_figures, show_rows
+from dmotion_bench.workspace import Workspace
 from recorders.distractors.scenes import NAMES
 from recorders.planar_push.environment import FACTORS, PlanarPush
 
@@ -39,7 +41,6 @@ def test_what_may_vary_stands_beside_each_environment(
 
 
 def test_the_table_names_them(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
     table = dmbench(["list", "environments"], capsys, monkeypatch).out
 
     assert "--vary" in table
@@ -69,7 +70,48 @@ def test_a_narrow_terminal_folds_a_name_and_keeps_all_of_it(
 
     printed = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert max(map(len, printed.splitlines())) <= 40
-    assert NAME in "".join(line.replace("10%", "").strip() for line in printed.splitlines()[3:])
+    assert NAME in "".join(line.strip() for line in printed.splitlines())
+    assert "  labels  10%" in printed.splitlines()
+
+
+@pytest.mark.parametrize("what", ["environments", "models"])
+def test_on_eighty_columns_no_word_is_broken(
+    what: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = dmbench(["list", what], capsys, monkeypatch).out
+    monkeypatch.setenv("COLUMNS", "80")
+    narrow = dmbench(["list", what], capsys, monkeypatch).out
+
+    lines = narrow.splitlines()[: -2 if what == "environments" else None]  # what stands below the table is no table
+    assert max(map(len, lines)) <= 80 < max(map(len, whole.splitlines()))
+    assert {word for word in whole.split() if "─" not in word} <= set(narrow.split())
+
+
+def test_no_line_ends_in_blanks_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    show_rows(("run", "labels"), [(NAME, "10%"), ("a", "b")])
+    show_figures("title", ("run", "labels", "MSE"), [("a run of a long name", "10%", ""), ("b", "", "3")])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line != line.rstrip()] == []
+
+
+def test_what_lies_in_the_workspace_is_listed_by_the_name_that_finds_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    folder = tmp_path / "runs" / "mine"
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text("{}")
+    workspace = Workspace.current()
+
+    assert dmbench(["list", "runs"], capsys, monkeypatch).out.splitlines()[3].split()[0] == "mine"
+    (listed,) = json.loads(dmbench(["list", "runs", "--json"], capsys, monkeypatch).out)["runs"]
+    assert listed["run"] == str(folder)
+    assert workspace.run(workspace.short(folder)) == folder
+    assert workspace.short(tmp_path / "other" / "mine") == tmp_path / "other" / "mine"
+    Path("mine").mkdir()  # a path is looked for first
+    assert workspace.short(folder) == folder
 
 
 @pytest.fixture

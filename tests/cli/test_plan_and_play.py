@@ -105,7 +105,7 @@ def test_a_filmstrip_is_written_of_a_columns_plan(
     assert f"The filmstrip is {str(file)!r}." in said.out
     with Image.open(file) as picture:
         assert picture.width == GAP + 4 * (SIDE + GAP)  # start, after 1, after 2, goal
-        start = np.asarray(picture)[2 * LINE : 2 * LINE + SIDE : 2, GAP : GAP + SIDE : 2]
+        start = np.asarray(picture)[3 * LINE : 3 * LINE + SIDE : 2, GAP : GAP + SIDE : 2]
     (problem,) = load_problems(Dataset.open(Workspace(os.environ["DMBENCH_WORKSPACE"]).data / "grid"), [0])
     np.testing.assert_array_equal(start, problem.start_frame)
 
@@ -131,11 +131,13 @@ def test_references_are_scored_by_name(
     assert (said.code, said.err) == (0, "")
     idle, random = json.loads(said.out)["reports"]
     assert (idle["run"], random["run"], idle["dataset"]) == ("idle", "random", "grid")
-    assert idle["figures"]["control_distance[100]"] == {"mean": 1, "std": 0, "low": 1, "high": 1, "n": 2}
+    of_two = {"low": None, "high": None, "n": 2, "episodes": 2}
+    assert idle["figures"]["control_distance[100]"] == {"mean": 1, "std": 0, **of_two}
     assert len(list((workspace.data / "grid/cache").glob("control-random-*.json"))) == 1
     table = dmbench(words, capsys, monkeypatch).out
     assert "control, distance after 40 steps" in table
-    assert table.count("95% interval") == 2
+    assert table.count("95% interval") == 3  # of each reference, and why they are empty
+    assert "95% interval: too few episodes" in table
 
 
 @pytest.mark.parametrize(

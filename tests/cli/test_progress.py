@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import re
 from dataclasses import replace
 
 import pytest
+from rich.console import Console
+from rich.progress import Progress
 
-from dmotion_bench.cli.progress import FIRST_SECONDS, QUIET, SECONDS, ProgressDisplay, duration, note
+from dmotion_bench.cli.progress import FIRST_SECONDS, QUIET, SECONDS, ProgressDisplay, bar_columns, duration, note
 from dmotion_bench.execution.job_progress import JobProgress
 
 
@@ -140,3 +144,28 @@ def test_nothing_is_written_where_quiet_is_asked_for(
         clock.now += FIRST_SECONDS
         display.update(task, status="record[grid_world]")
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_a_line_fits_the_terminal_and_the_times_stay_whole(width: int) -> None:
+    console = Console(width=width, file=io.StringIO(), force_terminal=True)
+    progress = Progress(*bar_columns(width), console=console, get_time=lambda: 3600.0)
+    status = "train loss 0.1234, 5678 triplets/s"
+    progress.add_task("training dmotion", total=14_000, completed=4_321, status=status, unit="steps")
+    with console.capture() as captured:
+        console.print(progress.get_renderable())
+    (line,) = re.sub(r"\x1b\[[0-9;]*m", "", captured.get()).splitlines()
+    assert len(line) <= width
+    assert "4321/14000" in line
+    assert line.split()[-2:] == ["0:00:00", "-:--:--"]
+    assert (status in line) == (width == 200)
+
+
+def test_what_is_counted_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(QUIET)
+    clock = Clock()
+    with ProgressDisplay(clock) as display:
+        display.tell(JobProgress(what="training a", done=0, total=None, status="reading the data"))
+        clock.now += FIRST_SECONDS
+        display.tell(JobProgress(what="training a", done=4, total=18, status="loss 3", unit="steps"))
+    assert capsys.readouterr().err == "training a: 4 of 18 steps, loss 3\n"

@@ -103,8 +103,24 @@ def test_the_table_shows_ours_beside_the_papers(run: Callable[..., Result]) -> N
     lines = run("a", "--metrics", "prediction").stdout.splitlines()
 
     (row,) = (line for line in lines if line.split()[:2] == ["MSE", "15.0"])
-    assert row.split() == ["MSE", "15.0", "±", "90.0", "12.5", "to", "18.0", "700", "14.3", "±", "99.8", "1848"]
+    assert row.split() == ["MSE", "15.0", "±", "90.0", "12.5", "to", "18.0", "700", "14.3", "±", "99.8", "1,848"]
     assert any("PSNR [dB]" in line for line in lines)
+
+
+def test_a_missing_interval_is_explained_where_episodes_are_too_few(
+    run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "too few episodes" not in run("a").stdout
+    monkeypatch.setitem(FIGURE, "episodes", 2)
+    assert "too few episodes" not in run("a").stdout
+    monkeypatch.setitem(FIGURE, "low", None)
+    monkeypatch.setitem(FIGURE, "high", None)
+    lines = run("a").stdout.splitlines()
+    assert "  95% interval: too few episodes for an interval: 2, it takes 5" in [line.rstrip() for line in lines]
+    (row,) = (line for line in lines if line.split()[:2] == ["MSE", "15.0"])
+    assert row.split() == ["MSE", "15.0", "±", "90.0", "700", "2", "14.3", "±", "99.8", "1,848"]
+    monkeypatch.setitem(FIGURE, "episodes", 7)  # as of codes, whose figures have no interval at all
+    assert "too few episodes" not in run("a").stdout
 
 
 def test_many_runs_stand_in_one_table_the_best_first(run: Callable[..., Result]) -> None:
@@ -112,7 +128,7 @@ def test_many_runs_stand_in_one_table_the_best_first(run: Callable[..., Result])
 
     firsts = [line.split()[0] for line in result.stdout.splitlines() if line.strip()]
     assert result.exit_code == 0
-    assert firsts.index("b") < firsts.index("a") < firsts.index("copy_last")
+    assert firsts.index("b") < firsts.index("a") < firsts.index("copy")
 
 
 def test_a_model_whose_code_was_changed_is_named_once(run: Callable[..., Result], tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -10,8 +11,10 @@ from pathlib import Path
 
 import pytest
 import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
+from dmotion_bench.cli import main
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.cli.stdout import own_stdout, print_json
 
@@ -84,3 +87,15 @@ def test_a_package_that_prints_when_it_is_imported_does_not_spoil_a_list(tmp_pat
     )
     assert "loud" in {one["model"] for one in json.loads(listing.stdout)["models"]}
     assert "welcome to loud" in listing.stderr
+
+
+def test_what_the_encoding_of_stdout_lacks_spoils_no_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
+    monkeypatch.setattr(sys, "argv", ["dmbench", "--version"])
+    with pytest.raises(SystemExit):
+        main()
+    sys.stdout.write("2 \u00b1 1\n")
+    Console(highlight=False).print("R\u00b2")
+    sys.stdout.flush()
+    assert written.getvalue().splitlines()[1:] == [b"2 ? 1", b"R?"]

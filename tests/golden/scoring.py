@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, Final
 
+import pyarrow as pa
 import torch
 from golden.control import WORLDS
 from planning.worlds import PerfectGridModel
@@ -19,10 +20,12 @@ from torch import Tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.scoring.figures import Figures
+from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.prediction import MODEL
 from dmotion_bench.scoring.report import SCORING_VERSION
 from dmotion_bench.scoring.score import score_model
 from dmotion_bench.scoring.settings import ScoreSettings
+from dmotion_bench.scoring.statistics import EARLIER_FEWEST
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 
@@ -104,13 +107,14 @@ def figures(name: str, dataset: Dataset) -> dict[str, Any]:
     scores = score_model(model, dataset, settings=SETTINGS)
     return {
         "fingerprint": dataset.fingerprint,
-        "model": _json(scores.figures),
-        **{reference: _json(found) for reference, found in scores.reference.items()},
+        **{who: _json(scores.samples, who) for who in (MODEL, *scores.reference)},
     }
 
 
-def _json(found: Figures) -> dict[str, Any]:
-    return {name: estimate.to_json() for name, estimate in found.items()}
+def _json(samples: pa.Table, who: str) -> dict[str, Any]:
+    """With intervals, though these few episodes have none in a report."""
+    found = figures_of(samples, who, resamples=SETTINGS.resamples, fewest=EARLIER_FEWEST)
+    return {name: dataclasses.replace(estimate, episodes=None).to_json() for name, estimate in found.items()}
 
 
 def stored() -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""A workspace with a recorded Grid World of 30 short episodes and three scored runs of models that learn nothing."""
+"""A workspace with three scored runs of models that learn nothing.
+
+They are of a Grid World of 50 short episodes, of which 5 are test episodes: as many as an interval takes.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ def _model(monkeypatch: pytest.MonkeyPatch) -> None:
 def scored_workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
     """Read only; ``workspace`` is a copy."""
     workspace = Workspace(tmp_path_factory.mktemp("workspace"))
-    recipe = DatasetRecipe(environment="grid_world", parameters={"version": 2}, seed=3, episodes=30, frames=12)
+    recipe = DatasetRecipe(environment="grid_world", parameters={"version": 2}, seed=3, episodes=50, frames=12)
     with DatasetWriter.create_or_resume(workspace.data / "grid_world-tiny", recipe, FACTS) as writer:
         for index in writer.missing:
             writer.write_shard(index, record_episodes(GridWorld, recipe, writer.episodes_of(index)))

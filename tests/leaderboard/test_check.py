@@ -6,6 +6,7 @@ import copy
 import json
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from known_model import Known
 
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.run import Conditions, Run
+from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import write_report
 from dmotion_bench.scoring.samples import SCHEMA, read_samples
@@ -87,6 +89,25 @@ def test_a_model_whose_code_was_changed_since_the_training_is_named(workspace: W
     assert not any(said in remark for remark in before.remarks)
     assert any(said in remark for remark in verdict.remarks)
     assert verdict.findings == before.findings == ()
+
+
+def test_an_interval_over_fewer_episodes_than_today_still_holds_and_counts(
+    workspace: Workspace, changed: Changed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the first entries have them; what is published today is not thrown over by another rule."""
+    entry = changed()
+    of_six = partial(figures_of, fewest=6)  # the entry has intervals over 5
+    monkeypatch.setattr("leaderboard.comparison.figures_of", lambda *of, **how: of_six(*of, **how))
+    assert entry.figures["mse"]["low"] is not None
+
+    assert check_entry(entry, workspace, QUICK).holds
+    bent = changed(figures=_figures(entry, "mse", low=entry.figures["mse"]["low"] * 1.001))
+    assert any("mse.low" in finding for finding in check_entry(bent, workspace, QUICK).findings)
+
+
+def test_an_entry_has_the_five_parts_of_a_figure(sound: Entry) -> None:
+    figures = [sound.figures, *sound.content["reference"].values()]
+    assert {tuple(figure) for own in figures for figure in own.values()} == {("mean", "std", "low", "high", "n")}
 
 
 def test_no_figure_is_left_out(workspace: Workspace, sound: Entry, changed: Changed) -> None:
@@ -181,7 +202,6 @@ def test_a_reference_s_figure_counts(workspace: Workspace, sound: Entry, changed
 
 def _rewritten(run: Path, change: Callable[[list[dict[str, Any]]], None]) -> Entry:
     """A run whose samples were changed and whose report was made to agree, hash, figures and all."""
-    from dmotion_bench.scoring.figures import figures_of
     from dmotion_bench.scoring.report import read_report
     from dmotion_bench.scoring.samples import read_samples
 

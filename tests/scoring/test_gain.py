@@ -70,11 +70,15 @@ def _rows(gains: list[float], best: list[float], episodes: list[int], who: str =
 
 
 def test_the_figure_is_a_share_of_all_that_could_be_gained() -> None:
-    figure = _figures(_rows([0.5, 0.0, -0.1], [0.5, 0.3, 0.2], [1, 1, 2]))
+    samples = _rows([0.5, 0.0, -0.1], [0.5, 0.3, 0.2], [1, 1, 2])
+    figure = figures_of(samples, MODEL, resamples=100, fewest=2)["planning_gain"]
 
     assert figure.mean == pytest.approx(0.4)
     assert figure.n == 3
+    assert figure.low is not None
+    assert figure.high is not None
     assert figure.low <= figure.mean <= figure.high
+    assert (_figures(samples).low, _figures(samples).episodes) == (None, 2)
     assert figure.std == pytest.approx(np.std([1, 0, -0.5]))
 
 

@@ -15,6 +15,7 @@ from scipy import stats
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
+from dmotion_bench.scoring.statistics import FEWEST_EPISODES
 
 DRAWS = 100
 
@@ -65,7 +66,7 @@ def test_intervals_follow_from_the_samples(make_run: Callable[..., Run], tmp_pat
                 and row[name] is not None
             ]
             if said["low"] is None:
-                assert len({row["episode"] for row in mine}) < 2, figure
+                assert len({row["episode"] for row in mine}) < FEWEST_EPISODES, figure
                 continue
             found = _interval([row[name] for row in mine], [row["episode"] for row in mine])
             assert (said["low"], said["high"]) == pytest.approx(found, rel=1e-6, abs=1e-9), figure

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from dmotion_bench.scoring.statistics import (
+    FEWEST_EPISODES,
     EpisodeBootstrap,
     detectable_difference,
     expanded_tail,
@@ -18,8 +19,8 @@ from dmotion_bench.scoring.statistics import (
 )
 
 
-@pytest.mark.parametrize("episodes", [8, 60])
-def test_the_interval_covers_the_truth_as_often_as_it_says(episodes: int) -> None:
+@pytest.mark.parametrize(("episodes", "least"), [(FEWEST_EPISODES, 0.88), (8, 0.93), (60, 0.93)])
+def test_the_interval_covers_the_truth_as_often_as_it_says(episodes: int, least: float) -> None:
     generator = np.random.default_rng(1)
     truth, inside, trials = 5.0, 0, 1500
     for _ in range(trials):
@@ -33,7 +34,7 @@ def test_the_interval_covers_the_truth_as_often_as_it_says(episodes: int) -> Non
         assert estimate.high is not None
         inside += estimate.low <= truth <= estimate.high
 
-    assert 0.93 <= inside / trials <= 0.97
+    assert least <= inside / trials <= 0.97
 
 
 def test_an_interval_over_samples_would_be_too_narrow() -> None:
@@ -51,10 +52,10 @@ def test_an_interval_over_samples_would_be_too_narrow() -> None:
 
 def test_mean_std_and_n_are_the_samples_own() -> None:
     values = np.array([1.0, 2.0, np.nan, 6.0])
-    estimate = EpisodeBootstrap(np.array([0, 0, 1, 1])).mean(values)
+    estimate = EpisodeBootstrap(np.array([0, 0, 1, 1]), fewest=2).mean(values)
 
     assert estimate is not None
-    assert (estimate.mean, estimate.n) == (3.0, 3)
+    assert (estimate.mean, estimate.n, estimate.episodes) == (3.0, 3, 2)
     assert estimate.std == pytest.approx(np.std([1, 2, 6]))
     assert estimate.low == pytest.approx(1.5, abs=1e-9)  # only the first episode, drawn twice
     assert estimate.high == pytest.approx(6.0, abs=1e-9)
@@ -75,13 +76,34 @@ def test_the_same_seed_gives_the_same_interval_and_order_is_nothing() -> None:
     assert first != other
 
 
-def test_one_episode_has_no_interval_and_no_sample_no_figure() -> None:
-    bootstrap = EpisodeBootstrap(np.zeros(5, int))
-    estimate = bootstrap.mean(np.arange(5.0))
+@pytest.mark.parametrize("episodes", range(1, 6))
+def test_too_few_episodes_have_no_interval_and_no_sample_no_figure(episodes: int) -> None:
+    episode, values = np.arange(10) % episodes, np.arange(1.0, 11.0)
+    bootstrap = EpisodeBootstrap(episode)
+    in_all = [
+        bootstrap.mean(values),
+        bootstrap.ratio(values, values + 1),
+        bootstrap.explained(values, values + 1),
+        over_trainings(np.ones((3, episodes)), np.ones(episodes)),
+    ]
+
+    for estimate in in_all:
+        assert estimate is not None
+        assert estimate.episodes == episodes
+        assert (estimate.low is None) == (estimate.high is None) == (episodes < FEWEST_EPISODES)
+    assert bootstrap.mean(np.full(10, np.nan)) is None
+
+
+def test_episodes_without_a_sample_do_not_count() -> None:
+    """Six episodes, of which two have no value: no interval, though the others of these samples have one."""
+    episode, values = np.repeat(np.arange(6), 2), np.arange(12.0)
+    values[:4] = np.nan
+    estimate, whole = (EpisodeBootstrap(episode).mean(one) for one in (values, np.arange(12.0)))
 
     assert estimate is not None
-    assert (estimate.low, estimate.high) == (None, None)
-    assert bootstrap.mean(np.full(5, np.nan)) is None
+    assert whole is not None
+    assert (estimate.episodes, estimate.low) == (4, None)
+    assert (whole.episodes, whole.low is None) == (6, False)
 
 
 def test_a_paired_difference_sees_what_two_intervals_hide() -> None:
@@ -124,13 +146,13 @@ def test_the_interval_over_tasks_and_trainings_covers_the_truth(between: float, 
 
 def test_over_one_training_it_is_the_interval_over_episodes() -> None:
     generator = np.random.default_rng(5)
-    counts, values = np.array([2.0, 1.0, 3.0, 1.0]), generator.random(7)
-    episode = np.repeat(np.arange(4), counts.astype(int))
+    counts, values = np.array([2.0, 1.0, 3.0, 1.0, 2.0]), generator.random(9)
+    episode = np.repeat(np.arange(5), counts.astype(int))
     alone = EpisodeBootstrap(episode).mean(values)
     found = over_trainings(np.bincount(episode, values)[None], counts)
 
     assert alone is not None
-    assert (found.mean, found.n) == (pytest.approx(alone.mean), 7)
+    assert (found.mean, found.n) == (pytest.approx(alone.mean), 9)
     assert (found.low, found.high) == pytest.approx((alone.low, alone.high))
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +18,10 @@ from pushed_squares import SPEC
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.learning.run import Run
+from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.animation import FRAME_MS, LAST_MS, animate, write_animation
-from dmotion_bench.viewing.captions import GAP, LINE, SIDE
+from dmotion_bench.viewing.captions import GAP, LINE, SIDE, captioned
 from dmotion_bench.viewing.imagination import GIVEN, imagine
 from dmotion_bench.workspace import Workspace
 
@@ -49,6 +52,60 @@ def test_rows_are_the_recorded_frames_and_those_that_each_model_imagines(
             for row, frames in enumerate(imagined, start=1):
                 expected = video[time] if time < GIVEN else frames[time - GIVEN]
                 np.testing.assert_array_equal(_tile(picture, column, row), expected)
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """The words of each picture, in the order of the pictures."""
+    pictures: list[dict[str, Any]] = []
+
+    def take(titles: Any, rows: Any, below: str, *, notes: Any = ()) -> Image.Image:
+        pictures.append({"titles": titles, "rows": [words for words, _ in rows], "below": below, "notes": notes})
+        return captioned(titles, rows, below, notes=notes)
+
+    monkeypatch.setattr("dmotion_bench.viewing.animation.captioned", take)
+    return pictures
+
+
+def test_the_step_is_counted_from_what_is_given(run: Run, dataset: Dataset, said: list[dict[str, Any]]) -> None:
+    animate({"dmotion": run}, dataset, dataset.split("test")[:1].tolist(), steps=2)
+    assert [one["below"] for one in said] == ["given, 1 of 2", "given, 2 of 2", "step 1", "step 2"]
+
+
+def test_an_episode_that_is_not_a_test_episode_is_named_so(
+    run: Run, dataset: Dataset, said: list[dict[str, Any]]
+) -> None:
+    parts: tuple[SplitName, ...] = ("test", "validation", "train")
+    test, validation, train = (int(dataset.split(part)[0]) for part in parts)
+    animate({"dmotion": run}, dataset, [test, validation, train], {train: "worst, MSE 3"}, steps=1)
+    told = [f"episode {test}", f"episode {validation} (validation)", f"episode {train} (worst, train)"]
+    assert said[0]["titles"] == told
+    elsewhere = Run(run.path, {**run.manifest, "spec": {**run.manifest["spec"], "fingerprint": "another"}})
+    animate({"dmotion": elsewhere}, dataset, [train], steps=1)
+    assert said[-1]["titles"] == [f"episode {train}"]  # of a data set that the run was not trained on
+
+
+def test_a_row_says_that_its_model_was_told_the_true_motions(
+    run: Run, dataset: Dataset, said: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    animate({"dmotion": run}, dataset, [0], steps=1)
+    monkeypatch.setattr("dmotion_bench.viewing.animation.labels_if_any", lambda dataset, episode: None)
+    animate({"dmotion": run}, dataset, [0], steps=1)
+    assert said[0]["rows"] == ["real", "imagined by dmotion"]
+    assert said[-1]["rows"] == ["real", "imagined by dmotion, told the true motions"]
+
+
+def test_an_episode_that_ends_earlier_says_so_and_keeps_its_last_frame(
+    run: Run, dataset: Dataset, said: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    video, labels = {0: dataset.video(0), 1: dataset.video(1)[:4]}, dataset.labels(0)
+    shortened = {0: labels, 1: replace(labels, actions=labels.actions[:3])}
+    monkeypatch.setattr(dataset, "video", video.get)
+    monkeypatch.setattr(dataset, "labels", shortened.get)
+    pictures = animate({"dmotion": run}, dataset, [0, 1], steps=STEPS)
+    assert [one["notes"] for one in said] == [["", ""]] * 4 + [["", "ended at step 2"]] * (STEPS - 2)
+    assert len({picture.size for picture in pictures}) == 1
+    np.testing.assert_array_equal(_tile(pictures[-1], 1, 0), video[1][-1])
 
 
 @pytest.mark.slow

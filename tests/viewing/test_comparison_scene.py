@@ -87,9 +87,9 @@ def test_a_view_of_each_prediction_and_each_error(written: Path) -> None:
 
 def test_the_episodes_that_tell_most_of_all_models(scored: list[Path]) -> None:
     assert contrasting_episodes(scored) == {
-        4: "worst, mean MSE 51",
+        4: "worst, mean MSE 51.0",
         5: "best, mean MSE 2",
-        6: "most apart, mean MSE 4.55",
+        6: "differ most, mean MSE 4.55",
     }
     (scored[1] / "report" / "samples.parquet").write_bytes(b"")
     assert contrasting_episodes(scored) == {}
@@ -103,7 +103,7 @@ def test_the_figures_are_told_with_their_paired_difference(
     (text,) = static(rrd, "/comparison/figures", "TextDocument:text")
     first, second = (line for line in text.splitlines() if line.startswith("| dmotion"))
     assert first == "| dmotion seed 1 | 18.8 | best |"
-    assert second.startswith("| dmotion seed 0 | 20.2 | tied (")
+    assert second.startswith("| dmotion seed 0 | 20.2 | unknown: 4 episodes |")
 
 
 def test_a_report_stands_beside_the_others_of_its_data_set(scored: list[Path], workspace: Workspace) -> None:

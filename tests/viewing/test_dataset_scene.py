@@ -45,6 +45,11 @@ def test_only_the_episodes_asked_for(written: Path) -> None:
     assert {path.split("/")[1] for path in read(written)} - {"", "__properties"} == {"episode_1", f"episode_{EPISODE}"}
 
 
+def test_what_a_training_is_given_of_the_labels_is_told(written: Path) -> None:
+    (text,) = static(written, f"/episode_{EPISODE}/about", "TextDocument:text")
+    assert "of the actions a training gets only those that its budget pays for" in text
+
+
 def test_masks_and_their_legend_have_the_objects_own_colours(dataset: Dataset, written: Path) -> None:
     column = values(written, f"/episode_{EPISODE}/masks", "SegmentationImage:buffer")
     shown = np.array([buffer for _, (buffer,) in column], np.uint8).reshape(8, 64, 64)

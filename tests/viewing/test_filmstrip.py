@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.planning.agents import NO_ACTION
 from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.viewing.captions import BACKGROUND, GAP, LINE, SIDE
+from dmotion_bench.viewing.captions import BACKGROUND, GAP, LINE, SIDE, captioned
 from dmotion_bench.viewing.filmstrip import Film, filmstrip, write_filmstrip
 
 SCALE = SIDE // SPEC.width
@@ -77,6 +78,50 @@ def test_of_a_reference_there_is_what_was_seen(film: Film) -> None:
 def test_a_task_of_one_step_has_two_moments(film: Film) -> None:
     picture = filmstrip(film, film.current[0], DISTANCE[:2], ACTIONS[:1], None, ahead=3)
     assert picture.width == GAP + 3 * (SIDE + GAP)
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, str]]:
+    """Of each picture the heading, the words above the second row, and those at the end."""
+    pictures: list[tuple[str, str, str]] = []
+
+    def take(titles: Any, rows: Any, below: str, *, heading: str) -> Image.Image:
+        pictures.append((heading, rows[1][0], below))
+        return captioned(titles, rows, below, heading=heading)
+
+    monkeypatch.setattr("dmotion_bench.viewing.filmstrip.captioned", take)
+    return pictures
+
+
+def test_words_tell_whose_task_it_is_and_how_old_the_images_are(
+    film: Film, run: Run, said: list[tuple[str, str, str]]
+) -> None:
+    for ahead, lost in ((2, 0), (3, 2), (1, 0)):
+        filmstrip(film, film.current[0], DISTANCE, ACTIONS, run.model, ahead=ahead, title="run, task 3", lost=lost)
+
+    distance = "the numbers are the distance left: 1 at the start, 0 at the goal"
+    assert said == [
+        ("run, task 3", "imagined from the images 2 steps before", distance),
+        (
+            "run, task 3",
+            "imagined from the images up to 3 steps before",
+            f"{distance}; each lost object adds 1, 2 lost",
+        ),
+        ("run, task 3", "imagined from the images 1 step before", distance),
+    ]
+
+
+def test_long_words_take_several_lines() -> None:
+    frames = [np.zeros((SPEC.height, SPEC.width, 3), np.uint8)] * 2
+    short, long = (captioned([title, "b"], [("seen", frames)], "below") for title in ("a", "a " * 40))
+    assert (short.width, long.width) == (GAP + 2 * (SIDE + GAP),) * 2
+    assert (long.height - short.height) % LINE == 0
+    assert long.height > short.height
+    written = np.asarray(long)[:, : GAP + SIDE] != BACKGROUND
+    assert not (np.asarray(long)[: 2 * LINE, GAP + SIDE : 2 * GAP + SIDE] != BACKGROUND).any()  # between the columns
+    assert written[LINE : 2 * LINE].any()
+    headed = captioned(["a", "b"], [("seen", frames)], "below", heading="run", notes=("", "ended"))
+    assert headed.height == short.height + 2 * LINE
 
 
 def test_a_picture_that_cannot_be_written_is_one_sentence(film: Film, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.maps import brightest, tiles
-from dmotion_bench.viewing.run import AMPLIFIED, run_scene
+from dmotion_bench.viewing.run import AMPLIFIED, _of_training, run_scene
 from dmotion_bench.viewing.scene import write_scene
 from dmotion_bench.viewing.target import Target
 
@@ -149,6 +149,14 @@ def test_the_text_names_model_data_and_labels(written: Path, run: Run, episode: 
         assert word in text
 
 
+def test_pictures_of_a_training_are_told_of_only_where_there_are_some(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for samples in ({}, {1: run.path / "1.png"}):
+        monkeypatch.setattr("dmotion_bench.viewing.run.samples_of", lambda path, samples=samples: samples)
+        assert ("whose action the run was given" in _of_training(run)) == bool(samples)
+
+
 def test_pages(written: Path, episode: int) -> None:
     assert tabs_of(written) == [f"Episode {episode} (worst)", "Training"]
 
@@ -189,7 +197,7 @@ def test_a_run_is_shown_on_another_data_set_with_the_report_on_it(run: Run, tmp_
         write_scene(scene_of(target, [], None, other.path), rrd)
     finally:
         shutil.rmtree(made_up)
-    told = ["Episode 4 (worst, MSE 90)", "Episode 1 (middle, MSE 10)", "Episode 5 (best, MSE 1)"]
+    told = ["Episode 4 (worst, MSE 90.0)", "Episode 1 (middle, MSE 10.0)", "Episode 5 (best, MSE 1)"]
     assert tabs_of(rrd) == [*told, "Report", "Training"]
     (text,) = static(rrd, "/episode_4/about", "TextDocument:text")
     assert "trained on *squares-tiny*, shown on *others*" in text

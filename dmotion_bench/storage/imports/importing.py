@@ -35,7 +35,7 @@ from dmotion_bench.storage.imports.imported_actions import (
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Named, Recording, Survey
 from dmotion_bench.storage.imports.search import Found, find
-from dmotion_bench.storage.imports.sources import UNSALVAGED, open_recording
+from dmotion_bench.storage.imports.sources import UNSALVAGED, WITHOUT_ACTIONS, open_recording
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
@@ -101,7 +101,7 @@ class ImportPlan:
         episodes: In their order.
         surveys: Of the recordings.
         left_out: Frames of episodes that are too short.
-        advice: See ``ImportReport``.
+        may_hold_actions, advice: See ``ImportReport``.
     """
 
     recipe: DatasetRecipe
@@ -109,6 +109,7 @@ class ImportPlan:
     episodes: Sequence[PlannedEpisode]
     surveys: Sequence[Survey]
     left_out: int
+    may_hold_actions: bool
     advice: tuple[str, ...]
 
     @property
@@ -130,6 +131,7 @@ class ImportPlan:
             unreadable=unreadable,
             left_out=self.left_out,
             actions=self.spec.actions,
+            may_hold_actions=self.may_hold_actions,
             advice=self.advice,
             skipped=skipped,
         )
@@ -182,6 +184,7 @@ def plan_import(
         episodes=planned,
         surveys=surveys,
         left_out=left_out,
+        may_hold_actions=any(source.kind not in WITHOUT_ACTIONS for source in found.sources),
         advice=(*told, *pace_advice(given, options)),
     )
 

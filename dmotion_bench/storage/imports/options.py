@@ -112,6 +112,7 @@ class ImportReport:
             set was there already.
         left_out: Frames of episodes that were too short.
         actions: What they are; None without labels.
+        may_hold_actions: Whether one of the recordings is of a kind that can hold actions.
         advice: Sentences about what would make a better data set of the same recordings.
         skipped: Recordings that were left out because they are damaged, each with the reason.
     """
@@ -127,6 +128,7 @@ class ImportReport:
     unreadable: int
     left_out: int
     actions: ActionSpec | None
+    may_hold_actions: bool
     advice: tuple[str, ...]
     skipped: tuple[tuple[str, str], ...] = ()
 

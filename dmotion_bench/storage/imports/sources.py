@@ -29,6 +29,9 @@ class Kind(StrEnum):
     LEROBOT = "lerobot"
 
 
+WITHOUT_ACTIONS: Final = (Kind.PICTURES, Kind.VIDEO)
+"""Containers that hold nothing but pictures."""
+
 SUFFIXES: Final = {
     ".mcap": Kind.MCAP,
     ".mcap.zst": Kind.MCAP,
@@ -109,7 +112,7 @@ def open_here(path: Path, kind: str, options: ImportOptions) -> Recording:
         RecordingImportError: It cannot be imported.
     """
     limits = options.limits
-    if options.actions is not None and kind in (Kind.PICTURES, Kind.VIDEO):
+    if options.actions is not None and kind in WITHOUT_ACTIONS:
         raise RecordingImportError(f"{str(path)!r} holds pictures alone, no actions; leave out '--actions'.")
     if kind == Kind.MCAP_VIDEO:
         from dmotion_bench.storage.imports.mcap_video import McapVideo

@@ -5,14 +5,16 @@ Commands write no lines of progress, whose number depends on how busy the machin
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
 from collections.abc import Iterator
 from unittest import mock
 
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
+import shape_check
 
 from dmotion_bench.cli import bound_waiting
 
@@ -28,7 +30,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's backgro
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # as under nohup
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-_hook = install_import_hook(
+jaxtyping.jaxtyped = shape_check.sparingly  # what the hook decorates with
+_hook = jaxtyping.install_import_hook(
     [
         "dmotion_bench.learning",
         "dmotion_bench.positions",
@@ -48,6 +51,15 @@ def pytest_xdist_auto_num_workers() -> int:
     return max(2, cores + cores // 2)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """The many objects that importing makes stay for good: they are not looked through, now or later."""
+    gc.disable()
+    yield
+    gc.freeze()
+    gc.enable()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Modules with slow tests first, so that no process is left alone with one at the end.
 
@@ -55,6 +67,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Shapes are checked at the first calls that a test makes, those of its fixtures included."""
+    shape_check.begin_test()
 
 
 @pytest.fixture(autouse=True)

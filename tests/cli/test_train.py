@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from dmbench_command import Outcome, dmbench, finish, start_dmbench
@@ -15,7 +16,10 @@ from storage.foreign import foxglove_file, steady, video
 from walking_square import record_walks
 
 from dmotion_bench.cli import main
+from dmotion_bench.interrupts import INTERRUPTED
+from dmotion_bench.learning.checkpoint import load
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.training import Report, train
 
 pytestmark = pytest.mark.slow
 
@@ -210,9 +214,8 @@ def test_without_labels_one_demonstration_is_too_much(run: Command, data: Path) 
     assert run("train", "dmotion", *QUICK, "--labels", "none").code == 0
 
 
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_says_how_to_go_on_and_the_same_command_does(
-    run: Command, data: Path, whole: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sign: signal.Signals
+    run: Command, data: Path, whole: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ("train", "dmotion", *LONGER, "--out", str(tmp_path / "run"))
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # bits depend on the number of threads; the tests have one
@@ -221,15 +224,34 @@ def test_an_interruption_says_how_to_go_on_and_the_same_command_does(
     deadline = time.monotonic() + 100
     while not (metrics.exists() and metrics.read_text().count("\n") > 3) and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(sign)
+    process.send_signal(signal.SIGINT)
     outcome = finish(process)
-    assert outcome.code == 128 + sign
+    assert outcome.code == 130
     assert "run the same command again" in outcome.sentence()
     stopped = Run.open(tmp_path / "run")
     assert stopped.result is None
     assert stopped.last.exists()
     assert run(*words).code == 0
     assert Run.open(tmp_path / "run").result["weights"] == whole.result["weights"]
+
+
+def test_who_is_asked_to_end_says_the_same_with_another_code(
+    run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def train_until_asked(run: Run, data: Any, fabric: Any, on_step: Callable[[Report], None], *rest: Any) -> Any:
+        def asked(report: Report) -> None:
+            on_step(report)
+            if report.step == 3:
+                signal.raise_signal(signal.SIGTERM)
+
+        return train(run, data, fabric, asked, *rest)
+
+    monkeypatch.setattr("dmotion_bench.api.training.train_steps", train_until_asked)
+    outcome = run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
+    assert outcome.code == 143
+    assert outcome.sentence() == f"dmbench: {INTERRUPTED}\n"
+    assert Run.open(tmp_path / "run").result is None
+    assert load(tmp_path / "run" / "last.safetensors")[1]["step"] == 3
 
 
 def test_a_full_disk_costs_a_sentence_and_no_checkpoint(

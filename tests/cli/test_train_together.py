@@ -77,6 +77,8 @@ def test_all_end_together_and_the_run_goes_on(data: Path, tmp_path: Path, ended:
         assert "process 1 of the 2 that train together was killed (SIGKILL)" in outcome.sentence()
     step = load(tmp_path / "run" / "last.safetensors")[1]["step"]
     assert step > 0
+    if ended != "launcher killed":  # the worst of the three; from there the run goes on
+        return
     again = start_dmbench((*words, "--resume"), tmp_path)  # with one process
     time.sleep(0.1)
     while load(tmp_path / "run" / "last.safetensors")[1]["step"] <= step:

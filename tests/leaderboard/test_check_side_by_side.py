@@ -9,7 +9,7 @@ from typing import Any
 
 import psutil
 import pytest
-from dmbench_command import finish, start_dmbench
+from dmbench_command import dmbench, finish, start_dmbench
 from mortal_workers import Deadly, Losing
 from pretend_slurm import use_slurm
 
@@ -95,10 +95,13 @@ def test_ctrl_c_ends_all_and_says_how_to_go_on(entries: Path, tmp_path: Path) ->
     assert not psutil.wait_procs(children, timeout=20)[1]
 
 
-def test_the_command_says_the_same_for_any_workers(entries: Path, tmp_path: Path) -> None:
+def test_the_command_says_the_same_for_any_workers(
+    entries: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ("leaderboard", "check", str(entries), "--json")
-    in_ray = ("--workers", "2", "--executor", "ray")
-    alone, beside, ray = (finish(start_dmbench((*words, *more), tmp_path)) for more in ((), in_ray[:2], in_ray))
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    alone, beside = (dmbench((*words, *more), capsys, monkeypatch) for more in ((), ("--workers", "2")))
+    ray = finish(start_dmbench((*words, "--workers", "2", "--executor", "ray"), tmp_path))
     assert alone == beside
     assert (alone.code, alone.out) == (ray.code, ray.out)
     assert alone.code == 1

@@ -63,12 +63,11 @@ def in_turn(data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["local", "submitit"])
 def test_a_killed_worker_costs_one_job(
-    name: str, data: Path, in_turn: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    data: Path, in_turn: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
-    trained_by(name, data, tmp_path)
+    trained_by("local", data, tmp_path)
     assert weights_in(tmp_path) == in_turn
     assert len(in_turn) == 4
 

@@ -13,7 +13,7 @@ from unittest.mock import patch
 import numpy as np
 import psutil
 import pytest
-from dmbench_command import finish, start_dmbench
+from dmbench_command import dmbench, finish, start_dmbench
 from mortal_workers import Deadly
 from noise_world import files_of
 from pretend_slurm import use_slurm
@@ -263,13 +263,14 @@ def test_an_interrupted_import_goes_on(recordings: Path, in_turn: dict[str, byte
     assert {path.name: number for path, number in kept.items()}.items() <= found.items()  # not written anew
 
 
-@pytest.mark.slow
-def test_the_command_names_what_it_leaves_out(spoilt: Path, tmp_path: Path) -> None:
+def test_the_command_names_what_it_leaves_out(
+    spoilt: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ("data", "import", str(spoilt), "--size", "16", "--skip-damaged", "--out", str(tmp_path / "d"))
-    told = finish(start_dmbench((*words, "--workers", "2", "--executor", "ray"), tmp_path))
+    told = dmbench(words, capsys, monkeypatch)
     assert told.code == 0, told.err
     assert "4 recordings are left out:" in told.out
-    as_json = finish(start_dmbench((*words, "--json"), tmp_path))
+    as_json = dmbench((*words, "--json"), capsys, monkeypatch)
     assert len(json.loads(as_json.out)["skipped"]) == 4
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch, UnknownName, UsageError
@@ -23,6 +24,7 @@ from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
+from recorders.planar_push.environment import PlanarPush
 
 MakeRun = Callable[..., Run]
 
@@ -171,15 +173,28 @@ def test_the_document_has_the_hashes_of_the_columns_and_of_the_test_tasks() -> N
 
 
 @pytest.mark.slow
-def test_the_test_tasks_of_planar_push_are_those_of_the_protocol(tmp_path: Path) -> None:
+def test_the_test_tasks_of_planar_push_are_those_of_the_protocol(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tasks are chosen by positions and pushes: what is recorded with blank pictures has the same ones."""
     recipe = DatasetRecipe(
         environment="planar_push", policy="push", seed=TEST.seed, episodes=TEST.episodes, frames=101, tasks=100
     )
+    record_dataset(tmp_path / "drawn", replace(recipe, episodes=20))
+    blank = np.zeros((128, 128, 3), np.uint8), np.zeros((128, 128), np.uint8)
+    monkeypatch.setattr(PlanarPush, "_draw", lambda _: blank)
     record_dataset(tmp_path / "test", recipe)
-    recorded = Dataset.open(tmp_path / "test")
+    drawn, recorded = (Dataset.open(tmp_path / name) for name in ("drawn", "test"))
 
     assert len(recorded.tasks()) == columns.TASKS
     assert tasks_hash(recorded) == columns.TEST_TASKS["planar_push"]
+    assert drawn.video(0).any()
+    assert not recorded.video(0).any()
+    for episode in range(len(drawn)):
+        one, other = drawn.states(episode), recorded.states(episode)
+        assert np.array_equal(one.objects.position, other.objects.position, equal_nan=True)
+        assert np.array_equal(one.pushed, other.pushed)
+        assert np.array_equal(one.actions, other.actions)
 
 
 def test_what_planned_before_some_fields_were_there_is_read_as_today(tasks: Dataset) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import cache_folder
 
 FEW = GainScoring(moments=6, sequences=10, horizon=3)
-QUICK = ScoreSettings(horizon=3, resamples=100, gain=FEW)
+QUICK = ScoreSettings(horizon=1, resamples=100, gain=FEW)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def pushed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """A Grid World whose test episodes move something; its cache knows what can be gained."""
     path = tmp_path_factory.mktemp("data") / "grid"
     recipe = DatasetRecipe(
-        environment="grid_world", parameters={"version": 2}, policy="random", episodes=200, frames=32
+        environment="grid_world", parameters={"version": 2}, policy="random", episodes=100, frames=32
     )
     record_dataset(path, recipe)
     dataset = Dataset.open(path)
@@ -237,7 +238,7 @@ def test_a_report_without_the_gain_is_written_as_before(run: Run) -> None:
 
 def test_other_moments_are_scored_anew(run: Run) -> None:
     first = score_run(run.path, metrics=("gain",), settings=QUICK)
-    fewer = ScoreSettings(horizon=3, resamples=100, gain=GainScoring(moments=3, sequences=10, horizon=3))
+    fewer = replace(QUICK, gain=replace(FEW, moments=3))
     second = score_run(run.path, metrics=("gain",), settings=fewer, renew=False)
 
     assert first.figures["planning_gain"]["n"] > second.figures["planning_gain"]["n"] > 0
@@ -265,9 +266,10 @@ def test_a_gain_that_cannot_be_is_refused(run: Run, monkeypatch: pytest.MonkeyPa
         with pytest.raises(InvalidSetting):
             GainScoring(**wrong)
     monkeypatch.setattr("dmotion_bench.scoring.gain._stretches", lambda *_: [])
-    other = ScoreSettings(gain=GainScoring(moments=1))
+    other = replace(QUICK, gain=GainScoring(moments=1))
     with pytest.raises(LabelsNotAvailable, match="nothing is moved in the test episodes"):
         score_run(run.path, metrics=("gain",), settings=other)
+    monkeypatch.setattr("dmotion_bench.scoring.score.DEFAULT_METRICS", ())
     report = score_run(run.path, metrics=None, settings=other)
     assert report.remarks["gain"] == "not measured: nothing is moved in the test episodes"
     assert read_report(run.path / "report") == report

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
 import pytest
 
 from dmotion_bench.learning.run import Run
-from dmotion_bench.scoring.prediction import Execution
+from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.samples import GAIN, SampleRows
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
@@ -46,19 +49,30 @@ def test_another_process_takes_them_from_the_cache(make_run: Callable[..., Run],
 
 
 @pytest.mark.parametrize("name", ["*.parquet", "*.json"])
-def test_damaged_ones_are_computed_again(make_run: Callable[..., Run], cache: Path, tmp_path: Path, name: str) -> None:
-    path = make_run(tmp_path / "run").path
-    wanted, _ = scored(path)
-    files = sorted(cache.glob(f"references-{name}"))
-    assert len(files) == 2
-    sound = [file.read_bytes() for file in files]
-    for file, content in zip(files, sound, strict=True):
-        middle = len(content) // 2
-        file.write_bytes(content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :])
-    found, computed = scored(path)
-    assert found == wanted
-    assert computed == REFERENCES
-    assert [file.read_bytes() for file in files] == sound
+def test_damaged_ones_are_computed_again(tmp_path: Path, name: str) -> None:
+    computed: list[pa.Table] = []
+
+    def score() -> pa.Table:
+        rows = SampleRows(GAIN, MODEL)
+        three = np.arange(3)
+        rows.add({"gain": three / 2, "best_gain": np.ones(3), "episode": three, "step": three, "ahead": three + 1})
+        computed.append(rows.table())
+        return computed[-1]
+
+    def got() -> pa.Table:
+        """What a process that remembers nothing gets."""
+        return SharedSamples().get({"dataset": "d"}, score, tmp_path)
+
+    wanted = got()
+    assert got() == wanted
+    assert len(computed) == 1
+    (file,) = tmp_path.glob(f"references-{name}")
+    sound = file.read_bytes()
+    middle = len(sound) // 2
+    file.write_bytes(sound[:middle] + bytes([sound[middle] ^ 1]) + sound[middle + 1 :])
+    assert got() == wanted
+    assert len(computed) == 2
+    assert file.read_bytes() == sound
 
 
 def test_those_of_other_settings_are_not_taken(make_run: Callable[..., Run], cache: Path, tmp_path: Path) -> None:

@@ -5,19 +5,23 @@ from __future__ import annotations
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from dmbench_command import finish, start_dmbench
+from dmbench_command import Outcome, dmbench, finish, start_dmbench
 from storage.foreign import foxglove_file, steady
 
 from dmotion_bench.errors import FolderInUse, UsageError
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.imports.importing import import_recordings
+from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.staging import CONTENT, MARKER, staged, sweep
 
 pytestmark = pytest.mark.slow
 
+Command = Callable[..., Outcome]
 FRAMES = 400
 
 
@@ -28,11 +32,18 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return foxglove_file(tmp_path_factory.mktemp("long") / "a.mcap", [picture] * FRAMES, steady(FRAMES))
 
 
-def words(command: str, recording: Path, workspace: Path) -> list[str]:
+@pytest.fixture(scope="module")
+def sources(recording: Path) -> dict[str, Path]:
+    """What each command is given: the recording, and what was imported of it; read only."""
+    imported = recording.parent / "imported"
+    import_recordings([recording], imported, ImportOptions())
+    return {"import": recording, "export": imported}
+
+
+def words(command: str, source: Path, workspace: Path) -> list[str]:
     """An import, or the export of what was imported."""
-    if command == "import":
-        return ["data", "import", str(recording), "--size", "64", "--out", str(workspace / "made")]
-    return ["data", "export", str(workspace / "source"), "--out", str(workspace / "made")]
+    size = ["--size", "64"] if command == "import" else []
+    return ["data", command, str(source), *size, "--out", str(workspace / "made")]
 
 
 @pytest.fixture
@@ -40,12 +51,16 @@ def workspace(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def caught_writing(command: str, recording: Path, workspace: Path) -> subprocess.Popen[str]:
+@pytest.fixture
+def run(workspace: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Run a command in this process."""
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(workspace))
+    return lambda words: dmbench(words, capsys, monkeypatch)
+
+
+def caught_writing(command: str, source: Path, workspace: Path) -> subprocess.Popen[str]:
     """The command's process, in the middle of its work."""
-    if command == "export":
-        done = finish(start_dmbench(["data", "import", str(recording), "--out", str(workspace / "source")], workspace))
-        assert done.code == 0, done.err
-    process = start_dmbench(words(command, recording, workspace), workspace)
+    process = start_dmbench(words(command, source, workspace), workspace)
     content = workspace / f"made.{command}ing" / CONTENT
     while not any(content.rglob("*.*")):
         assert process.poll() is None, process.communicate()
@@ -54,19 +69,20 @@ def caught_writing(command: str, recording: Path, workspace: Path) -> subprocess
 
 
 def names(workspace: Path) -> list[str]:
-    return sorted(path.name for path in workspace.iterdir() if path.name != "source")
+    return sorted(path.name for path in workspace.iterdir())
 
 
 @pytest.mark.parametrize("command", ["import", "export"])
-def test_what_a_killed_one_leaves_is_cleaned_by_the_next(command: str, recording: Path, workspace: Path) -> None:
-    process = caught_writing(command, recording, workspace)
+def test_what_a_killed_one_leaves_is_cleaned_by_the_next(
+    run: Command, command: str, sources: dict[str, Path], workspace: Path
+) -> None:
+    process = caught_writing(command, sources[command], workspace)
     process.send_signal(signal.SIGKILL)
     finish(process)
     assert names(workspace) == [f".made.{command}ing.lock", f"made.{command}ing"]
-    nowhere = finish(start_dmbench(["data", "info", str(workspace / "made")], workspace))
-    assert "no data set named" in nowhere.sentence()
+    assert "no data set named" in run(["data", "info", str(workspace / "made")]).sentence()
 
-    again = finish(start_dmbench(words(command, recording, workspace), workspace))
+    again = run(words(command, sources[command], workspace))
     assert again.code == 0, again.err
     assert names(workspace) == ["made"]
     if command == "import":
@@ -76,9 +92,9 @@ def test_what_a_killed_one_leaves_is_cleaned_by_the_next(command: str, recording
 @pytest.mark.parametrize("command", ["import", "export"])
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_leaves_nothing_and_says_so(
-    command: str, sign: signal.Signals, recording: Path, workspace: Path
+    command: str, sign: signal.Signals, sources: dict[str, Path], workspace: Path
 ) -> None:
-    process = caught_writing(command, recording, workspace)
+    process = caught_writing(command, sources[command], workspace)
     process.send_signal(sign)
     ended = finish(process)
     assert ended.code == 128 + sign
@@ -88,10 +104,10 @@ def test_an_interruption_leaves_nothing_and_says_so(
     assert names(workspace) == []
 
 
-def test_what_another_process_is_writing_is_left_alone(recording: Path, workspace: Path) -> None:
+def test_what_another_one_is_writing_is_left_alone(run: Command, recording: Path, workspace: Path) -> None:
     with staged(workspace / "made", ".importing") as content:
         (content / "half").write_text("written")
-        refused = finish(start_dmbench(words("import", recording, workspace), workspace))
+        refused = run(words("import", recording, workspace))
         assert refused.code == 1
         assert "another dmbench is writing into" in refused.sentence()
         assert (content / "half").read_text() == "written"
@@ -99,18 +115,19 @@ def test_what_another_process_is_writing_is_left_alone(recording: Path, workspac
 
 
 @pytest.mark.parametrize("command", ["import", "export"])
-def test_a_full_disk_is_a_sentence_and_leaves_nothing(command: str, recording: Path, workspace: Path) -> None:
+def test_a_full_disk_is_a_sentence_and_leaves_nothing(command: str, workspace: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (12, 64, 64, 3), dtype=np.uint8)
-    small = foxglove_file(workspace / "source.mcap", noise, steady(12))
+    source = foxglove_file(workspace / "source.mcap", noise, steady(12))
     if command == "export":
-        done = finish(start_dmbench(["data", "import", str(small), "--out", str(workspace / "source")], workspace))
-        assert done.code == 0, done.err
+        import_recordings([source], workspace / "source", ImportOptions())
+        source = workspace / "source"
+    before = names(workspace)
 
-    full = finish(start_dmbench(words(command, small, workspace), workspace, file_bytes=50_000))
+    full = finish(start_dmbench(words(command, source, workspace), workspace, file_bytes=50_000))
     assert full.code == 1
     assert "no space left on the device for" in full.sentence()
     assert "nothing is left of it" in full.sentence()
-    assert names(workspace) == ["source.mcap"]  # and nothing of what was begun
+    assert names(workspace) == before  # and nothing of what was begun
 
 
 def test_a_place_that_cannot_be_is_said(workspace: Path) -> None:
@@ -180,7 +197,7 @@ def test_two_at_once_never_share_a_folder(tmp_path: Path) -> None:
         raise AssertionError("it began")
 
 
-def test_the_root_of_all_folders_cannot_be_made_anew(recording: Path, workspace: Path) -> None:
-    said = finish(start_dmbench([*words("import", recording, workspace)[:-1], "/"], workspace))
+def test_the_root_of_all_folders_cannot_be_made_anew(run: Command, recording: Path, workspace: Path) -> None:
+    said = run([*words("import", recording, workspace)[:-1], "/"])
     assert said.code == 2
     assert "name another folder with '--out DIR'" in said.sentence()

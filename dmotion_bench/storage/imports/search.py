@@ -12,7 +12,13 @@ from dmotion_bench.errors import RecordingImportError, UsageError
 from dmotion_bench.storage.imports.lerobot_layout import INFO
 from dmotion_bench.storage.imports.natural_order import in_natural_order
 from dmotion_bench.storage.imports.passed_over import PassedOver, Taken, is_dataset, passed_over, real_paths
-from dmotion_bench.storage.imports.picture_folder import PICTURES, episode_folders
+from dmotion_bench.storage.imports.picture_folder import (
+    PICTURES,
+    episode_folders,
+    folder_and_pattern,
+    listed_patterns,
+    patterns_in,
+)
 from dmotion_bench.storage.imports.sources import CONVERT_BAG, KNOWN, SUFFIXES, Kind, Source, camera_file, kind_of
 from dmotion_bench.wording import command
 
@@ -124,7 +130,7 @@ def _taken(sources: Sequence[Source], camera: str | None, faults: Iterable[Path]
         whole=real_paths([*faults, *(source.path for source in sources if source.kind is not Kind.PICTURES)]),
         pictures=real_paths(folders),
         chosen=real_paths(
-            [one.parent for one in folders if one.name == camera]
+            [one.parent for one in folders if one.name == folder_and_pattern(camera)[0]]
             + [
                 source.path.parent
                 for source in sources
@@ -232,6 +238,12 @@ def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[So
 
 def _no_folder_of(camera: str, folder: Path, others: Sequence[Path]) -> RecordingImportError:
     """The error for pictures that are there, and none of which is a camera's."""
+    name, pattern = folder_and_pattern(camera)
+    if pattern is not None and name is None:
+        return RecordingImportError(
+            f"no pictures in {str(folder)!r} are called {pattern!r}, where '#' is a number; in {str(others[0])!r} are:"
+            f"{listed_patterns(patterns_in(others[0]))}"
+        )
     where = "in it" if others == [folder] else f"in folders in it ({', '.join(one.name for one in others[:_SHOWN])})"
     return RecordingImportError(
         f"no folder in {str(folder)!r} is called {camera!r}; '--camera' names the folder that the pictures are in. "

@@ -237,6 +237,11 @@ def _orientation(image: Image.Image) -> int:
     return number if number in _UPRIGHT else 1
 
 
+def _rgb(image: Image.Image) -> Image.Image:
+    """Without its alpha channel, by way of one where a palette holds it: Pillow warns of the direct way."""
+    return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
+
+
 def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
     with _opened(picture, limits) as image:
         try:
@@ -245,9 +250,9 @@ def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
                 image.load()
                 turn = _UPRIGHT.get(_orientation(image))
                 if turn is not None:
-                    return np.array(image.convert("RGB").transpose(turn))
+                    return np.array(_rgb(image).transpose(turn))
                 if _is_deep(image):
                     return _gray((np.asarray(image) >> 8).astype(np.uint8))
-                return np.array(image.convert("RGB"))
+                return np.array(_rgb(image))
         except (OSError, ValueError, SyntaxError, Warning) as error:
             raise BadPicture(f"is a damaged {image.format} file: {str(error)[:120]}") from error

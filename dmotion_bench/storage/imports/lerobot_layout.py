@@ -13,6 +13,7 @@ import itertools
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,24 +84,56 @@ class LeRobotLayout:
         """The camera that is meant: by its name, or by the last part of it.
 
         Raises:
-            RecordingImportError: There is none, or more than one.
+            RecordingImportError: There is none, or more than one, or it holds depth.
         """
-        kinds = {key: self.kind(key) for key in self.features}
-        cameras = sorted(key for key, kind in kinds.items() if kind in _CAMERA_KINDS and _KEY.fullmatch(key))
-        found = cameras if asked is None else [key for key in cameras if key == asked or key.endswith(f".{asked}")]
-        if asked in found:
-            return asked
+        shown = sorted(key for key in self.features if self.kind(key) in _CAMERA_KINDS and _KEY.fullmatch(key))
+        cameras = [key for key in shown if not self._is_depth(key)]
+        here = [key for key in cameras if self._has_files(key)] or cameras
+        found = here if asked is None else _meant(here, asked) or _meant(cameras, asked)
         if len(found) == 1:
             return found[0]
-        listed = ", ".join(map(repr, cameras)) or "none"
+        listed = ", ".join(map(repr, here)) or "none"
         if asked is None:
-            raise self.bad(f"has {len(cameras)} cameras; choose one with '--camera KEY': {listed}")
+            raise self.bad(f"has {len(here)} cameras; choose one with '--camera KEY': {listed}")
+        if not found and (depth := _meant(shown, asked)):
+            raise self.bad(f"holds depth in {depth[0]!r}, and depth is no picture; its cameras are: {listed}")
         raise self.bad(f"has {'no' if not found else 'more than one'} camera {asked!r}; its cameras are: {listed}")
+
+    def numbers(self, asked: str) -> str:
+        """The feature of the actions that is meant: by its name, or by the last part of it.
+
+        Raises:
+            RecordingImportError: There is none, or more than one.
+        """
+        others = sorted(key for key in self.features if self.kind(key) not in _CAMERA_KINDS)
+        found = _meant(others, asked)
+        if len(found) == 1:
+            return found[0]
+        how = "no feature" if not found else "more than one feature"
+        raise self.bad(f"has {how} {asked!r} for '--actions'; its features are: {', '.join(others)}")
 
     def kind(self, key: str) -> str:
         """A feature's kind: ``"video"``, ``"image"``, ``"float32"`` ..."""
         feature = self.features.get(key)
         return str(feature.get("dtype", "")) if isinstance(feature, Mapping) else ""
+
+    def _is_depth(self, key: str) -> bool:
+        """Whether a camera is one of distances; the format keeps this beside the facts of the video."""
+        feature = self.features[key]
+        places = [feature, *(feature.get(name) for name in ("info", "video_info"))]
+        return any(
+            place.get(name) is True
+            for place in places
+            if isinstance(place, Mapping)
+            for name in ("is_depth_map", "video.is_depth_map")
+        )
+
+    def _has_files(self, camera: str) -> bool:
+        """Whether a camera's pictures were downloaded; those in tables come with the numbers."""
+        return self.kind(camera) != "video" or next(self.path.glob(self._videos(camera)), None) is not None
+
+    def _videos(self, camera: str) -> str:
+        return f"videos/*/{camera}/*.mp4" if self.is_v2 else f"videos/{camera}/*/*.mp4"
 
     def action_names(self, key: str) -> list[Any]:
         """What the file says the actions are called, in the order of their numbers; nothing where it does not."""
@@ -109,14 +142,22 @@ class LeRobotLayout:
         return known if isinstance(known, list) else []
 
     def number_names(self, key: str) -> tuple[str, ...]:
-        """What the file calls the numbers of a feature, in their order; nothing where it does not."""
+        """What the file calls the numbers of a feature, in their order; nothing where it does not.
+
+        Names that stand there more than once are told apart: by the group that they are in, else by numbers.
+        """
         feature = self.features.get(key)
         names = feature.get("names") if isinstance(feature, Mapping) else None
         if isinstance(names, Mapping) and all(type(place) is int for place in names.values()):
             names = [name for name, _ in sorted(names.items(), key=lambda item: item[1])]
-        elif isinstance(names, Mapping):  # {"motors": [...]}
-            names = next(iter(names.values())) if len(names) == 1 else None
-        return tuple(names) if isinstance(names, list) and all(isinstance(name, str) for name in names) else ()
+        # groups of names, such as those of a left and a right arm, or a list in a list
+        groups = names if isinstance(names, Mapping) else {"": names}
+        flat = [(group, name) for group, inside in groups.items() for name in _flat(inside)]
+        if not all(isinstance(name, str) for _, name in flat):
+            return ()
+        if len(groups) > 1 and len({name for _, name in flat}) < len(flat):
+            return _numbered([f"{group}.{name}" for group, name in flat])
+        return _numbered([name for _, name in flat])
 
     def stated_actions(self, key: str) -> Continuous | None:
         """The bounds and units of continuous actions, where ``data export`` has left them.
@@ -159,9 +200,7 @@ class LeRobotLayout:
 
     def files(self, camera: str) -> list[Path]:
         """The files that are read, in the order of their names."""
-        pictures = f"videos/{camera}/*/*.mp4" if self.kind(camera) == "video" else f"images/{camera}/*/*"
-        if self.is_v2 and self.kind(camera) == "video":
-            pictures = f"videos/*/{camera}/*.mp4"
+        pictures = self._videos(camera) if self.kind(camera) == "video" else f"images/{camera}/*/*"
         episodes = EPISODES_V2.as_posix() if self.is_v2 else EPISODES_V3
         found = [self.path.glob(pattern) for pattern in (episodes, "data/*/*.parquet", pictures)]
         return sorted([self.path / INFO, *itertools.chain(*found)])
@@ -277,6 +316,27 @@ class LeRobotLayout:
         if not file.is_file():
             raise self.bad(f"lacks the file {relative!r}")
         return file
+
+
+def _meant(keys: Sequence[str], asked: str) -> list[str]:
+    """The feature of this name, else those whose last part it is."""
+    return [asked] if asked in keys else [key for key in keys if key.endswith(f".{asked}")]
+
+
+def _flat(names: Any) -> list[Any]:
+    """A list of names, perhaps in lists of their own; of anything else nothing."""
+    inside = names if isinstance(names, list) else []
+    return [name for one in inside for name in (one if isinstance(one, list) else [one])]
+
+
+def _numbered(names: Sequence[str]) -> tuple[str, ...]:
+    """Names, of which those that stand there more than once get a number: ``arm.0``, ``arm.1``; none if that fails."""
+    counts, seen = Counter(names), Counter[str]()
+    found = []
+    for name in names:
+        found.append(f"{name}.{seen[name]}" if counts[name] > 1 else name)
+        seen[name] += 1
+    return tuple(found) if len(set(found)) == len(found) else ()
 
 
 def _rows(table: Any, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:

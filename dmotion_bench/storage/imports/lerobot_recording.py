@@ -16,7 +16,7 @@ from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, a
 from dmotion_bench.storage.imports.continuous_commands import BadCommands, ContinuousCommands, from_rows
 from dmotion_bench.storage.imports.lerobot_layout import ACTION_NAMES, LeRobotLayout, Placed
 from dmotion_bench.storage.imports.limits import ImportLimits
-from dmotion_bench.storage.imports.pixels import size_of, to_rgb
+from dmotion_bench.storage.imports.pixels import shape_of, to_rgb
 from dmotion_bench.storage.imports.recording import Segment, Survey
 from dmotion_bench.storage.video.file import VideoFile
 
@@ -34,7 +34,7 @@ class LeRobotRecording:
         path: The folder.
         camera: The feature of the pictures, ``"observation.images.front"``, or the last part of its name; None for the
             only one.
-        actions: The feature of the actions; None for none.
+        actions: The feature of the actions, or the last part of its name; None for none.
         action_fields: Names of the numbers that count in continuous actions; none for all.
         limits: What the files may make us do.
 
@@ -51,16 +51,14 @@ class LeRobotRecording:
         action_fields: Sequence[str] = (),
         limits: ImportLimits,
     ) -> None:
-        self.path, self._actions, self._limits, self.unreadable = path, actions, limits, 0
+        self.path, self._limits, self.unreadable = path, limits, 0
         self._fields = tuple(action_fields)
         self._layout = LeRobotLayout(path, limits)
         self._camera = self._layout.camera(camera)
-        if actions is not None and actions not in self._layout.features:
-            raise self._layout.bad(
-                f"has no feature {actions!r}; its features are: {', '.join(sorted(self._layout.features))}"
-            )
-        self._continuous = actions is not None and (bool(self._fields) or self._layout.kind(actions) in FLOATS)
-        self._stated = self._layout.stated_actions(actions or "") if self._continuous else None
+        self._actions = None if actions is None else self._layout.numbers(actions)
+        kind = self._layout.kind(self._actions or "")
+        self._continuous = self._actions is not None and (bool(self._fields) or kind in FLOATS)
+        self._stated = self._layout.stated_actions(self._actions or "") if self._continuous else None
         self._vocabulary = [] if self._continuous else self._known_actions()
         self._placed: list[Placed] = []
         self._taken: list[Float[np.ndarray, " n"]] = []  # when, in intervals of a picture, for each episode
@@ -115,9 +113,15 @@ class LeRobotRecording:
     def _picture_size(self, placed: Placed) -> tuple[int, int]:
         (picture,) = self._stored(placed, [0])
         try:
-            return size_of(picture, self._limits)
+            shape = shape_of(picture, self._limits)
         except BadPicture as error:
             raise self._damaged(placed, 0, error) from error
+        if shape.is_deep:
+            raise self._layout.bad(
+                f"has pictures in {self._camera!r} that are grey with 16 bits a pixel, as depth is stored; depth is no "
+                "picture: choose another camera with '--camera KEY'"
+            )
+        return shape.height, shape.width
 
     def _from_table(self, placed: Placed, wanted: list[int]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         for number, picture in zip(wanted, self._stored(placed, wanted), strict=True):

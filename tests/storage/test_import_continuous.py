@@ -64,7 +64,7 @@ def test_joint_states_have_the_names_of_the_joints(tmp_path: Path) -> None:
     fields = "position.elbow, position.wrist, velocity.elbow, velocity.wrist"
     refused(
         file,
-        f"has no field 'effort'; .*Its fields are: {fields}",
+        f"has no field 'effort'; its fields are: {fields}",
         dataclasses.replace(options, action_fields=("effort",)),
     )
 
@@ -78,6 +78,13 @@ def test_numbers_in_lists_and_in_fields_of_fields(tmp_path: Path) -> None:
     assert dataset.spec.actions.names == ("grip", "pose.at.0", "pose.at.1")
     np.testing.assert_array_equal(dataset.states(0).actions, [[-n, n, 2.5 * n] for n in range(4)])
     assert dataset.manifest.recipe.parameters["action_fields"] == "grip,pose.at"
+
+
+def test_truth_values_are_0_and_1(tmp_path: Path) -> None:
+    commands = [{"joint": n, "gripper": n % 2 == 0} for n in range(4)]
+    options = dataclasses.replace(TWIST, action_fields=("joint", "gripper"))
+    dataset = imported(json_file(tmp_path / "a.mcap", commands), tmp_path / "out", options)
+    np.testing.assert_array_equal(dataset.states(0).actions, [[0, 1], [1, 0], [2, 1], [3, 0]])
 
 
 def test_protobuf_fields(tmp_path: Path) -> None:
@@ -210,7 +217,7 @@ def test_robomimic_s_actions(tmp_path: Path) -> None:
 
     one = imported(file, tmp_path / "one", dataclasses.replace(options, action_fields=("actions.6", "actions.0")))
     assert bits(one.states(0).actions) == bits(given["demo_0"][:4, [6, 0]])
-    refused(file, "has no field 'x' .*Its fields are: 'actions.0'", dataclasses.replace(options, action_fields=("x",)))
+    refused(file, "has no field 'x' .*its fields are: 'actions.0'", dataclasses.replace(options, action_fields=("x",)))
     few = dataclasses.replace(options, limits=ImportLimits(numbers=34))
     refused(file, "holds 35 numbers as actions, more than the 34", few)
 

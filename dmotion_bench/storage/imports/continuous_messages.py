@@ -134,7 +134,7 @@ def _finite(names: Sequence[str], found: Sequence[tuple[str, Any]]) -> list[floa
 
 
 def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not isinstance(value, int | float):  # a truth value is 0 or 1
         raise BadPicture(f"holds {shown(value)} in {shown(name)}, which is no number; name other fields")
     if isinstance(value, int) and abs(value) > EXACT:
         raise BadPicture(f"holds {shown(value)} in {shown(name)}, too large to be kept exactly; name other fields")
@@ -147,10 +147,10 @@ def _chosen(message: Any, field: str) -> list[tuple[str, Any]]:
     if node is _MISSING:
         known = [name for name, _ in itertools.islice(_leaves(message, "", 0), MOST_NUMBERS)]
         near = difflib.get_close_matches(field, known, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        hint = f"did you mean {near[0]!r}? Its" if near else "its"
         listed = ", ".join(map(_plain, known[:LISTED])) or "none"
         more = f" ... and more, {len(known)} in all" if len(known) > LISTED else ""
-        raise BadPicture(f"has no field {shown(field)}; {hint}Its fields are: {listed}{more}")
+        raise BadPicture(f"has no field {shown(field)}; {hint} fields are: {listed}{more}")
     found = list(itertools.islice(_leaves(node, field, 0), MOST_NUMBERS + 1))
     if len(found) > MOST_NUMBERS:
         raise BadPicture(f"holds more than {MOST_NUMBERS} numbers in {shown(field)}; name those that count, one by one")

@@ -268,7 +268,7 @@ def test_the_command_names_what_it_leaves_out(spoilt: Path, tmp_path: Path) -> N
     words = ("data", "import", str(spoilt), "--size", "16", "--skip-damaged", "--out", str(tmp_path / "d"))
     told = finish(start_dmbench((*words, "--workers", "2", "--executor", "ray"), tmp_path))
     assert told.code == 0, told.err
-    assert "4 recordings are left out:" in told.out
+    assert "4 recordings or episodes are left out:" in told.out
     as_json = finish(start_dmbench((*words, "--json"), tmp_path))
     assert len(json.loads(as_json.out)["skipped"]) == 4
 

@@ -19,6 +19,7 @@ from storage.foreign import compressed, video
 from storage.foreign_video import moving, video_file
 
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError
+from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports import importing
 from dmotion_bench.storage.imports.confinement import ConfinedRecording
@@ -158,6 +159,19 @@ def test_only_wanted_pictures_are_unpacked_and_paths_are_not_followed(tmp_path: 
 def test_the_cameras_of_a_data_set_with_pictures_are_listed(tmp_path: Path) -> None:
     folder = v3(tmp_path / "set", video(15))
     refused(folder, f"has no camera 'front'; its cameras are: '{CAMERA}'", ImportOptions(camera="front"))
+
+
+def test_an_episode_without_its_video_can_be_left_out(tmp_path: Path) -> None:
+    frames = video(15)
+    folder = v21(tmp_path / "set", frames, "video")
+    lacking = f"videos/chunk-000/{CAMERA}/episode_000001.mp4"
+    (folder / lacking).unlink()
+    refused(folder, rf"lacks the file '{lacking}'\. Leave such episodes out with '--skip-damaged'\.")
+    report = import_fleet([folder], tmp_path / "out", OPTIONS, skip_damaged=True)
+    assert [path for path, _ in report.skipped] == [f"{folder}: episode 1"]
+    dataset = Dataset.open(report.path)
+    assert dataset.lengths.tolist() == [LENGTHS[0], LENGTHS[2]]
+    np.testing.assert_array_equal(dataset.video(1), frames[START[2] :])
 
 
 @pytest.mark.parametrize("place", ["info", "video_info"])

@@ -21,6 +21,7 @@ from typing import Any, Final
 
 from dmotion_bench.actions import Continuous, actions_from_json
 from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.imports.git_lfs import require_content
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 
 INFO: Final = Path("meta") / "info.json"
@@ -179,7 +180,7 @@ class LeRobotLayout:
         """Where each episode with frames stands.
 
         Raises:
-            RecordingImportError: The table is damaged, or names files that are not there.
+            RecordingImportError: The table is damaged.
         """
         with_video = self.kind(camera) == "video"
         found = self._episodes_v2(camera, with_video) if self.is_v2 else self._episodes_v3(camera, with_video)
@@ -212,9 +213,18 @@ class LeRobotLayout:
             RecordingImportError: It is not there.
         """
         names = [f"images/{camera}/episode{dash}{episode:06d}/frame{dash}{frame:06d}.png" for dash in "-_"]
-        return next((self.path / name for name in names if (self.path / name).is_file()), None) or self._inside(
-            names[0]
-        )
+        found = next((name for name in names if (self.path / name).is_file()), names[0])
+        return self._there(self.path / found)
+
+    def require_files(self, placed: Placed) -> None:
+        """Check that an episode's files are there.
+
+        Raises:
+            RecordingImportError: One is not.
+        """
+        self._there(placed.data)
+        if placed.video is not None:
+            self._there(placed.video)
 
     def table(self, file: Path, columns: Sequence[str], also: Sequence[str] = ()) -> Any:
         """Some columns of a table, without what LeRobot keeps beside them (statistics of every feature).
@@ -254,6 +264,7 @@ class LeRobotLayout:
         if not tables:
             raise self.bad("lacks 'meta/episodes/chunk-000/file-000.parquet', the table of its episodes")
         for file in tables:
+            require_content(file)
             for number, frames, *place in _rows(self.table(file, columns), columns):
                 start_s = place.pop() if with_video else 0.0
                 if not isinstance(start_s, int | float) or not math.isfinite(start_s) or not 0 <= start_s < 2**31:
@@ -263,12 +274,13 @@ class LeRobotLayout:
                 yield Placed(
                     number=number,
                     frames=frames,
-                    data=self._inside("data/chunk-{:03d}/file-{:03d}.parquet".format(*place)),
-                    video=self._inside(f"{video}/chunk-{place[2]:03d}/file-{place[3]:03d}.mp4") if with_video else None,
+                    data=self.path / "data/chunk-{:03d}/file-{:03d}.parquet".format(*place),
+                    video=self.path / f"{video}/chunk-{place[2]:03d}/file-{place[3]:03d}.mp4" if with_video else None,
                     start_s=float(start_s),
                 )
 
     def _episodes_v2(self, camera: str, with_video: bool) -> Iterator[Placed]:
+        require_content(self.path / EPISODES_V2)
         for line in self._lines(self.path / EPISODES_V2):
             try:
                 row = json.loads(line)
@@ -281,8 +293,8 @@ class LeRobotLayout:
             yield Placed(
                 number=number,
                 frames=frames,
-                data=self._inside(f"data/{chunk}/{name}.parquet"),
-                video=self._inside(f"videos/{chunk}/{camera}/{name}.mp4") if with_video else None,
+                data=self.path / f"data/{chunk}/{name}.parquet",
+                video=self.path / f"videos/{chunk}/{camera}/{name}.mp4" if with_video else None,
             )
 
     def _lines(self, file: Path) -> Iterator[bytes]:
@@ -295,6 +307,7 @@ class LeRobotLayout:
             raise self.bad(f"has no {EPISODES_V2.name!r} that can be read: {error.strerror}") from error
 
     def _read_info(self) -> Mapping[str, Any]:
+        require_content(self.path / INFO)
         try:
             with (self.path / INFO).open("rb") as file:
                 raw = file.read(16 * MIB)
@@ -311,10 +324,10 @@ class LeRobotLayout:
         found: Mapping[str, Any] = info
         return found
 
-    def _inside(self, relative: str) -> Path:
-        file = self.path / relative
+    def _there(self, file: Path) -> Path:
         if not file.is_file():
-            raise self.bad(f"lacks the file {relative!r}")
+            raise self.bad(f"lacks the file {file.relative_to(self.path).as_posix()!r}")
+        require_content(file)
         return file
 
 

@@ -37,6 +37,7 @@ class ImportOptions:
         frames_per_episode: A longer one is cut into equal parts.
         seed: Of the split into training, validation and test.
         salvage: Take what stands before the damage in a damaged file, and for a damaged picture the one before it.
+        skip_damaged: Leave out damaged episodes of recordings that hold several.
         limits: What a file may make us do.
     """
 
@@ -54,6 +55,7 @@ class ImportOptions:
     frames_per_episode: int = 100
     seed: int = 0
     salvage: bool = False
+    skip_damaged: bool = False
     limits: ImportLimits = field(default_factory=ImportLimits)
 
     def __post_init__(self) -> None:
@@ -113,7 +115,8 @@ class ImportReport:
         left_out: Frames of episodes that were too short.
         actions: What they are; None without labels.
         advice: Sentences about what would make a better data set of the same recordings.
-        skipped: Recordings that were left out because they are damaged, each with the reason.
+        skipped: Recordings that were left out because they are damaged, and episodes of recordings (``PATH: NAME``),
+            each with the reason.
     """
 
     path: Path

@@ -20,6 +20,7 @@ from jaxtyping import Integer, UInt8
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture, Picture, RawPicture, VideoPacket
+from dmotion_bench.storage.imports.git_lfs import IS_POINTER, is_pointer
 from dmotion_bench.storage.imports.limits import ImportLimits
 
 RGB = UInt8[np.ndarray, "h w 3"]
@@ -213,6 +214,8 @@ def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise BadPicture(f"declares more than the {limits.pixels:,} pixels that one may have") from error
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Warning) as error:
+        if is_pointer(picture.data):
+            raise BadPicture(IS_POINTER) from error
         raise BadPicture(
             f"has the format {picture.format[:60]!r}, but its {len(picture.data):,} bytes are no JPEG, PNG or WebP file"
         ) from error

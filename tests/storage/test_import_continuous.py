@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import foxglove
 import numpy as np
@@ -16,9 +17,11 @@ from storage.foreign import START, raw_image, ros_header, steady, video
 from storage.test_import_hdf5 import robomimic
 
 from dmotion_bench.actions import Continuous
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import export_lerobot
 from dmotion_bench.storage.imports.commands import in_force
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce, from_rows, reduced
+from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import steady_times
@@ -67,6 +70,31 @@ def test_joint_states_have_the_names_of_the_joints(tmp_path: Path) -> None:
         f"has no field 'effort'; its fields are: {fields}",
         dataclasses.replace(options, action_fields=("effort",)),
     )
+
+
+def test_joints_of_another_publisher_do_not_count(tmp_path: Path) -> None:
+    def state(t_ns: int, names: list[str], position: float) -> dict[str, Any]:
+        numbers = {
+            "position": np.array([float(position)] * len(names)),
+            "velocity": np.array([]),
+            "effort": np.array([]),
+        }
+        return {"header": ros_header(t_ns), "name": names, **numbers}
+
+    given = []
+    for n, t_ns in enumerate(steady(3)):
+        given += [(t_ns, state(t_ns, ["finger"], 0.1)), (t_ns + 1, state(t_ns, ["elbow", "wrist"], n))]
+    file = bag(tmp_path / "bag", "sensor_msgs/msg/JointState", given, 4, "/joint_states")
+    options = ImportOptions(size=32, actions="/joint_states", action_fields=("position.wrist",))
+    report = import_recordings([file], tmp_path / "out", options)
+    np.testing.assert_array_equal(Dataset.open(report.path).states(0).actions, [[0], [1], [2]])
+    sentence = "3 messages on '/joint_states' hold none of the joints position.wrist and do not count."
+    assert sentence in report.advice
+
+    unknown = dataclasses.replace(options, action_fields=("position.wrst",))
+    refused(file, "has no field 'position.wrst'; its fields are: position.finger", unknown)
+    several = dataclasses.replace(options, action_fields=("position",))
+    refused(file, "or the joints of one publisher on the topic", several)
 
 
 def test_numbers_in_lists_and_in_fields_of_fields(tmp_path: Path) -> None:

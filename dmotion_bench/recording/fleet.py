@@ -36,6 +36,7 @@ from dmotion_bench.storage.imports.importing import (
     footage,
     plan_import,
     require_same,
+    skipped_episodes,
     standing_in,
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
@@ -165,6 +166,8 @@ class _Unpacking:
                 yield from itertools.islice(self._footage(segment), count)
             except RecordingImportError as error:
                 self.faults[segment] = error
+                self._opened.clear()  # what reads them may be gone, or in the middle of an answer
+                self._confinement.close()
                 raise
             self._through.add(segment)
 
@@ -242,10 +245,9 @@ def import_fleet(
             sweep(out, UNFINISHED)  # the same would happen again
             raise faults[min(faults)]
         found = list(_without(sound, faults, skipped))
-    told = [(str(path), str(error)) for path, error in sorted(skipped.items())]
-    for one, survey in zip(sound, plan.surveys, strict=True):
-        told += [(f"{one.path}: {name}", f"{name}: {why}") for name, why in survey.skipped]
-    return plan.report(out, unreadable=sum(unreadable.values()), skipped=tuple(told))
+    told = tuple((str(path), str(error)) for path, error in sorted(skipped.items()))
+    told += skipped_episodes(sound, plan.surveys)
+    return plan.report(out, unreadable=sum(unreadable.values()), skipped=told)
 
 
 def _without(

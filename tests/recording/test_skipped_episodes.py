@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+import psutil
 import pytest
 from noise_world import files_of
 from PIL import Image
@@ -19,6 +21,7 @@ from dmotion_bench.recording import fleet
 from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.recording import Recording
 
 OPTIONS = ImportOptions(size=16, frames_per_episode=4, actions="actions")
 SOUND = {f"demo_{number}": video(9, seed=number) for number in (2, 4, 6, 8, 10)}
@@ -83,6 +86,35 @@ def test_damaged_episodes_are_left_out_as_if_they_were_not_there(
     two = make_executor("local", 2, tmp_path / "scratch")
     assert import_fleet([spoilt], tmp_path / "two", OPTIONS, two, skip_damaged=True).skipped == report.skipped
     assert files_of(tmp_path / "two") == files_of(tmp_path / "d")
+
+
+def test_an_episode_that_crashes_its_decoder_harms_none_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = demonstrations(tmp_path / "crash/a.h5", SOUND)
+    opened = fleet.open_recording
+
+    class Crashing:
+        def __init__(self, recording: Recording) -> None:
+            self._recording = recording
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._recording, name)
+
+        def pictures(self, segment: int, wanted: np.ndarray) -> Iterator[np.ndarray]:
+            if segment == 1:
+                for child in psutil.Process().children():
+                    if any("confined_reader" in word for word in child.cmdline()):
+                        child.kill()
+                        child.wait()
+            yield from self._recording.pictures(segment, wanted)
+
+    monkeypatch.setattr(fleet, "open_recording", lambda *given: Crashing(opened(*given)))
+    report = import_fleet([path], tmp_path / "d", OPTIONS, skip_damaged=True)
+    assert [name.rpartition("/")[2] for name, _ in report.skipped] == ["demo_4"]
+    monkeypatch.undo()
+    others = {name: frames for name, frames in SOUND.items() if name != "demo_4"}
+    same(tmp_path / "d", import_fleet([demonstrations(tmp_path / "o/a.h5", others)], tmp_path / "o/d", OPTIONS).path)
 
 
 def test_without_the_option_the_way_out_is_said(spoilt: Path, tmp_path: Path) -> None:

@@ -169,6 +169,8 @@ def test_an_episode_without_its_video_can_be_left_out(tmp_path: Path) -> None:
     refused(folder, rf"lacks the file '{lacking}'\. Leave such episodes out with '--skip-damaged'\.")
     report = import_fleet([folder], tmp_path / "out", OPTIONS, skip_damaged=True)
     assert [path for path, _ in report.skipped] == [f"{folder}: episode 1"]
+    in_turn = import_recordings([folder], tmp_path / "in_turn", replace(OPTIONS, skip_damaged=True))
+    assert in_turn.skipped == report.skipped
     dataset = Dataset.open(report.path)
     assert dataset.lengths.tolist() == [LENGTHS[0], LENGTHS[2]]
     np.testing.assert_array_equal(dataset.video(1), frames[START[2] :])

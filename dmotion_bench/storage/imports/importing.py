@@ -91,7 +91,17 @@ def import_recordings(
             _write(out, plan, recordings, options, progress)
         else:
             require_same(standing, plan, out)
-    return plan.report(out, unreadable=sum(recording.unreadable for recording in recordings))
+    unreadable = sum(recording.unreadable for recording in recordings)
+    return plan.report(out, unreadable=unreadable, skipped=skipped_episodes(recordings, surveys))
+
+
+def skipped_episodes(recordings: Sequence[Named], surveys: Sequence[Survey]) -> tuple[tuple[str, str], ...]:
+    """The episodes of recordings that were left out because they are damaged, for ``ImportReport.skipped``."""
+    return tuple(
+        (f"{recording.path}: {name}", f"{name}: {why}")
+        for recording, survey in zip(recordings, surveys, strict=True)
+        for name, why in survey.skipped
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -68,8 +68,9 @@ def import_recordings(
 
     Args:
         recordings: Files, folders of such files, folders of pictures, or LeRobot data sets; one or several.
-        camera: Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera; of videos the name of
-            the files without suffix, or the number of the stream. Default: the only one.
+        camera: Topic (MCAP), feature (LeRobot), path (HDF5), folder or names such as ``img#_left.png`` (pictures) of
+            the camera; of videos the name of the files without suffix, or the number of the stream. Default: the only
+            one.
         actions: Topic, feature or path with the actions; they become labels. Default: import video alone.
         action_fields: Fields with the numbers of continuous actions. Default: all numbers of LeRobot's and HDF5's.
         action_reduce: How several continuous commands between two frames become one action: ``"last"``, the

@@ -40,8 +40,9 @@ def data_import(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera; of videos the name "
-            "of the files without suffix, or the number of the stream. Default: the only one."
+            help="Topic (MCAP), feature (LeRobot), path (HDF5), folder or names such as img#_left.png (pictures) of "
+            "the camera; of videos the name of the files without suffix, or the number of the stream. "
+            "Default: the only one."
         ),
     ] = None,
     actions: Annotated[

@@ -92,7 +92,8 @@ def test_joints_of_another_publisher_do_not_count(tmp_path: Path) -> None:
     assert sentence in report.advice
 
     unknown = dataclasses.replace(options, action_fields=("position.wrst",))
-    refused(file, "has no field 'position.wrst'; its fields are: position.finger", unknown)
+    fields = "position.finger, position.elbow, position.wrist"
+    refused(file, f"has no field 'position.wrst'; did you mean 'position.wrist'. Its fields are: {fields}", unknown)
     several = dataclasses.replace(options, action_fields=("position",))
     refused(file, "or the joints of one publisher on the topic", several)
 

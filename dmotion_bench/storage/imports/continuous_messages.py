@@ -67,7 +67,7 @@ class ContinuousReader:
         self._times, self._values = array("q"), array("d")
         self._names: tuple[str, ...] = ()
         self._messages, self._are_joints = 0, False
-        self._lacking: BadPicture | None = None  # what the first message without any of the joints lacks
+        self._others: dict[str, None] = {}  # what the messages that hold none of the joints hold instead
 
     @property
     def count(self) -> int:
@@ -94,7 +94,8 @@ class ContinuousReader:
         def numbers(data: bytes) -> list[float] | None:
             message = decode(data)
             if may_lack and all(_inside(message, field) is _MISSING for field in self._fields):
-                self._lacking = self._lacking or _unknown(message, self._fields[0])
+                if not self._times and len(self._others) < MOST_NUMBERS:
+                    self._others |= dict.fromkeys(_fields_of(message))
                 return None
             return self._numbers(message)
 
@@ -123,8 +124,8 @@ class ContinuousReader:
         Raises:
             BadPicture: No message holds a joint that is wanted.
         """
-        if not self._times and self._lacking is not None:
-            raise self._lacking
+        if self._messages and not self._times:
+            raise _unknown(list(self._others), self._fields[0])
         times = np.array(self._times, np.int64)
         order = np.argsort(times, kind="stable")
         values = np.array(self._values, np.float64).reshape(len(times), -1)
@@ -176,7 +177,7 @@ def _chosen(message: Any, field: str) -> list[tuple[str, Any]]:
     """What stands in a field: one number, or those that it is made of."""
     node = _inside(message, field)
     if node is _MISSING:
-        raise _unknown(message, field)
+        raise _unknown(_fields_of(message), field)
     found = list(itertools.islice(_leaves(node, field, 0), MOST_NUMBERS + 1))
     if len(found) > MOST_NUMBERS:
         raise BadPicture(f"holds more than {MOST_NUMBERS} numbers in {shown(field)}; name those that count, one by one")
@@ -185,9 +186,12 @@ def _chosen(message: Any, field: str) -> list[tuple[str, Any]]:
     return found
 
 
-def _unknown(message: Any, field: str) -> BadPicture:
-    """The error for a field that a message lacks."""
-    known = [name for name, _ in itertools.islice(_leaves(message, "", 0), MOST_NUMBERS)]
+def _fields_of(message: Any) -> list[str]:
+    return [name for name, _ in itertools.islice(_leaves(message, "", 0), MOST_NUMBERS)]
+
+
+def _unknown(known: Sequence[str], field: str) -> BadPicture:
+    """The error for a field that is not among those of a message."""
     near = difflib.get_close_matches(field, known, n=1)
     hint = f"did you mean {near[0]!r}? Its" if near else "its"
     listed = ", ".join(map(_plain, known[:LISTED])) or "none"

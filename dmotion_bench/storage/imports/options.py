@@ -20,8 +20,8 @@ class ImportOptions:
     """How recordings become episodes.
 
     Attributes:
-        camera: Of the pictures: a topic (MCAP), a feature (LeRobot), a path (HDF5), a folder (pictures), the number of
-            a stream or the name of the files without suffix (video); None for the only one there is.
+        camera: Of the pictures: a topic (MCAP), a feature (LeRobot), a path (HDF5), a folder or a pattern of names
+            (pictures), the number of a stream or the name of the files without suffix (video); None for the only one.
         actions: Topic or feature of the actions; None imports the video alone.
         action_fields: Fields with the numbers of continuous actions; a field with several numbers stands for them
             all. Without any, actions are discrete, unless the format says that they are continuous.

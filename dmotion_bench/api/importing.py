@@ -68,8 +68,9 @@ def import_recordings(
 
     Args:
         recordings: Files, folders of such files, folders of pictures, or LeRobot data sets; one or several.
-        camera: Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera; of videos the name of
-            the files without suffix, or the number of the stream. Default: the only one.
+        camera: Topic (MCAP), feature (LeRobot), path (HDF5), folder or names such as ``img#_left.png`` (pictures) of
+            the camera; of videos the name of the files without suffix, or the number of the stream. Default: the only
+            one.
         actions: Topic, feature or path with the actions; they become labels. Default: import video alone.
         action_fields: Fields with the numbers of continuous actions. Default: all numbers of LeRobot's and HDF5's.
         action_reduce: How several continuous commands between two frames become one action: ``"last"``, the
@@ -86,7 +87,8 @@ def import_recordings(
         frames_per_episode: Longer episodes are cut into parts of equal length.
         seed: Of the split into training, validation and test.
         salvage: Import the undamaged beginning of a damaged file, and repeat the last picture for a damaged one.
-        skip_damaged: Leave out recordings that cannot be imported, or have another picture size than most.
+        skip_damaged: Leave out recordings, and episodes of HDF5 files and LeRobot data sets, that cannot be imported or
+            have another picture size than most.
         max_chunk_mib: Largest size of a decompressed chunk of an MCAP file [MiB].
         max_memory_mib: Most memory to decode a video with [MiB].
         out: The data set's folder; ``data/imported-NAME`` of the workspace by default.

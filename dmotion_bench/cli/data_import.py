@@ -41,8 +41,9 @@ def data_import(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Topic (MCAP), feature (LeRobot), path (HDF5) or folder (pictures) of the camera; of videos the name "
-            "of the files without suffix, or the number of the stream. Default: the only one."
+            help="Topic (MCAP), feature (LeRobot), path (HDF5), folder or names such as img#_left.png (pictures) of "
+            "the camera; of videos the name of the files without suffix, or the number of the stream. "
+            "Default: the only one."
         ),
     ] = None,
     actions: Annotated[
@@ -112,7 +113,8 @@ def data_import(
         bool,
         typer.Option(
             "--skip-damaged",
-            help="Leave out recordings that cannot be imported, or have another picture size than most, and say why.",
+            help="Leave out recordings, and episodes of HDF5 files and LeRobot data sets, that cannot be imported or "
+            "have another picture size than most, and say why.",
         ),
     ] = False,
     workers: Annotated[
@@ -224,9 +226,13 @@ def _summary(report: ImportReport, size: int, hz: float) -> str:
         lines.append(f"  no actions: what an action leads to cannot be scored{with_actions}")
     lines += [f"  {sentence(told)}" for told in report.advice]
     if report.skipped:
-        many = "1 recording is" if len(report.skipped) == 1 else f"{len(report.skipped)} recordings are"
+        many = (
+            "1 recording or episode is"
+            if len(report.skipped) == 1
+            else f"{len(report.skipped)} recordings or episodes are"
+        )
         lines.append(f"  {many} left out:")
-        lines += [f"    {sentence(why)}" for _, why in report.skipped[:_SHOWN]]
+        lines += ["    " + sentence(why).replace("\n", "\n    ") for _, why in report.skipped[:_SHOWN]]
         if len(report.skipped) > _SHOWN:
             lines.append(f"    and {len(report.skipped) - _SHOWN} more; '--json' names all")
     name = Workspace.current().short(report.path)

@@ -4,8 +4,9 @@ The recordings are looked through (``surveys.py``); then each job makes some sha
 an import in one process. What is finished stays beside its place until all is there, so an import that was interrupted
 goes on.
 
-A damaged recording that is skipped is as good as not named: the data set is that of the others. Some damage shows only
-when pictures are unpacked; then all recordings with such damage are left out together, and the shards made anew.
+A damaged recording that is skipped is as good as not named: the data set is that of the others. Of recordings that hold
+several episodes, only the damaged ones are skipped. Some damage shows only when pictures are unpacked; then all that
+has such damage is left out together, and the shards made anew.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import itertools
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -35,18 +36,23 @@ from dmotion_bench.storage.imports.importing import (
     footage,
     plan_import,
     require_same,
+    skipped_episodes,
     standing_in,
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Recording
 from dmotion_bench.storage.imports.search import find
-from dmotion_bench.storage.imports.sources import Source, open_recording
+from dmotion_bench.storage.imports.sources import Source, open_recording, require_effect
 from dmotion_bench.storage.shard import Footage, ShardReceipt, shard_range, write_shard
 from dmotion_bench.storage.staging import staged, sweep
 from dmotion_bench.storage.writer import DatasetWriter
 
 MOST_PARTS: Final = 64
 """Jobs into which the shards are divided; each opens its recordings anew, so many small ones cost more."""
+
+
+SegmentNumber = tuple[int, int]
+"""Of a recording, and of a segment in it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,12 +92,12 @@ class ShardsMade:
 
     Attributes:
         receipts: Of those that are made.
-        faults: Why a recording cannot be unpacked, by its number.
+        faults: Why a segment cannot be unpacked, by the numbers of its recording and of itself.
         unreadable: Damaged pictures by the number of their recording, in whose place the ones before them were taken.
     """
 
     receipts: tuple[ShardReceipt, ...]
-    faults: dict[int, RecordingImportError]
+    faults: dict[SegmentNumber, RecordingImportError]
     unreadable: dict[int, int]
 
 
@@ -111,7 +117,7 @@ def shards_job(job: ShardsJob) -> ShardsMade:
                 told.tell(JobProgress(what=f"importing shard {shard}", done=done, total=len(job.shards)))
                 planned = [next(waiting) for _ in shard_range(job.recipe, shard)]
                 unpacking.begin()
-                is_sound = unpacking.faults.keys().isdisjoint(one.recording for one in planned)
+                is_sound = unpacking.faults.keys().isdisjoint(map(_segment, planned))
                 if is_sound and shard not in job.made:
                     with contextlib.suppress(RecordingImportError):
                         episodes = unpacking.episodes(planned)
@@ -122,19 +128,23 @@ def shards_job(job: ShardsJob) -> ShardsMade:
     return ShardsMade(receipts=tuple(receipts), faults=unpacking.faults, unreadable=unpacking.unreadable)
 
 
+def _segment(planned: PlannedEpisode) -> SegmentNumber:
+    return planned.recording, planned.segment
+
+
 class _Unpacking:
-    """Unpacks the episodes of a job, and notes which recordings it cannot unpack.
+    """Unpacks the episodes of a job, and notes which segments it cannot unpack.
 
     Attributes:
-        faults: Why, by the number of the recording.
+        faults: Why, by the numbers of the segment.
     """
 
     def __init__(self, job: ShardsJob, confinement: Confinement) -> None:
         self._job, self._confinement = job, confinement
         self._opened: dict[int, Recording] = {}
-        self._running: dict[int, Iterator[Footage]] = {}
-        self._through: set[int] = set()
-        self.faults: dict[int, RecordingImportError] = {}
+        self._running: dict[SegmentNumber, Iterator[Footage]] = {}
+        self._through: set[SegmentNumber] = set()
+        self.faults: dict[SegmentNumber, RecordingImportError] = {}
 
     @property
     def unreadable(self) -> dict[int, int]:
@@ -151,28 +161,31 @@ class _Unpacking:
         Raises:
             RecordingImportError: One cannot be unpacked; it is noted, too.
         """
-        for number, count in Counter(one.recording for one in planned).items():
+        for segment, count in Counter(map(_segment, planned)).items():
             try:
-                yield from itertools.islice(self._footage(number), count)
+                yield from itertools.islice(self._footage(segment), count)
             except RecordingImportError as error:
-                self.faults[number] = error
+                self.faults[segment] = error
+                self._opened.clear()  # what reads them may be gone, or in the middle of an answer
+                self._confinement.close()
                 raise
-            self._through.add(number)
+            self._through.add(segment)
 
     def look_through(self, planned: Sequence[PlannedEpisode]) -> None:
         """Unpack what the last shard has not come to, so that one pass finds all damage."""
-        for number in {one.recording for one in planned} - self._through - self.faults.keys():
-            with contextlib.suppress(RecordingImportError):
-                for _ in self.episodes([one for one in planned if one.recording == number]):
-                    pass
+        for segment in dict.fromkeys(map(_segment, planned)):
+            if segment not in self._through and segment not in self.faults:
+                with contextlib.suppress(RecordingImportError):
+                    for _ in self.episodes([one for one in planned if _segment(one) == segment]):
+                        pass
 
-    def _footage(self, number: int) -> Iterator[Footage]:
-        """What is left of a recording's episodes; one pass through it serves all shards of the job."""
-        if number not in self._running:
-            own = [one for one in self._job.episodes if one.recording == number]
-            opened = {number: self._recording(number)}
-            self._running[number] = footage(opened, own, self._job.options, keep_times=self._job.keep_times)
-        return self._running[number]
+    def _footage(self, segment: SegmentNumber) -> Iterator[Footage]:
+        """What is left of a segment's episodes; one pass through it serves all shards of the job."""
+        if segment not in self._running:
+            own = [one for one in self._job.episodes if _segment(one) == segment]
+            opened = {segment[0]: self._recording(segment[0])}
+            self._running[segment] = footage(opened, own, self._job.options, keep_times=self._job.keep_times)
+        return self._running[segment]
 
     def _recording(self, number: int) -> Recording:
         if number not in self._opened:
@@ -198,7 +211,7 @@ def import_fleet(
         paths, out, options: See ``import_recordings``.
         executor: Runs the jobs; all its machines see the recordings and the folder under the same paths.
         skip_damaged: Leave out recordings that cannot be imported, and those whose pictures have another size than
-            most have; the report says which and why.
+            most have; of recordings that hold several episodes, such episodes. The report says which and why.
         progress: Is told how far all jobs together are.
         jobs: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
 
@@ -206,14 +219,17 @@ def import_fleet(
         RecordingImportError: A recording cannot be imported; with ``skip_damaged`` only if none can.
         RecipeMismatch: The folder holds another data set.
         DatasetError: A machine that makes shards has other versions of packages than this one.
+        InvalidSetting: An option has no effect for these recordings.
         UsageError: The folder holds something else.
     """
     standing, executor = standing_in(out), executor or SerialExecutor()
+    options = replace(options, skip_damaged=skip_damaged)
     unreadable: dict[int, int] = {}
     skipped: dict[Path, RecordingImportError] = {}
     named = find([path.absolute() for path in paths], options.camera)
     if not skip_damaged:
         named.require_sound()
+    require_effect(named.sources, options)
     skipped |= named.faults
     found = looked_through(named.sources, options, executor, progress, jobs)
     while True:
@@ -228,10 +244,26 @@ def import_fleet(
         if not skip_damaged:
             sweep(out, UNFINISHED)  # the same would happen again
             raise faults[min(faults)]
-        skipped |= {sound[number].path: error for number, error in faults.items()}
-        found = [one for number, one in enumerate(sound) if number not in faults]
+        found = list(_without(sound, faults, skipped))
     told = tuple((str(path), str(error)) for path, error in sorted(skipped.items()))
+    told += skipped_episodes(sound, plan.surveys)
     return plan.report(out, unreadable=sum(unreadable.values()), skipped=told)
+
+
+def _without(
+    sound: Sequence[Surveyed],
+    faults: Mapping[SegmentNumber, RecordingImportError],
+    skipped: dict[Path, RecordingImportError],
+) -> Iterator[Surveyed]:
+    """The recordings without the segments that cannot be unpacked; one of which none is left is noted."""
+    for number, one in enumerate(sound):
+        assert one.survey is not None
+        damaged = {segment: error for (recording, segment), error in faults.items() if recording == number}
+        left = one.survey.without({segment: str(error) for segment, error in damaged.items()})
+        if left.segments:
+            yield replace(one, survey=left) if damaged else one
+        else:
+            skipped[one.path] = damaged[min(damaged)]
 
 
 def _sound(found: Sequence[Surveyed], skip: bool, skipped: dict[Path, RecordingImportError]) -> list[Surveyed]:
@@ -267,13 +299,13 @@ def _written(
     executor: Executor,
     progress: Progress,
     jobs: Path | None,
-) -> tuple[dict[int, RecordingImportError], dict[int, int]]:
-    """Write what is missing beside ``out`` and move it there; else why recordings cannot be unpacked.
+) -> tuple[dict[SegmentNumber, RecordingImportError], dict[int, int]]:
+    """Write what is missing beside ``out`` and move it there; else why segments cannot be unpacked.
 
     Returns:
         That, and the damaged pictures of each recording.
     """
-    faults: dict[int, RecordingImportError] = {}
+    faults: dict[SegmentNumber, RecordingImportError] = {}
     unreadable = {number: one.unreadable for number, one in enumerate(sound)}
     with (
         contextlib.suppress(_Faulty),

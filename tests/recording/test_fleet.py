@@ -269,7 +269,7 @@ def test_the_command_names_what_it_leaves_out(
     words = ("data", "import", str(spoilt), "--size", "16", "--skip-damaged", "--out", str(tmp_path / "d"))
     told = dmbench(words, capsys, monkeypatch)
     assert told.code == 0, told.err
-    assert "4 recordings are left out:" in told.out
+    assert "4 recordings or episodes are left out:" in told.out
     as_json = dmbench((*words, "--json"), capsys, monkeypatch)
     assert len(json.loads(as_json.out)["skipped"]) == 4
 

@@ -25,10 +25,10 @@ from dmotion_bench.storage.imports.options import ImportOptions
 
 def test_an_unknown_field_lists_those_there_are(tmp_path: Path) -> None:
     file = twists(tmp_path / "bag", AWKWARD)
-    for field, said in (("linear.q", "did you mean 'linear.[xyz]'. "), ("speed", "")):
+    for field, said in (("linear.q", "did you mean 'linear.[xyz]'. I"), ("speed", "i")):
         refused(
             file,
-            f"message 0 on '/cmd_vel' has no field '{field}'; {said}Its fields are: linear.x, linear.y, linear.z, "
+            f"message 0 on '/cmd_vel' has no field '{field}'; {said}ts fields are: linear.x, linear.y, linear.z, "
             "angular.x, angular.y, angular.z",
             dataclasses.replace(TWIST, action_fields=(field,)),
         )
@@ -44,14 +44,13 @@ def test_a_command_that_is_not_finite(tmp_path: Path, number: float) -> None:
     ("command", "match"),
     [
         ({"linear": {"x": "fast"}}, "holds 'fast' in 'linear.x', which is no number"),
-        ({"linear": {"x": True}}, "holds True in 'linear.x', which is no number"),
         ({"linear": {"x": None}}, "holds None in 'linear.x', which is no number"),
         ({"linear": {"x": 2**53 + 1}}, "too large to be kept exactly"),
         ({"linear": {"x": []}}, "holds nothing in 'linear.x'"),
         ({"linear": {"x": list(range(300))}}, "more than 256 numbers in 'linear.x'"),
         ({"linear": {"y": 1.0}}, "has no field 'linear.x'; did you mean 'linear.y'. Its fields are: linear.y"),
         (0.5, "has no field 'linear.x'"),
-        ([[]], "has no field 'linear.x'; Its fields are: none"),
+        ([[]], "has no field 'linear.x'; its fields are: none"),
         ({"linear": {"x": {"\x1b[31m": 1.0}}}, "printable characters"),
         (b'{"linear": {"x": 1e999}}', "'linear.x' = inf; a command must be finite"),
         (b'{"linear": {"x": NaN}}', "'linear.x' = nan; a command must be finite"),

@@ -23,10 +23,13 @@ from storage.foreign import (
 from storage.hand_made import SMALL, by_hand, chunk, peak_of, record, refused
 
 from dmotion_bench.errors import InvalidSetting, RecipeMismatch, UsageError
+from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Clock
+
+LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n"
 
 
 def test_a_missing_topic_lists_those_there_are(tmp_path: Path) -> None:
@@ -88,10 +91,11 @@ def test_an_unknown_encoding(tmp_path: Path) -> None:
 
 
 def test_time_going_backwards(tmp_path: Path) -> None:
+    """Too far: all messages would have to wait for the last one."""
     times = steady(6)
-    times[3] = times[1]
-    file = foxglove_file(tmp_path / "a.mcap", video(6), times)
-    refused(file, tmp_path, "on '/camera' time goes backwards by 0.100 s at message 3; try the other clock")
+    file = foxglove_file(tmp_path / "a.mcap", video(6), [*times[1:], times[0]])
+    options = ImportOptions(limits=ImportLimits(message_bytes=10_000))
+    refused(file, tmp_path, "on '/camera' time goes backwards by 0.500 s at message 5; try the other clock", options)
 
 
 def test_a_camera_without_stamps(tmp_path: Path) -> None:
@@ -170,11 +174,53 @@ def test_too_few_pictures(tmp_path: Path) -> None:
         (zstandard.compress(b"x" * 100), "holds no MCAP file, but is compressed as a whole"),
         (compressed(video(1)[0], "png"), "is a single picture; name the folder that it is in"),
         (compressed(video(1)[0], "webp"), "is a single picture"),
+        (LFS_POINTER, "is a pointer of Git LFS and not the file itself; fetch the files with 'git lfs pull'"),
     ],
 )
 def test_other_files(tmp_path: Path, content: bytes, match: str) -> None:
     (tmp_path / "a.mcap").write_bytes(content)
     refused(tmp_path / "a.mcap", tmp_path, f"a.mcap' .*{match}")
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.mp4", "a.h5", "1.png", "b.parquet"])
+def test_files_that_were_not_fetched(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "clone"
+    folder.mkdir()
+    (folder / name).write_bytes(LFS_POINTER)
+    found = folder / name if name == "b.parquet" else folder
+    refused(found, tmp_path, f"{name}' is a pointer of Git LFS .* 'git lfs pull'")
+
+
+@pytest.mark.parametrize(
+    ("name", "holds"),
+    [("a.npz", "NumPy"), ("a.npy", "NumPy"), ("a.pkl", "pickled Python"), ("x-train.tfrecord-00000-of-1", "TFRecord")],
+)
+def test_arrays_are_told_how_to_become_recordings(tmp_path: Path, name: str, holds: str) -> None:
+    folder = tmp_path / "set"
+    (folder / "inside").mkdir(parents=True)
+    (folder / "inside" / name).write_bytes(b"PK\x03\x04")
+    told = refused(
+        folder, tmp_path, f"'inside/{name}' in it holds {holds} .* a format that is not read: write the pictures"
+    )
+    alone = refused(
+        folder / "inside" / name, tmp_path, f"{name}' holds {holds} .* a format that is not read: write the"
+    )
+    assert "ffmpeg" not in told + alone
+
+
+def test_times_that_cannot_be_told_are_refused(good: Path, tmp_path: Path) -> None:
+    for options, match in (
+        (ImportOptions(source_hz=10), "'--source-hz' is for pictures, HDF5 files and videos; .* leave it out"),
+        (ImportOptions(clock=Clock.HEADER), "'--clock header' is for MCAP files; .* leave it out"),
+    ):
+        folder = tmp_path / "pictures"
+        folder.mkdir(exist_ok=True)
+        for number, frame in enumerate(video(4)):
+            (folder / f"{number}.png").write_bytes(compressed(frame, "png"))
+        alone = good if options.source_hz else folder
+        for run in (import_recordings, import_fleet):
+            with pytest.raises(InvalidSetting, match=match):
+                run([alone], tmp_path / "out", options)
 
 
 def test_what_is_not_there(tmp_path: Path) -> None:

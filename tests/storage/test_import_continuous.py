@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import foxglove
 import numpy as np
@@ -16,9 +17,11 @@ from storage.foreign import START, raw_image, ros_header, steady, video
 from storage.test_import_hdf5 import robomimic
 
 from dmotion_bench.actions import Continuous
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import export_lerobot
 from dmotion_bench.storage.imports.commands import in_force
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce, from_rows, reduced
+from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import steady_times
@@ -64,9 +67,35 @@ def test_joint_states_have_the_names_of_the_joints(tmp_path: Path) -> None:
     fields = "position.elbow, position.wrist, velocity.elbow, velocity.wrist"
     refused(
         file,
-        f"has no field 'effort'; .*Its fields are: {fields}",
+        f"has no field 'effort'; its fields are: {fields}",
         dataclasses.replace(options, action_fields=("effort",)),
     )
+
+
+def test_joints_of_another_publisher_do_not_count(tmp_path: Path) -> None:
+    def state(t_ns: int, names: list[str], position: float) -> dict[str, Any]:
+        numbers = {
+            "position": np.array([float(position)] * len(names)),
+            "velocity": np.array([]),
+            "effort": np.array([]),
+        }
+        return {"header": ros_header(t_ns), "name": names, **numbers}
+
+    given = []
+    for n, t_ns in enumerate(steady(3)):
+        given += [(t_ns, state(t_ns, ["finger"], 0.1)), (t_ns + 1, state(t_ns, ["elbow", "wrist"], n))]
+    file = bag(tmp_path / "bag", "sensor_msgs/msg/JointState", given, 4, "/joint_states")
+    options = ImportOptions(size=32, actions="/joint_states", action_fields=("position.wrist",))
+    report = import_recordings([file], tmp_path / "out", options)
+    np.testing.assert_array_equal(Dataset.open(report.path).states(0).actions, [[0], [1], [2]])
+    sentence = "3 messages on '/joint_states' hold none of the joints position.wrist and do not count."
+    assert sentence in report.advice
+
+    unknown = dataclasses.replace(options, action_fields=("position.wrst",))
+    fields = "position.finger, position.elbow, position.wrist"
+    refused(file, f"has no field 'position.wrst'; did you mean 'position.wrist'. Its fields are: {fields}", unknown)
+    several = dataclasses.replace(options, action_fields=("position",))
+    refused(file, "or the joints of one publisher on the topic", several)
 
 
 def test_numbers_in_lists_and_in_fields_of_fields(tmp_path: Path) -> None:
@@ -78,6 +107,13 @@ def test_numbers_in_lists_and_in_fields_of_fields(tmp_path: Path) -> None:
     assert dataset.spec.actions.names == ("grip", "pose.at.0", "pose.at.1")
     np.testing.assert_array_equal(dataset.states(0).actions, [[-n, n, 2.5 * n] for n in range(4)])
     assert dataset.manifest.recipe.parameters["action_fields"] == "grip,pose.at"
+
+
+def test_truth_values_are_0_and_1(tmp_path: Path) -> None:
+    commands = [{"joint": n, "gripper": n % 2 == 0} for n in range(4)]
+    options = dataclasses.replace(TWIST, action_fields=("joint", "gripper"))
+    dataset = imported(json_file(tmp_path / "a.mcap", commands), tmp_path / "out", options)
+    np.testing.assert_array_equal(dataset.states(0).actions, [[0, 1], [1, 0], [2, 1], [3, 0]])
 
 
 def test_protobuf_fields(tmp_path: Path) -> None:
@@ -210,7 +246,7 @@ def test_robomimic_s_actions(tmp_path: Path) -> None:
 
     one = imported(file, tmp_path / "one", dataclasses.replace(options, action_fields=("actions.6", "actions.0")))
     assert bits(one.states(0).actions) == bits(given["demo_0"][:4, [6, 0]])
-    refused(file, "has no field 'x' .*Its fields are: 'actions.0'", dataclasses.replace(options, action_fields=("x",)))
+    refused(file, "has no field 'x' .*its fields are: 'actions.0'", dataclasses.replace(options, action_fields=("x",)))
     few = dataclasses.replace(options, limits=ImportLimits(numbers=34))
     refused(file, "holds 35 numbers as actions, more than the 34", few)
 

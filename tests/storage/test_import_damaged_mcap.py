@@ -232,6 +232,14 @@ def test_where_the_first_picture_is_damaged_there_is_none_to_repeat(tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
+def test_nothing_can_be_salvaged_of_a_first_chunk_that_is_cut(good: Path, tmp_path: Path) -> None:
+    (tmp_path / "cut.mcap").write_bytes(good.read_bytes()[:300])
+    with pytest.raises(
+        RecordingTruncated, match="nothing whole stands before that: '--salvage' finds nothing to import"
+    ):
+        import_recordings([tmp_path / "cut.mcap"], tmp_path / "out", ImportOptions(size=32, salvage=True))
+
+
 def test_messages_that_are_not_what_they_say(tmp_path: Path) -> None:
     for number, data in enumerate((b"\xff" * 40, b"\x0a\xff\xff\xff\xff\x0f")):
         context = foxglove.Context()

@@ -204,6 +204,22 @@ def test_the_header_s_clock(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dataset.video(0), frames)
 
 
+def test_messages_that_were_written_out_of_order_are_sorted_by_their_times(tmp_path: Path) -> None:
+    frames, times = video(12), steady(12)
+    order = [1, 0, 2, 5, 4, 3, 6, 7, 9, 10, 11, 8]
+    file = foxglove_file(
+        tmp_path / "a.mcap",
+        frames[order],
+        [times[number] for number in order],
+        actions=[(times[number], number % 3) for number in reversed(order)],
+    )
+    dataset = imported(file, tmp_path, ImportOptions(size=32, actions="/action"))
+    np.testing.assert_array_equal(dataset.video(0), frames)
+    assert dataset.states(0).actions.tolist() == [number % 3 for number in range(11)]
+    half = imported(file, tmp_path / "half", ImportOptions(size=32, hz=5))
+    np.testing.assert_array_equal(half.video(0), frames[::2])
+
+
 def test_many_files_are_one_data_set(tmp_path: Path) -> None:
     frames = video(12)
     folder = tmp_path / "recordings"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import random
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +140,81 @@ def test_a_file_without_demonstrations_is_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         imported(tmp_path / "episode_0.h5", ImportOptions(size=32, camera="top")).video(0), frames
     )
+
+
+def trajectories(path: Path, groups: Mapping[str, Mapping[str, np.ndarray]]) -> Path:
+    with h5py.File(path, "w") as file:
+        for group, inside in groups.items():
+            for name, data in inside.items():
+                file.create_dataset(f"{group}/{name}", data=data)
+    return path
+
+
+def test_demonstrations_may_stand_at_the_root(tmp_path: Path) -> None:
+    """As ManiSkill has them, with an action less than there are pictures."""
+    frames, cut = video(30), [0, 9, 18, 30]
+    groups = {
+        f"traj_{number}": {
+            "obs/sensor_data/top/rgb": frames[start:end],
+            "actions": np.full((end - start - 1, 2), number),
+        }
+        for number, (start, end) in enumerate(itertools.pairwise(cut))
+    }
+    dataset = imported(
+        trajectories(tmp_path / "a.h5", groups),
+        ImportOptions(size=32, actions="actions", action_fields=("actions.0",)),
+    )
+    assert dataset.lengths.tolist() == [9, 9, 12]
+    np.testing.assert_array_equal(dataset.video(2), frames[18:])
+    np.testing.assert_array_equal(dataset.states(1).actions, np.full((8, 1), 1))
+    assert dataset.recipe.parameters["camera"] == "obs/sensor_data/top/rgb"
+
+
+def test_cameras_at_the_root_are_no_demonstrations(tmp_path: Path) -> None:
+    frames = video(12)
+    cameras = {f"cam_{number}": {"rgb": frames[6 * number :][:6], "stamps": np.arange(6)} for number in range(2)}
+    file = trajectories(tmp_path / "a.h5", cameras)
+    refused(file, "has 2 cameras; choose one:\n  --camera cam_0/rgb\n  --camera cam_1/rgb")
+    posed = {name: inside | {"pose": np.zeros((6, 7))} for name, inside in cameras.items()}
+    other = trajectories(tmp_path / "b.h5", posed | {"": {"action": np.zeros((6, 2))}})
+    refused(other, "has 2 cameras; choose one:\n  --camera cam_0/rgb")
+    np.testing.assert_array_equal(imported(file, replace(OPTIONS, camera="cam_1/rgb")).video(0), frames[6:])
+
+
+def test_a_replay_buffer_is_told_to_be_cut(tmp_path: Path) -> None:
+    buffer = {"data": {"img": video(6)}, "meta": {"episode_ends": np.array([3, 6])}}
+    refused(
+        trajectories(tmp_path / "a.h5", buffer),
+        "no demonstrations in 'data': .* a group of its own.* are:\n  data/img 6 x .*\n  meta/episode_ends 2 int64",
+    )
+
+
+@pytest.mark.parametrize("channels_first", [False, True])
+@pytest.mark.parametrize("kind", [np.uint8, np.float16, np.float32, np.float64])
+def test_pixels_may_have_their_channels_first_and_be_fractions(
+    tmp_path: Path, channels_first: bool, kind: type[np.generic]
+) -> None:
+    frames = video(6, 24, 32)
+    stored = frames if kind is np.uint8 else (frames / 255).astype(kind)
+    file = trajectories(tmp_path / "a.h5", {"obs": {"top": np.moveaxis(stored, 3, 1) if channels_first else stored}})
+    np.testing.assert_array_equal(imported(file, replace(OPTIONS, size=24)).video(0), frames[:, :, 4:28])
+
+
+@pytest.mark.parametrize(("wrong", "told"), [(1.01, "0 to 1.01"), (-0.5, "-0.5 to 0"), (np.nan, "nan to nan")])
+def test_numbers_that_are_no_fractions_are_no_pictures(tmp_path: Path, wrong: float, told: str) -> None:
+    pictures = np.zeros((5, 8, 8, 3), np.float32)
+    pictures[3, 2, 2, 1] = wrong
+    refused(
+        trajectories(tmp_path / "a.h5", {"obs": {"top": pictures}}),
+        rf"has numbers of {told} in picture 3 of '/obs/top'; pictures are bytes .* Write them as bytes\.",
+    )
+
+
+def test_bytes_are_taken_rather_than_fractions_and_stacks_are_no_pictures(tmp_path: Path) -> None:
+    frames, zeros = video(6), np.zeros((6, 32, 32, 3))
+    obs = {"rgb": frames, "points": zeros, "depth": zeros[..., :1], "stack": np.zeros((6, 4, 32, 32), np.uint8)}
+    file = trajectories(tmp_path / "a.h5", {"obs": obs})
+    np.testing.assert_array_equal(imported(file).video(0), frames)
 
 
 def packed(frames: np.ndarray, form: str, **options: Any) -> list[np.ndarray]:

@@ -161,6 +161,8 @@ def test_a_folder_without_a_recording_is_told_where_some_lie(root: Path) -> None
     pictures(root / "a" / "b" / "ep1")
     with pytest.raises(RecordingImportError, match=r"lie deeper in it: a/b/\. Name these folders, or with '--camera"):
         imported(root)
+    with pytest.raises(RecordingImportError, match=r"lie deeper in it: a/b/\. Name these folders\.$"):
+        imported(root, ImportOptions(size=16, camera="top"))
     assert imported(root, paths=[root / "a" / "b"]).episodes == 2
 
 

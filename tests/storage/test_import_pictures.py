@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ OPTIONS = ImportOptions(size=32)
 
 def fill(folder: Path, frames: np.ndarray, first: int = 0, name: str = "img{}.png") -> Path:
     """A folder with a numbered picture for each frame, written backwards."""
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     for number in reversed(range(len(frames))):
         (folder / name.format(first + number)).write_bytes(compressed(frames[number], "png"))
     return folder
@@ -112,6 +113,47 @@ def test_a_camera_that_no_folder_is_called_is_not_replaced_by_other_pictures(
     refused(tmp_path / "run", sentence, replace(OPTIONS, camera="wrist"))
 
 
+@pytest.mark.parametrize(
+    ("name", "other", "patterns"),
+    [
+        ("img{}_left.png", "img{}_right.png", ("img#_left.png", "img#_right.png")),
+        ("frame_{}.png", "frame_{}.jpg", ("frame_#.png", "frame_#.jpg")),
+    ],
+)
+def test_several_cameras_in_one_folder_are_no_video(
+    tmp_path: Path, name: str, other: str, patterns: tuple[str, str]
+) -> None:
+    frames = video(40)
+    for episode in range(2):
+        fill(tmp_path / f"run/ep{episode}", frames[20 * episode :][:12], name=name)
+        fill(tmp_path / f"run/ep{episode}", frames[20 * episode + 12 :][:4], name=other)
+    listed = re.escape(f"\n  --camera '{patterns[0]}' (12 pictures)\n  --camera '{patterns[1]}' (4 pictures)")
+    refused(tmp_path / "run", rf"ep0' have names of 2 patterns .* alone:{listed}$")
+    refused(
+        tmp_path / "run", r"are called 'x#.png', .* are:\s+--camera '(img|frame)", replace(OPTIONS, camera="x#.png")
+    )
+    report, dataset = imported(tmp_path / "run", replace(OPTIONS, camera=patterns[0]))
+    assert report.episodes == 2
+    np.testing.assert_array_equal(dataset.video(1), frames[20:32])
+    assert dataset.recipe.parameters["camera"] == patterns[0]
+
+
+def test_a_camera_may_be_a_folder_and_a_pattern_in_it(tmp_path: Path) -> None:
+    frames = video(16)
+    for number, name in enumerate(("{}_left.png", "{}_right.png")):
+        fill(tmp_path / "run/ep0/rgb", frames[4 * number :][:4], name=name)
+        fill(tmp_path / "run/ep0/thermal", frames[8 + 4 * number :][:4], name=name)
+    _, dataset = imported(tmp_path / "run", replace(OPTIONS, camera="rgb/#_right.png"))
+    np.testing.assert_array_equal(dataset.video(0), frames[4:8])
+
+
+@pytest.mark.parametrize("name", ["{}.5.png", "img-{}.png", "a1_{}_2.png", "{}.png"])
+def test_names_that_differ_in_their_numbers_are_of_one_camera(tmp_path: Path, name: str) -> None:
+    frames = video(12)
+    _, dataset = imported(fill(tmp_path / "run", frames, name=name))
+    np.testing.assert_array_equal(dataset.video(0), frames)
+
+
 def test_the_rate_of_the_pictures_can_be_told(tmp_path: Path) -> None:
     frames = video(30)
     report, dataset = imported(fill(tmp_path / "run", frames), ImportOptions(size=32, source_hz=30))
@@ -176,7 +218,7 @@ def test_depth_beside_pictures_is_refused(tmp_path: Path) -> None:
 
 def test_depth_among_pictures_is_refused(tmp_path: Path) -> None:
     folder = fill(tmp_path / "set", video(4), name="{}_rgb.png")
-    deep(folder, "{}_depth.png")
+    deep(folder, "1{}_rgb.png")
     refused(folder, "mixes pictures with what may be depth: .* put the pictures that you mean into a folder of their")
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 from scipy.ndimage import convolve
 from storage.foreign import compressed, video
 
@@ -71,6 +74,17 @@ def test_yuv_keeps_colours(encoding: str, places: tuple[int, ...]) -> None:
 def test_a_png_file_of_mono16_keeps_its_upper_8_bits() -> None:
     picture = CompressedPicture(stamp_ns=0, format="mono16; png compressed ", data=SIXTEEN_BITS)
     assert np.unique(to_rgb(picture, LIMITS)).tolist() == [9]
+
+
+@pytest.mark.parametrize("alpha", [None, bytes([255, 0, 128])])
+def test_a_palette_gives_its_colours_whatever_their_alpha(alpha: bytes | None) -> None:
+    colours = np.array([[200, 30, 10], [5, 6, 7], [90, 255, 0]], np.uint8)
+    image = Image.fromarray(np.array([[0, 1], [2, 1]], np.uint8), "P")
+    image.putpalette(colours.tobytes())
+    file = BytesIO()
+    image.save(file, "PNG", **({} if alpha is None else {"transparency": alpha}))
+    got = to_rgb(CompressedPicture(stamp_ns=0, format="png", data=file.getvalue()), LIMITS)
+    np.testing.assert_array_equal(got, colours[[[0, 1], [2, 1]]])
 
 
 def test_mono16_of_either_byte_order() -> None:

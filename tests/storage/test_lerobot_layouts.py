@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from storage.foreign import compressed, video
 from storage.foreign_video import moving, video_file
 
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError
+from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports import importing
 from dmotion_bench.storage.imports.confinement import ConfinedRecording
@@ -157,6 +159,54 @@ def test_only_wanted_pictures_are_unpacked_and_paths_are_not_followed(tmp_path: 
 def test_the_cameras_of_a_data_set_with_pictures_are_listed(tmp_path: Path) -> None:
     folder = v3(tmp_path / "set", video(15))
     refused(folder, f"has no camera 'front'; its cameras are: '{CAMERA}'", ImportOptions(camera="front"))
+
+
+def test_an_episode_without_its_video_can_be_left_out(tmp_path: Path) -> None:
+    frames = video(15)
+    folder = v21(tmp_path / "set", frames, "video")
+    lacking = f"videos/chunk-000/{CAMERA}/episode_000001.mp4"
+    (folder / lacking).unlink()
+    refused(folder, rf"lacks the file '{lacking}'\. Leave such episodes out with '--skip-damaged'\.")
+    report = import_fleet([folder], tmp_path / "out", OPTIONS, skip_damaged=True)
+    assert [path for path, _ in report.skipped] == [f"{folder}: episode 1"]
+    in_turn = import_recordings([folder], tmp_path / "in_turn", replace(OPTIONS, skip_damaged=True))
+    assert in_turn.skipped == report.skipped
+    dataset = Dataset.open(report.path)
+    assert dataset.lengths.tolist() == [LENGTHS[0], LENGTHS[2]]
+    np.testing.assert_array_equal(dataset.video(1), frames[START[2] :])
+
+
+@pytest.mark.parametrize("place", ["info", "video_info"])
+def test_depth_is_no_camera(tmp_path: Path, place: str) -> None:
+    folder = v3(tmp_path / "set", video(15))
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"]["observation.depth"] = {"dtype": "image", place: {"video.is_depth_map": True}}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    sentence = f"holds depth in 'observation.depth', and depth is no picture; its cameras are: '{CAMERA}'"
+    refused(folder, sentence, ImportOptions(size=32, camera="depth"))
+    assert import_recordings([folder], tmp_path / "out", OPTIONS).episodes == 3
+
+
+def test_grey_pictures_of_16_bits_are_depth(tmp_path: Path) -> None:
+    refused(v3(tmp_path / "set", np.full((15, 8, 8), 5000, np.uint16)), "grey with 16 bits a pixel, as depth is stored")
+
+
+def test_actions_are_found_by_the_last_part_of_their_name(tmp_path: Path) -> None:
+    folder = v3(tmp_path / "set", video(15))
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"] |= {"teleop.stamp": info["features"].pop("timestamp"), "other.stamp": {"dtype": "float32"}}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    refused(folder, "more than one feature 'stamp' for '--actions'", replace(OPTIONS, actions="stamp"))
+    refused(
+        folder, "no feature 'tion' for '--actions'; its features are: action, other", replace(OPTIONS, actions="tion")
+    )
+    info["features"]["robot.action"] = info["features"].pop("action")
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    file = folder / "data/chunk-000/file-000.parquet"
+    table = parquet.read_table(file)
+    names = ["robot.action" if name == "action" else name for name in table.column_names]
+    parquet.write_table(table.rename_columns(names), file)
+    same(folder, video(15))
 
 
 @pytest.mark.slow

@@ -6,6 +6,8 @@ Each kind has a file that answers the questions of ``recording``: ``mcap_recordi
 What libraries of C read is read in a process apart: ``confinement`` is this end of it, ``confined_reader`` the other,
 and ``wire`` what they say to each other.
 
+``git_lfs`` knows files that were not fetched, ``episode_faults`` leaves out damaged episodes of a recording that holds
+several.
 ``mcap_records`` reads MCAP files without trust, ``hdf5_contents`` and ``hdf5_pictures`` HDF5; ``cameras`` and
 ``commands`` decode their messages, ``pixels`` and ``fitting`` make frames, ``timeline`` resamples, ``importing``
 writes the data set, and ``advice`` says what would make a better one.

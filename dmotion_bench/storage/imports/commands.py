@@ -94,7 +94,11 @@ class CommandsReader(Protocol):
         """Take a decoded command."""
 
     def collected(self) -> Commands:
-        """All commands so far."""
+        """All commands so far, in the order of their times."""
+
+    @property
+    def others(self) -> int:
+        """Messages on the topic that hold none of what was asked for, and do not count."""
 
 
 class DiscreteReader:
@@ -119,8 +123,15 @@ class DiscreteReader:
         self._names.append(self._known.setdefault(command, command))
 
     def collected(self) -> DiscreteCommands:
-        """All commands so far."""
-        return DiscreteCommands(times_ns=np.array(self._times, np.int64), names=self._names)
+        """All commands so far, in the order of their times."""
+        times = np.array(self._times, np.int64)
+        order = np.argsort(times, kind="stable")
+        return DiscreteCommands(times_ns=times[order], names=[self._names[number] for number in order.tolist()])
+
+    @property
+    def others(self) -> int:
+        """None: every message must hold a command."""
+        return 0
 
 
 def action_name(value: Any) -> str:

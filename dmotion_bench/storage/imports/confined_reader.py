@@ -55,7 +55,7 @@ class Reader:
             except MemoryError:
                 send(self._answers, {"no_memory": True})
             except RecordingImportError as error:
-                if peak_bytes() > 0.75 * limits.reader_bytes:  # decoders call a lack of memory damage
+                if self._lacks_memory():
                     send(self._answers, {"no_memory": True})
                 else:
                     send(self._answers, {"error": type(error).__name__, "sentence": str(error)})
@@ -76,7 +76,10 @@ class Reader:
         signal.setitimer(signal.ITIMER_PROF, seconds)
         try:
             if request["do"] == "survey":
-                head, body = packed_survey(recording.survey(self._found))
+                survey = recording.survey(self._found)
+                if survey.skipped and self._lacks_memory():
+                    raise MemoryError
+                head, body = packed_survey(survey)
                 send(self._answers, head | {"unreadable": recording.unreadable}, body)
                 return
             for picture in recording.pictures(request["segment"], wanted.astype(np.int64)):
@@ -86,6 +89,10 @@ class Reader:
                 signal.setitimer(signal.ITIMER_PROF, seconds)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
+
+    def _lacks_memory(self) -> bool:
+        """Whether damage may be a lack of memory: decoders do not tell one from the other."""
+        return peak_bytes() > 0.75 * self._options.limits.reader_bytes
 
     def _found(self, pictures: int) -> None:
         """Tell how far the survey is, now and then; the next picture has its own time."""

@@ -218,13 +218,14 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         arrays.append(segment.times_ns)
         commands, more = (None, []) if segment.commands is None else _packed_commands(segment.commands)
         arrays += more
-        segments.append({"count": len(segment.times_ns), "commands": commands})
+        segments.append({"count": len(segment.times_ns), "commands": commands, "name": segment.name})
     head = {
         "camera": survey.camera,
         "height": survey.height,
         "width": survey.width,
         "segments": segments,
         "hints": list(survey.hints),
+        "skipped": list(survey.skipped),
     }
     return head, b"".join(array.astype("<i8").tobytes() for array in arrays)
 
@@ -273,7 +274,12 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
             given_at, which = array(given["count"]), array(given["count"])
             names = [given["names"][number] for number in which.tolist()]
             commands = DiscreteCommands(times_ns=given_at, names=names, vocabulary=given["vocabulary"])
-        segments.append(Segment(times_ns=times, commands=commands))
+        segments.append(Segment(times_ns=times, commands=commands, name=segment["name"]))
     return Survey(
-        camera=head["camera"], height=head["height"], width=head["width"], segments=segments, hints=head["hints"]
+        camera=head["camera"],
+        height=head["height"],
+        width=head["width"],
+        segments=segments,
+        hints=head["hints"],
+        skipped=[(_printable(name), _printable(why)) for name, why in head["skipped"]],
     )

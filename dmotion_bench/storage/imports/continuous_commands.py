@@ -201,8 +201,8 @@ def _column(columns: Sequence[str], field: str) -> int:
     if field in columns:
         return columns.index(field)
     near = difflib.get_close_matches(field, columns, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise BadCommands(f"has no field {shown(field)} in its actions; {hint}Its fields are: {_listed(columns)}")
+    hint = f"did you mean {near[0]!r}? Its" if near else "its"
+    raise BadCommands(f"has no field {shown(field)} in its actions; {hint} fields are: {_listed(columns)}")
 
 
 def name_fault(names: Sequence[str]) -> str | None:

@@ -66,27 +66,50 @@ class ContinuousReader:
         self._fields, self._most = tuple(fields), most
         self._times, self._values = array("q"), array("d")
         self._names: tuple[str, ...] = ()
+        self._messages, self._are_joints = 0, False
+        self._others: dict[str, None] = {}  # what the messages that hold none of the joints hold instead
 
     @property
     def count(self) -> int:
-        """Of the commands so far."""
-        return len(self._times)
+        """Of the messages so far."""
+        return self._messages
 
-    def decoder(self, topic: TopicInfo) -> Callable[[bytes], list[float]]:
+    @property
+    def others(self) -> int:
+        """Messages on the topic that hold none of the joints, and do not count: those of another part of the robot."""
+        return self._messages - len(self._times)
+
+    def decoder(self, topic: TopicInfo) -> Callable[[bytes], list[float] | None]:
         """What turns the topic's messages into numbers; it raises ``BadPicture`` for a bad message.
+
+        It gives None for a message of joints none of which is wanted.
 
         Raises:
             RecordingImportError: The messages are written in a way that is not known.
         """
         decode = _message_decoder(topic)
-        return lambda data: self._numbers(decode(data))
+        self._are_joints = well_known(topic) == JOINTS
+        may_lack = self._are_joints and all("." in field for field in self._fields)
 
-    def add(self, t_ns: int, command: Sequence[float]) -> None:
+        def numbers(data: bytes) -> list[float] | None:
+            message = decode(data)
+            if may_lack and all(_inside(message, field) is _MISSING for field in self._fields):
+                if not self._times and len(self._others) < MOST_NUMBERS:
+                    self._others |= dict.fromkeys(_fields_of(message))
+                return None
+            return self._numbers(message)
+
+        return numbers
+
+    def add(self, t_ns: int, command: Sequence[float] | None) -> None:
         """Take a decoded command.
 
         Raises:
             RecordingImportError: There are too many.
         """
+        self._messages += 1
+        if command is None:
+            return
         if len(self._values) + len(command) > self._most:
             raise RecordingImportError(
                 f"the actions of a recording hold more than the {self._most:,} numbers that can be imported at once; "
@@ -96,9 +119,17 @@ class ContinuousReader:
         self._values.extend(command)
 
     def collected(self) -> ContinuousCommands:
-        """All commands so far."""
-        values = np.array(self._values, np.float64).reshape(self.count, -1)
-        return ContinuousCommands(times_ns=np.array(self._times, np.int64), values=values, names=self._names)
+        """All commands so far, in the order of their times.
+
+        Raises:
+            BadPicture: No message holds a joint that is wanted.
+        """
+        if self._messages and not self._times:
+            raise _unknown(list(self._others), self._fields[0])
+        times = np.array(self._times, np.int64)
+        order = np.argsort(times, kind="stable")
+        values = np.array(self._values, np.float64).reshape(len(times), -1)
+        return ContinuousCommands(times_ns=times[order], values=values[order], names=self._names)
 
     def _numbers(self, message: Any) -> list[float]:
         """A message's numbers, in the order of the first message's."""
@@ -117,9 +148,10 @@ class ContinuousReader:
         more = [name for name in found if name not in self._names]
         if lacking or more or count != len(self._names):
             odd, how = (lacking, "lacks") if lacking else (more or self._names, "has beside the others")
+            joints = ", or the joints of one publisher on the topic" if self._are_joints else ""
             raise BadPicture(
                 f"{how} the numbers {', '.join(map(shown, odd[:LISTED]))}, other than the first message; name the "
-                "fields that all messages have in '--action-fields'"
+                f"fields that all messages have in '--action-fields'{joints}"
             )
         return _finite(self._names, [(name, found[name]) for name in self._names])
 
@@ -134,7 +166,7 @@ def _finite(names: Sequence[str], found: Sequence[tuple[str, Any]]) -> list[floa
 
 
 def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not isinstance(value, int | float):  # a truth value is 0 or 1
         raise BadPicture(f"holds {shown(value)} in {shown(name)}, which is no number; name other fields")
     if isinstance(value, int) and abs(value) > EXACT:
         raise BadPicture(f"holds {shown(value)} in {shown(name)}, too large to be kept exactly; name other fields")
@@ -145,18 +177,26 @@ def _chosen(message: Any, field: str) -> list[tuple[str, Any]]:
     """What stands in a field: one number, or those that it is made of."""
     node = _inside(message, field)
     if node is _MISSING:
-        known = [name for name, _ in itertools.islice(_leaves(message, "", 0), MOST_NUMBERS)]
-        near = difflib.get_close_matches(field, known, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        listed = ", ".join(map(_plain, known[:LISTED])) or "none"
-        more = f" ... and more, {len(known)} in all" if len(known) > LISTED else ""
-        raise BadPicture(f"has no field {shown(field)}; {hint}Its fields are: {listed}{more}")
+        raise _unknown(_fields_of(message), field)
     found = list(itertools.islice(_leaves(node, field, 0), MOST_NUMBERS + 1))
     if len(found) > MOST_NUMBERS:
         raise BadPicture(f"holds more than {MOST_NUMBERS} numbers in {shown(field)}; name those that count, one by one")
     if not found:
         raise BadPicture(f"holds nothing in {shown(field)}; name a field with numbers")
     return found
+
+
+def _fields_of(message: Any) -> list[str]:
+    return [name for name, _ in itertools.islice(_leaves(message, "", 0), MOST_NUMBERS)]
+
+
+def _unknown(known: Sequence[str], field: str) -> BadPicture:
+    """The error for a field that is not among those of a message."""
+    near = difflib.get_close_matches(field, known, n=1)
+    hint = f"did you mean {near[0]!r}? Its" if near else "its"
+    listed = ", ".join(map(_plain, known[:LISTED])) or "none"
+    more = f" ... and more, {len(known)} in all" if len(known) > LISTED else ""
+    return BadPicture(f"has no field {shown(field)}; {hint} fields are: {listed}{more}")
 
 
 def _inside(node: Any, path: str) -> Any:

@@ -1,7 +1,8 @@
-"""The pictures of a data set in an HDF5 file: bytes of pixels, or a JPEG, PNG or WebP file in each row.
+"""The pictures of a data set in an HDF5 file: pixels, or a JPEG, PNG or WebP file in each row.
 
-robomimic stores pixels, n x height x width x channels. Robots that record to HDF5 often pack each picture: ALOHA in
-rows of bytes that are filled up with zeros, n x bytes; others in rows of variable length.
+robomimic stores pixels, n x height x width x channels, in bytes. Others store the channels first, as networks take
+them, or fractions from 0 to 1 instead of bytes. Robots that record to HDF5 often pack each picture: ALOHA in rows of
+bytes that are filled up with zeros, n x bytes; others in rows of variable length.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Final, TypeVar
 
 import h5py
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
 from dmotion_bench.storage.imports.hdf5_contents import ERRORS, fault, is_filled
@@ -19,12 +20,17 @@ from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
 
 _T = TypeVar("_T")
-KINDS: Final = "n x height x width x 3, or a packed picture in each row"
+KINDS: Final = (
+    "n x height x width x 3 or n x 3 x height x width in bytes or fractions of 1, or a packed picture in each row"
+)
 _STARTS: Final = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"RIFF")  # of JPEG, PNG, WebP
 
 
 class Pixels:
-    """Uncompressed pictures, in one, three or four channels.
+    """Uncompressed pictures in bytes or fractions, in one, three or four channels.
+
+    Channels that come first are one or three, as four may be the last four pictures of a game. Fractions are of three
+    channels or four: one may be a depth.
 
     Args:
         dataset: Where ``holds`` is true.
@@ -36,18 +42,29 @@ class Pixels:
 
     def __init__(self, dataset: h5py.Dataset, limits: ImportLimits) -> None:
         self._dataset = dataset
-        height, width = self._size = dataset.shape[1:3]
+        self._is_bytes, self._channels_last = dataset.dtype == np.uint8, _channels_last(dataset.shape)
+        height, width = self._size = dataset.shape[1:3] if self._channels_last else dataset.shape[2:4]
         if not 0 < height * width <= limits.pixels:
             raise BadPicture(f"declares pictures of {width}x{height} pixels in {dataset.name!r}")
 
     @staticmethod
     def holds(dataset: h5py.Dataset) -> bool:
         """Whether a data set has the shape of such pictures."""
-        return len(dataset.shape) == 4 and dataset.dtype == np.uint8 and dataset.shape[3] in (1, 3, 4)
+        if len(dataset.shape) != 4 or not (_channels_last(dataset.shape) or dataset.shape[1] in (1, 3)):
+            return False
+        channels = dataset.shape[3 if _channels_last(dataset.shape) else 1]
+        return bool(dataset.dtype == np.uint8) or (dataset.dtype.kind == "f" and channels > 1)
 
     def sizes(self) -> Iterator[tuple[int, int]]:
-        """Height and width, once: all pictures of an array have one size."""
+        """Height and width; once for bytes, since all pictures of an array have one size.
+
+        Raises:
+            BadPicture: A number is no fraction.
+        """
         yield self._size
+        for number in range(0 if self._is_bytes else len(self._dataset)):
+            self.read(number)
+            yield self._size
 
     def read(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
         """One picture.
@@ -59,7 +76,25 @@ class Pixels:
             picture = np.asarray(self._dataset[number])
         except ERRORS as error:
             raise BadPicture(f"is damaged: picture {number} of {self._dataset.name!r}: {str(error)[:120]}") from error
+        if not self._is_bytes:
+            picture = self._bytes_of(picture, number)
+        if not self._channels_last:
+            picture = np.moveaxis(picture, 0, 2)
         return np.ascontiguousarray(picture[..., [0, 0, 0]] if picture.shape[2] == 1 else picture[..., :3])
+
+    def _bytes_of(self, fractions: Float[np.ndarray, "..."], number: int) -> UInt8[np.ndarray, "..."]:
+        if not ((fractions >= 0) & (fractions <= 1)).all():  # not a number is neither
+            low, high = fractions.min(), fractions.max()
+            raise BadPicture(
+                f"has numbers of {low:g} to {high:g} in picture {number} of {self._dataset.name!r}; pictures are bytes "
+                "from 0 to 255 (uint8), or fractions from 0 to 1. Write them as bytes"
+            )
+        scaled: UInt8[np.ndarray, "..."] = np.rint(fractions.astype(np.float64) * 255).astype(np.uint8)
+        return scaled
+
+
+def _channels_last(shape: tuple[int, ...]) -> bool:
+    return shape[3] in (1, 3, 4)
 
 
 class PackedPictures:

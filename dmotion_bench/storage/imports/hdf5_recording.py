@@ -1,8 +1,9 @@
 """An HDF5 file in robomimic's layout as a recording: one segment a demonstration.
 
 Layout (robomimic.github.io, "Datasets"): ``data/demo_0``, ``data/demo_1`` ... each with ``obs/NAME``, among them
-pictures, and ``actions``, a row a picture. A file without ``data`` counts as one demonstration, so that ALOHA's
-``observations/images/cam_high`` is found as well. ``hdf5_pictures`` says how pictures may be stored.
+pictures, and ``actions``, a row a picture. Demonstrations may stand at the root as well, ManiSkill's ``traj_0``,
+``traj_1`` ... Any other file counts as one demonstration, so that ALOHA's ``observations/images/cam_high`` is found.
+``hdf5_pictures`` says how pictures may be stored.
 
 Only what the file itself holds is read: links and data sets that lead to other files are passed over or refused, and
 so are filters that HDF5 would load a library for.
@@ -11,7 +12,10 @@ so are filters that HDF5 would load a library for.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
+import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -24,6 +28,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture
 from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, action_name
 from dmotion_bench.storage.imports.continuous_commands import BadCommands, ContinuousCommands, from_rows
+from dmotion_bench.storage.imports.episode_faults import EpisodeFaults, Size
 from dmotion_bench.storage.imports.hdf5_contents import ERRORS, datasets, described, fault, names, own
 from dmotion_bench.storage.imports.hdf5_pictures import KINDS, PackedPictures, Pixels, holds_pictures, pictures_of
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
@@ -34,6 +39,8 @@ MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 DEMONSTRATIONS: Final = "data"
 NEXT: Final = "next_obs/"  # robomimic's copy of the pictures, each in the place of the one before it
 CHUNK_CACHE: Final = 64 * MIB  # a chunk of many pictures is inflated once, not once a picture
+_NUMBER: Final = re.compile(r"\d+")
+_COMPARED: Final = 8  # groups that are looked into to tell demonstrations from cameras
 LISTED: Final = 30  # data sets that an error names
 
 
@@ -48,6 +55,7 @@ class Hdf5Recording:
         source_hz: Pictures a second; None for what the file says of its environment, or ``default_hz``.
         default_hz: Where nothing else is known.
         limits: What the file may make us do.
+        skip_damaged: Leave damaged demonstrations out.
 
     Raises:
         RecordingImportError: No HDF5 file, or it lacks the pictures or the actions.
@@ -63,13 +71,16 @@ class Hdf5Recording:
         source_hz: float | None,
         default_hz: float,
         limits: ImportLimits,
+        skip_damaged: bool = False,
     ) -> None:
         self.path, self._limits, self._fields, self.unreadable = path, limits, tuple(action_fields), 0
+        self._skip, self._demonstrations = skip_damaged, list[str]()
         with self._opened() as file:
-            self._demonstrations = self._find_demonstrations(file)
-            found = datasets(file[self._demonstrations[0]])
-            pictures = [name for name, dataset in found.items() if holds_pictures(dataset, limits)]
+            self._declared = self._find_demonstrations(file)
+            found, pictures = self._typical(file, camera)
             cameras = [name for name in pictures if not name.startswith(NEXT)] or pictures
+            if camera is None:  # numbers with fractions may be something else, such as points in space
+                cameras = [name for name in cameras if found[name].dtype.kind != "f"] or cameras
             others = [name for name in found if name not in pictures]
             self._camera = self._named(cameras, camera, "camera", found)
             self._actions = None if actions is None else self._named(others, actions, "actions", found)
@@ -86,35 +97,40 @@ class Hdf5Recording:
         Raises:
             RecordingImportError: As the file deserves it.
         """
-        size: tuple[int, int] | None = None
-        segments, count, declared = [], 0, len(self._demonstrations)
+        faults = EpisodeFaults(skip=self._skip, several=len(self._declared) > 1)
+        sound, sizes = list[tuple[str, Segment]](), list[Size]()
+        count = empty = 0
         with self._opened() as file:
-            for name in self._demonstrations.copy():
-                stored = self._dataset(file, name, self._camera)
-                if not stored.shape or not len(stored):
-                    self._demonstrations.remove(name)
-                    continue
-                pictures = self._pictures(stored)
-                try:
-                    for seen, (height, width) in enumerate(pictures.sizes()):
-                        progress(count + seen)
-                        size = size or (height, width)
-                        if (height, width) != size:
-                            sizes = f"{size[1]}x{size[0]} pixels at first, {width}x{height} in {stored.name!r}"
-                            raise self._bad(f"mixes picture sizes: {sizes}")
-                except BadPicture as error:
-                    raise self._bad(str(error)) from error
-                count += len(stored)
+            for name in self._declared:
+                with faults.of(name):
+                    stored = self._dataset(file, name, self._camera)
+                    if not stored.shape or not len(stored):
+                        empty += 1
+                        continue
+                    size = self._one_size(stored, None if self._skip or not sizes else sizes[0], progress, count)
+                    if count + len(stored) <= self._limits.frames:
+                        times = steady_times(len(stored), self._hz, self.path)
+                        commands = self._commands(file, name, times)
+                        sound.append((name, Segment(times_ns=times, commands=commands, name=name)))
+                        sizes.append(size)
+                    count += len(stored)
                 if count > self._limits.frames:
                     raise self._bad(f"declares more than the {self._limits.frames:,} pictures that can be imported")
-                times = steady_times(len(stored), self._hz, self.path)
-                segments.append(Segment(times_ns=times, commands=self._commands(file, name, times)))
                 progress(count)
-        if size is None:
-            raise self._bad(f"has no pictures in {self._camera!r}")
-        empty = f"{declared - len(segments)} of the {declared} demonstrations in {str(self.path)!r} hold no picture."
-        hints = [empty] if len(segments) < declared else []
-        return Survey(camera=self._camera, height=size[0], width=size[1], segments=segments, hints=hints)
+        if not sound:
+            raise faults.nothing_left() if faults.skipped else self._bad(f"has no pictures in {self._camera!r}")
+        kept = faults.of_usual_size([name for name, _ in sound], sizes)
+        self._demonstrations = [sound[place][0] for place in kept]
+        height, width = sizes[kept[0]]
+        told = f"{empty} of the {len(self._declared)} demonstrations in {str(self.path)!r} hold no picture."
+        return Survey(
+            camera=self._camera,
+            height=height,
+            width=width,
+            segments=[sound[place][1] for place in kept],
+            hints=[told] if empty else [],
+            skipped=faults.skipped,
+        )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Read some pictures of a demonstration."""
@@ -126,6 +142,20 @@ class Hdf5Recording:
                 except BadPicture as error:
                     raise self._bad(str(error)) from error
 
+    def _one_size(self, stored: h5py.Dataset, before: Size | None, progress: Callable[[int], None], count: int) -> Size:
+        """Height and width of a demonstration's pictures, which must be those of the pictures before, if any."""
+        try:
+            for seen, (height, width) in enumerate(self._pictures(stored).sizes()):
+                progress(count + seen)
+                before = before or (height, width)
+                if (height, width) != before:
+                    sizes = f"{before[1]}x{before[0]} pixels at first, {width}x{height} in {stored.name!r}"
+                    raise self._bad(f"mixes picture sizes: {sizes}")
+        except BadPicture as error:
+            raise self._bad(str(error)) from error
+        assert before is not None
+        return before
+
     def _opened(self) -> h5py.File:
         try:
             return h5py.File(self.path, "r", rdcc_nbytes=CHUNK_CACHE, locking=False)
@@ -133,18 +163,54 @@ class Hdf5Recording:
             raise self._bad(f"cannot be read: {str(error)[:120]}") from error
 
     def _find_demonstrations(self, file: h5py.File) -> list[str]:
-        """The paths of the groups that are a demonstration each: those in ``data``, or the whole file."""
+        """The paths of the groups that are a demonstration each: those in ``data``, at the root, or the whole file."""
         data = own(file, DEMONSTRATIONS)
         if not isinstance(data, h5py.Group):
-            return ["/"]
-        groups = sorted((name for name in names(data) if isinstance(own(data, name), h5py.Group)), key=natural)
+            groups = _groups(file)
+            return [f"/{name}" for name in groups] if self._are_demonstrations(file, groups) else ["/"]
+        groups = _groups(data)
         if not groups:
-            raise self._bad(f"has no demonstrations in {DEMONSTRATIONS!r}")
+            listed = "".join(f"\n  {name} {described(found)}" for name, found in list(datasets(file).items())[:LISTED])
+            raise self._bad(
+                f"has no demonstrations in {DEMONSTRATIONS!r}: each must be a group with its own pictures and actions, "
+                f"such as '{DEMONSTRATIONS}/demo_0/obs/image'. If the episodes stand one behind the other, as in a "
+                f"replay buffer, write each into a group of its own. In the file are:{listed or ' no data sets'}",
+                stop="",
+            )
         return [f"/{DEMONSTRATIONS}/{name}" for name in groups]
+
+    def _are_demonstrations(self, file: h5py.File, groups: Sequence[str]) -> bool:
+        """Whether groups at the root are a demonstration each, and no cameras or sensors of a single one.
+
+        Their names differ in their numbers alone, and no data set stands beside them; the data sets in the first of
+        them are mostly the same, and a table has a row for each picture, as actions and states do.
+        """
+        if len(groups) < 2 or len({_NUMBER.sub("#", name) for name in groups}) > 1:
+            return False
+        if any(isinstance(own(file, name), h5py.Dataset) for name in names(file)):
+            return False
+        inside = [datasets(file[name]) for name in groups[:_COMPARED]]
+        paths, count = Counter(frozenset(found) for found in inside).most_common(1)[0]
+        if 2 * count <= len(inside):
+            return False
+        usual = next(found for found in inside if found.keys() == paths)
+        shapes = [one.shape for one in usual.values()]
+        counts = {len(one) for one in usual.values() if holds_pictures(one, self._limits)}
+        return any(len(shape) == 2 and {shape[0], shape[0] + 1} & counts for shape in shapes)
+
+    def _typical(self, file: h5py.File, camera: str | None) -> tuple[dict[str, h5py.Dataset], list[str]]:
+        """The data sets of the demonstration by which all are read, and those of them with pictures.
+
+        It is the first one; where damaged ones are left out, the first that has the camera.
+        """
+        seen = (datasets(file[name]) for name in (self._declared if self._skip else self._declared[:1]))
+        looked_at = ((found, [name for name in found if holds_pictures(found[name], self._limits)]) for found in seen)
+        first = next(looked_at)
+        return next((one for one in itertools.chain([first], looked_at) if _meant(one[1], camera)), first)
 
     def _named(self, given: Sequence[str], asked: str | None, option: str, found: dict[str, h5py.Dataset]) -> str:
         """The data set that is meant: by its path, or by the last part of it."""
-        meant = [name for name in given if asked is None or name == asked or name.endswith(f"/{asked.strip('/')}")]
+        meant = _meant(given, asked)
         if asked in meant:
             return asked
         if len(meant) == 1:
@@ -153,9 +219,9 @@ class Hdf5Recording:
             many = f"{len(meant)} cameras" if asked is None else f"{len(meant)} data sets {asked!r}"
             listed = "".join(f"\n  --{option} {name}" for name in meant[:LISTED])
             raise self._bad(f"has {many}; choose one:{listed}", stop="")
-        first = self._demonstrations[0]
+        first = self._declared[0]
         listed = "".join(f"\n  {name} {described(dataset)}" for name, dataset in list(found.items())[:LISTED])
-        wanted = f"{asked!r} for '--{option}'" if asked is not None else f"pictures (bytes: {KINDS})"
+        wanted = f"{asked!r} for '--{option}'" if asked is not None else f"pictures ({KINDS})"
         raise self._bad(f"has no {wanted}; in {first!r} are:{listed or ' no data sets'}", stop="")
 
     def _pictures(self, stored: h5py.Dataset) -> Pixels | PackedPictures:
@@ -214,6 +280,15 @@ class Hdf5Recording:
 
     def _bad(self, reason: str, stop: str = ".") -> RecordingImportError:
         return RecordingImportError(f"the HDF5 file {str(self.path)!r} {reason}{stop}")
+
+
+def _groups(group: h5py.Group) -> list[str]:
+    return sorted((name for name in names(group) if isinstance(own(group, name), h5py.Group)), key=natural)
+
+
+def _meant(given: Sequence[str], asked: str | None) -> list[str]:
+    """The data sets of this path, or whose last part it is; all where none is asked for."""
+    return [name for name in given if asked is None or name == asked or name.endswith(f"/{asked.strip('/')}")]
 
 
 def _control_frequency(file: h5py.File) -> float | None:

@@ -35,7 +35,7 @@ from dmotion_bench.storage.imports.imported_actions import (
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Named, Recording, Survey
 from dmotion_bench.storage.imports.search import Found, find
-from dmotion_bench.storage.imports.sources import UNSALVAGED, WITHOUT_ACTIONS, open_recording
+from dmotion_bench.storage.imports.sources import UNSALVAGED, WITHOUT_ACTIONS, open_recording, require_effect
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
@@ -75,6 +75,7 @@ def import_recordings(
     Raises:
         RecordingImportError: A recording cannot be imported.
         RecipeMismatch: The folder holds another data set.
+        InvalidSetting: An option has no effect for these recordings.
         UsageError: The folder holds something else.
     """
     sweep(out, UNFINISHED)
@@ -82,6 +83,7 @@ def import_recordings(
     with Confinement(options) as confinement:
         found = find(paths, options.camera)
         found.require_sound()
+        require_effect(found.sources, options)
         recordings = [open_recording(source, options, confinement) for source in found.sources]
         surveys = [_survey(one, number, len(recordings), progress) for number, one in enumerate(recordings)]
         plan = plan_import(recordings, surveys, options, found)
@@ -89,7 +91,17 @@ def import_recordings(
             _write(out, plan, recordings, options, progress)
         else:
             require_same(standing, plan, out)
-    return plan.report(out, unreadable=sum(recording.unreadable for recording in recordings))
+    unreadable = sum(recording.unreadable for recording in recordings)
+    return plan.report(out, unreadable=unreadable, skipped=skipped_episodes(recordings, surveys))
+
+
+def skipped_episodes(recordings: Sequence[Named], surveys: Sequence[Survey]) -> tuple[tuple[str, str], ...]:
+    """The episodes of recordings that were left out because they are damaged, for ``ImportReport.skipped``."""
+    return tuple(
+        (f"{recording.path}: {name}", f"{name}: {why}")
+        for recording, survey in zip(recordings, surveys, strict=True)
+        for name, why in survey.skipped
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +170,10 @@ def plan_import(
     planned, left_out = _plan(recordings, surveys, pieces, names, options)
     hints = list(found.told)
     if options.salvage and any(source.kind in UNSALVAGED for source in found.sources):
-        hints.append("'--salvage' does nothing for HDF5 files and LeRobot data sets: a damaged one is refused.")
+        hints.append(
+            "'--salvage' does nothing for HDF5 files and LeRobot data sets; '--skip-damaged' leaves out their damaged "
+            "episodes."
+        )
     heard = {plan.recording for plan in planned}
     for number, recording in enumerate(recordings):
         if number not in heard and recording.path in found.doubts:
@@ -177,7 +192,8 @@ def plan_import(
         step_ns=round(1e9 / options.hz),
     )
     told = advice(surveys, [one for some in pieces for one in some], len(planned), options, hints)
-    given = [(one.piece, surveys[one.recording].segments[one.segment].commands) for one in planned]
+    commands = [{number: segment.commands for number, segment in survey.numbered} for survey in surveys]
+    given = [(one.piece, commands[one.recording][one.segment]) for one in planned]
     return ImportPlan(
         recipe=recipe,
         spec=spec,
@@ -289,7 +305,7 @@ def _plan(
     planned: list[PlannedEpisode] = []
     waiting = iter(found)
     for number, survey in enumerate(surveys):
-        for index, segment in enumerate(survey.segments):
+        for index, segment in survey.numbered:
             pieces = next(waiting)
             if segment.commands is not None:
                 pieces = [commanded(piece, segment.commands) for piece in pieces]

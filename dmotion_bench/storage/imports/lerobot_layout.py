@@ -13,6 +13,7 @@ import itertools
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from typing import Any, Final
 
 from dmotion_bench.actions import Continuous, actions_from_json
 from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.imports.git_lfs import require_content
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 
 INFO: Final = Path("meta") / "info.json"
@@ -83,24 +85,56 @@ class LeRobotLayout:
         """The camera that is meant: by its name, or by the last part of it.
 
         Raises:
-            RecordingImportError: There is none, or more than one.
+            RecordingImportError: There is none, or more than one, or it holds depth.
         """
-        kinds = {key: self.kind(key) for key in self.features}
-        cameras = sorted(key for key, kind in kinds.items() if kind in _CAMERA_KINDS and _KEY.fullmatch(key))
-        found = cameras if asked is None else [key for key in cameras if key == asked or key.endswith(f".{asked}")]
-        if asked in found:
-            return asked
+        shown = sorted(key for key in self.features if self.kind(key) in _CAMERA_KINDS and _KEY.fullmatch(key))
+        cameras = [key for key in shown if not self._is_depth(key)]
+        here = [key for key in cameras if self._has_files(key)] or cameras
+        found = here if asked is None else _meant(here, asked) or _meant(cameras, asked)
         if len(found) == 1:
             return found[0]
-        listed = ", ".join(map(repr, cameras)) or "none"
+        listed = ", ".join(map(repr, here)) or "none"
         if asked is None:
-            raise self.bad(f"has {len(cameras)} cameras; choose one with '--camera KEY': {listed}")
+            raise self.bad(f"has {len(here)} cameras; choose one with '--camera KEY': {listed}")
+        if not found and (depth := _meant(shown, asked)):
+            raise self.bad(f"holds depth in {depth[0]!r}, and depth is no picture; its cameras are: {listed}")
         raise self.bad(f"has {'no' if not found else 'more than one'} camera {asked!r}; its cameras are: {listed}")
+
+    def numbers(self, asked: str) -> str:
+        """The feature of the actions that is meant: by its name, or by the last part of it.
+
+        Raises:
+            RecordingImportError: There is none, or more than one.
+        """
+        others = sorted(key for key in self.features if self.kind(key) not in _CAMERA_KINDS)
+        found = _meant(others, asked)
+        if len(found) == 1:
+            return found[0]
+        how = "no feature" if not found else "more than one feature"
+        raise self.bad(f"has {how} {asked!r} for '--actions'; its features are: {', '.join(others)}")
 
     def kind(self, key: str) -> str:
         """A feature's kind: ``"video"``, ``"image"``, ``"float32"`` ..."""
         feature = self.features.get(key)
         return str(feature.get("dtype", "")) if isinstance(feature, Mapping) else ""
+
+    def _is_depth(self, key: str) -> bool:
+        """Whether a camera is one of distances; the format keeps this beside the facts of the video."""
+        feature = self.features[key]
+        places = [feature, *(feature.get(name) for name in ("info", "video_info"))]
+        return any(
+            place.get(name) is True
+            for place in places
+            if isinstance(place, Mapping)
+            for name in ("is_depth_map", "video.is_depth_map")
+        )
+
+    def _has_files(self, camera: str) -> bool:
+        """Whether a camera's pictures were downloaded; those in tables come with the numbers."""
+        return self.kind(camera) != "video" or next(self.path.glob(self._videos(camera)), None) is not None
+
+    def _videos(self, camera: str) -> str:
+        return f"videos/*/{camera}/*.mp4" if self.is_v2 else f"videos/{camera}/*/*.mp4"
 
     def action_names(self, key: str) -> list[Any]:
         """What the file says the actions are called, in the order of their numbers; nothing where it does not."""
@@ -109,14 +143,22 @@ class LeRobotLayout:
         return known if isinstance(known, list) else []
 
     def number_names(self, key: str) -> tuple[str, ...]:
-        """What the file calls the numbers of a feature, in their order; nothing where it does not."""
+        """What the file calls the numbers of a feature, in their order; nothing where it does not.
+
+        Names that stand there more than once are told apart: by the group that they are in, else by numbers.
+        """
         feature = self.features.get(key)
         names = feature.get("names") if isinstance(feature, Mapping) else None
         if isinstance(names, Mapping) and all(type(place) is int for place in names.values()):
             names = [name for name, _ in sorted(names.items(), key=lambda item: item[1])]
-        elif isinstance(names, Mapping):  # {"motors": [...]}
-            names = next(iter(names.values())) if len(names) == 1 else None
-        return tuple(names) if isinstance(names, list) and all(isinstance(name, str) for name in names) else ()
+        # groups of names, such as those of a left and a right arm, or a list in a list
+        groups = names if isinstance(names, Mapping) else {"": names}
+        flat = [(group, name) for group, inside in groups.items() for name in _flat(inside)]
+        if not all(isinstance(name, str) for _, name in flat):
+            return ()
+        if len(groups) > 1 and len({name for _, name in flat}) < len(flat):
+            return _numbered([f"{group}.{name}" for group, name in flat])
+        return _numbered([name for _, name in flat])
 
     def stated_actions(self, key: str) -> Continuous | None:
         """The bounds and units of continuous actions, where ``data export`` has left them.
@@ -138,7 +180,7 @@ class LeRobotLayout:
         """Where each episode with frames stands.
 
         Raises:
-            RecordingImportError: The table is damaged, or names files that are not there.
+            RecordingImportError: The table is damaged.
         """
         with_video = self.kind(camera) == "video"
         found = self._episodes_v2(camera, with_video) if self.is_v2 else self._episodes_v3(camera, with_video)
@@ -159,9 +201,7 @@ class LeRobotLayout:
 
     def files(self, camera: str) -> list[Path]:
         """The files that are read, in the order of their names."""
-        pictures = f"videos/{camera}/*/*.mp4" if self.kind(camera) == "video" else f"images/{camera}/*/*"
-        if self.is_v2 and self.kind(camera) == "video":
-            pictures = f"videos/*/{camera}/*.mp4"
+        pictures = self._videos(camera) if self.kind(camera) == "video" else f"images/{camera}/*/*"
         episodes = EPISODES_V2.as_posix() if self.is_v2 else EPISODES_V3
         found = [self.path.glob(pattern) for pattern in (episodes, "data/*/*.parquet", pictures)]
         return sorted([self.path / INFO, *itertools.chain(*found)])
@@ -173,9 +213,18 @@ class LeRobotLayout:
             RecordingImportError: It is not there.
         """
         names = [f"images/{camera}/episode{dash}{episode:06d}/frame{dash}{frame:06d}.png" for dash in "-_"]
-        return next((self.path / name for name in names if (self.path / name).is_file()), None) or self._inside(
-            names[0]
-        )
+        found = next((name for name in names if (self.path / name).is_file()), names[0])
+        return self._there(self.path / found)
+
+    def require_files(self, placed: Placed) -> None:
+        """Check that an episode's files are there.
+
+        Raises:
+            RecordingImportError: One is not.
+        """
+        self._there(placed.data)
+        if placed.video is not None:
+            self._there(placed.video)
 
     def table(self, file: Path, columns: Sequence[str], also: Sequence[str] = ()) -> Any:
         """Some columns of a table, without what LeRobot keeps beside them (statistics of every feature).
@@ -215,6 +264,7 @@ class LeRobotLayout:
         if not tables:
             raise self.bad("lacks 'meta/episodes/chunk-000/file-000.parquet', the table of its episodes")
         for file in tables:
+            require_content(file)
             for number, frames, *place in _rows(self.table(file, columns), columns):
                 start_s = place.pop() if with_video else 0.0
                 if not isinstance(start_s, int | float) or not math.isfinite(start_s) or not 0 <= start_s < 2**31:
@@ -224,12 +274,13 @@ class LeRobotLayout:
                 yield Placed(
                     number=number,
                     frames=frames,
-                    data=self._inside("data/chunk-{:03d}/file-{:03d}.parquet".format(*place)),
-                    video=self._inside(f"{video}/chunk-{place[2]:03d}/file-{place[3]:03d}.mp4") if with_video else None,
+                    data=self.path / "data/chunk-{:03d}/file-{:03d}.parquet".format(*place),
+                    video=self.path / f"{video}/chunk-{place[2]:03d}/file-{place[3]:03d}.mp4" if with_video else None,
                     start_s=float(start_s),
                 )
 
     def _episodes_v2(self, camera: str, with_video: bool) -> Iterator[Placed]:
+        require_content(self.path / EPISODES_V2)
         for line in self._lines(self.path / EPISODES_V2):
             try:
                 row = json.loads(line)
@@ -242,8 +293,8 @@ class LeRobotLayout:
             yield Placed(
                 number=number,
                 frames=frames,
-                data=self._inside(f"data/{chunk}/{name}.parquet"),
-                video=self._inside(f"videos/{chunk}/{camera}/{name}.mp4") if with_video else None,
+                data=self.path / f"data/{chunk}/{name}.parquet",
+                video=self.path / f"videos/{chunk}/{camera}/{name}.mp4" if with_video else None,
             )
 
     def _lines(self, file: Path) -> Iterator[bytes]:
@@ -256,6 +307,7 @@ class LeRobotLayout:
             raise self.bad(f"has no {EPISODES_V2.name!r} that can be read: {error.strerror}") from error
 
     def _read_info(self) -> Mapping[str, Any]:
+        require_content(self.path / INFO)
         try:
             with (self.path / INFO).open("rb") as file:
                 raw = file.read(16 * MIB)
@@ -272,11 +324,32 @@ class LeRobotLayout:
         found: Mapping[str, Any] = info
         return found
 
-    def _inside(self, relative: str) -> Path:
-        file = self.path / relative
+    def _there(self, file: Path) -> Path:
         if not file.is_file():
-            raise self.bad(f"lacks the file {relative!r}")
+            raise self.bad(f"lacks the file {file.relative_to(self.path).as_posix()!r}")
+        require_content(file)
         return file
+
+
+def _meant(keys: Sequence[str], asked: str) -> list[str]:
+    """The feature of this name, else those whose last part it is."""
+    return [asked] if asked in keys else [key for key in keys if key.endswith(f".{asked}")]
+
+
+def _flat(names: Any) -> list[Any]:
+    """A list of names, perhaps in lists of their own; of anything else nothing."""
+    inside = names if isinstance(names, list) else []
+    return [name for one in inside for name in (one if isinstance(one, list) else [one])]
+
+
+def _numbered(names: Sequence[str]) -> tuple[str, ...]:
+    """Names, of which those that stand there more than once get a number: ``arm.0``, ``arm.1``; none if that fails."""
+    counts, seen = Counter(names), Counter[str]()
+    found = []
+    for name in names:
+        found.append(f"{name}.{seen[name]}" if counts[name] > 1 else name)
+        seen[name] += 1
+    return tuple(found) if len(set(found)) == len(found) else ()
 
 
 def _rows(table: Any, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:

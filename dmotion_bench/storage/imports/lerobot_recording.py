@@ -14,9 +14,10 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
 from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, action_name
 from dmotion_bench.storage.imports.continuous_commands import BadCommands, ContinuousCommands, from_rows
+from dmotion_bench.storage.imports.episode_faults import EpisodeFaults, Size
 from dmotion_bench.storage.imports.lerobot_layout import ACTION_NAMES, LeRobotLayout, Placed
 from dmotion_bench.storage.imports.limits import ImportLimits
-from dmotion_bench.storage.imports.pixels import size_of, to_rgb
+from dmotion_bench.storage.imports.pixels import shape_of, to_rgb
 from dmotion_bench.storage.imports.recording import Segment, Survey
 from dmotion_bench.storage.video.file import VideoFile
 
@@ -34,9 +35,10 @@ class LeRobotRecording:
         path: The folder.
         camera: The feature of the pictures, ``"observation.images.front"``, or the last part of its name; None for the
             only one.
-        actions: The feature of the actions; None for none.
+        actions: The feature of the actions, or the last part of its name; None for none.
         action_fields: Names of the numbers that count in continuous actions; none for all.
         limits: What the files may make us do.
+        skip_damaged: Leave damaged episodes out.
 
     Raises:
         RecordingImportError: Not a data set that can be read, or it lacks the features.
@@ -50,17 +52,16 @@ class LeRobotRecording:
         actions: str | None,
         action_fields: Sequence[str] = (),
         limits: ImportLimits,
+        skip_damaged: bool = False,
     ) -> None:
-        self.path, self._actions, self._limits, self.unreadable = path, actions, limits, 0
-        self._fields = tuple(action_fields)
+        self.path, self._limits, self.unreadable = path, limits, 0
+        self._fields, self._skip = tuple(action_fields), skip_damaged
         self._layout = LeRobotLayout(path, limits)
         self._camera = self._layout.camera(camera)
-        if actions is not None and actions not in self._layout.features:
-            raise self._layout.bad(
-                f"has no feature {actions!r}; its features are: {', '.join(sorted(self._layout.features))}"
-            )
-        self._continuous = actions is not None and (bool(self._fields) or self._layout.kind(actions) in FLOATS)
-        self._stated = self._layout.stated_actions(actions or "") if self._continuous else None
+        self._actions = None if actions is None else self._layout.numbers(actions)
+        kind = self._layout.kind(self._actions or "")
+        self._continuous = self._actions is not None and (bool(self._fields) or kind in FLOATS)
+        self._stated = self._layout.stated_actions(self._actions or "") if self._continuous else None
         self._vocabulary = [] if self._continuous else self._known_actions()
         self._placed: list[Placed] = []
         self._taken: list[Float[np.ndarray, " n"]] = []  # when, in intervals of a picture, for each episode
@@ -81,26 +82,37 @@ class LeRobotRecording:
         Raises:
             RecordingImportError: As the files deserve it.
         """
-        self._placed = self._layout.episodes(self._camera)
-        self._taken = []
-        sizes: dict[Path, tuple[int, int]] = {}
-        segments, count = [], 0
-        for number, placed in enumerate(self._placed):
-            if placed.video is None:
-                sizes[placed.data / str(number)] = self._picture_size(placed)
-            elif placed.video not in sizes:
-                with VideoFile(placed.video, pixels=self._limits.pixels) as video:
-                    sizes[placed.video] = (video.height, video.width)
-            taken = self._when_taken(placed)
-            self._taken.append(taken)
-            times = np.rint((taken - taken[0]) * (1e9 / self._layout.fps)).astype(np.int64)
-            segments.append(Segment(times_ns=times, commands=self._commands(placed, times)))
-            count += placed.frames
+        named = self._layout.episodes(self._camera)
+        faults = EpisodeFaults(skip=self._skip, several=len(named) > 1)
+        sound: list[tuple[Placed, Float[np.ndarray, " n"], Segment]] = []
+        sizes, of_files, count = list[Size](), dict[Path, Size](), 0
+        for placed in named:
+            name = f"episode {placed.number}"
+            with faults.of(name):
+                self._layout.require_files(placed)
+                size = self._picture_size(placed) if placed.video is None else self._video_size(placed.video, of_files)
+                taken = self._when_taken(placed)
+                times = np.rint((taken - taken[0]) * (1e9 / self._layout.fps)).astype(np.int64)
+                segment = Segment(times_ns=times, commands=self._commands(placed, times), name=name)
+                sound.append((placed, taken, segment))
+                sizes.append(size)
+                count += placed.frames
             progress(count)
-        if len(set(sizes.values())) != 1:
-            raise self._layout.bad(f"mixes picture sizes: {sorted(set(sizes.values()))[:10]}")
-        self._size = next(iter(sizes.values()))
-        return Survey(camera=self._camera, height=self._size[0], width=self._size[1], segments=segments)
+        if not sound:
+            raise faults.nothing_left()
+        if len(set(sizes)) > 1 and not self._skip:
+            raise self._layout.bad(f"mixes picture sizes: {sorted(set(sizes))[:10]}")
+        kept = faults.of_usual_size([segment.name for _, _, segment in sound], sizes)
+        self._placed = [sound[place][0] for place in kept]
+        self._taken = [sound[place][1] for place in kept]
+        self._size = sizes[kept[0]]
+        return Survey(
+            camera=self._camera,
+            height=self._size[0],
+            width=self._size[1],
+            segments=[sound[place][2] for place in kept],
+            skipped=faults.skipped,
+        )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Decode the episode's stretch of its video, or its rows of a table."""
@@ -112,12 +124,24 @@ class LeRobotRecording:
             seconds = placed.start_s + self._taken[segment][wanted] / self._layout.fps
             yield from video.frames_at(seconds.tolist(), within=0.5 / self._layout.fps)
 
-    def _picture_size(self, placed: Placed) -> tuple[int, int]:
+    def _video_size(self, file: Path, known: dict[Path, Size]) -> Size:
+        if file not in known:
+            with VideoFile(file, pixels=self._limits.pixels) as video:
+                known[file] = (video.height, video.width)
+        return known[file]
+
+    def _picture_size(self, placed: Placed) -> Size:
         (picture,) = self._stored(placed, [0])
         try:
-            return size_of(picture, self._limits)
+            shape = shape_of(picture, self._limits)
         except BadPicture as error:
             raise self._damaged(placed, 0, error) from error
+        if shape.is_deep:
+            raise self._layout.bad(
+                f"has pictures in {self._camera!r} that are grey with 16 bits a pixel, as depth is stored; depth is no "
+                "picture: choose another camera with '--camera KEY'"
+            )
+        return shape.height, shape.width
 
     def _from_table(self, placed: Placed, wanted: list[int]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         for number, picture in zip(wanted, self._stored(placed, wanted), strict=True):

@@ -13,7 +13,7 @@ from jaxtyping import Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, Picture, picture_decoder
-from dmotion_bench.storage.imports.commands import CommandsReader, DiscreteReader
+from dmotion_bench.storage.imports.commands import Commands, CommandsReader, DiscreteReader
 from dmotion_bench.storage.imports.continuous_messages import ContinuousReader
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_records import LATEST, McapFile, RawMessage, TopicInfo
@@ -57,6 +57,7 @@ class McapRecording:
     ) -> None:
         self.path, self._clock, self._limits, self._salvage = path, clock, limits, salvage
         self.unreadable, self._fields = 0, tuple(action_fields)
+        self._places: Int64[np.ndarray, " n"] | None = None  # of the messages in time, where the file has another order
         self._size: Size | None = None  # of the last picture whose head could be read
         self._file = McapFile(path, limits=limits, salvage=salvage)
         topics = self._file.topics()
@@ -67,6 +68,8 @@ class McapRecording:
         self._actions = None if actions is None else named_topic(self._file, topics, actions, "actions")
         if self._actions == self._camera:
             raise RecordingImportError(f"{self._camera!r} is the camera; name the topic of the actions.")
+
+    _may_sort = True
 
     @property
     def is_stream(self) -> bool:
@@ -84,7 +87,7 @@ class McapRecording:
         Raises:
             RecordingImportError: As the file deserves it.
         """
-        times, others, shown = array("q"), array("q"), array("q")
+        times, others, shown, lengths = array("q"), array("q"), array("q"), array("q")
         commands = self._commands_reader()
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
         size: Size | None = None
@@ -99,6 +102,7 @@ class McapRecording:
             if message.topic.topic == self._camera:
                 picture = self._decode(message, len(times), decoders, picture_decoder)
                 times.append(self._time(picture, message, len(times)))
+                lengths.append(len(message.data))
                 others.append(message.log_ns if self._clock is Clock.HEADER else min(picture.stamp_ns, LATEST))
                 look(self._look(picture, len(times) - 1))
                 progress(len(shown))
@@ -106,23 +110,27 @@ class McapRecording:
                 commands.add(message.log_ns, self._decode(message, commands.count, decoders, commands.decoder))
         look(self._look_on())
         if not times:
-            raise RecordingImportError(f"{str(self.path)!r} has no pictures: there is no message on {self._camera!r}.")
+            where = " that stands whole before the damage" if self._file.is_harmed else ""
+            raise RecordingImportError(
+                f"{str(self.path)!r} has no pictures: there is no message on {self._camera!r}{where}."
+            )
         if size is None:
             raise RecordingImportError(f"{str(self.path)!r}: no message on {self._camera!r} gives a picture.")
         if commands is not None and not commands.count:
             raise RecordingImportError(f"{str(self.path)!r} has no actions: no message is on {self._actions!r}.")
         taken, logged = (np.array(clock, np.int64)[np.array(shown)] for clock in (times, others))
+        if self._clock is Clock.LOG:
+            taken, logged = self._sorted(taken, logged, np.array(lengths))
         self._check_order(taken, np.array(shown), self._camera)
-        given = None if commands is None else commands.collected()
+        given = None if commands is None else self._collected(commands)
         if given is not None:
-            self._check_order(given.times_ns, np.arange(len(given.times_ns)), self._actions or "")
             self._check_clocks(taken, logged)
         return Survey(
             camera=self._camera,
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=taken, commands=given)],
-            hints=self._clock_hints(taken, logged),
+            hints=[*self._clock_hints(taken, logged), *self._other_messages(commands)],
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
@@ -169,8 +177,55 @@ class McapRecording:
             return None
         return ContinuousReader(self._fields, self._limits.numbers) if self._fields else DiscreteReader()
 
+    def _collected(self, commands: CommandsReader) -> Commands:
+        try:
+            return commands.collected()
+        except BadPicture as error:
+            raise self._bad(0, self._actions or "", error) from error
+
+    def _other_messages(self, commands: CommandsReader | None) -> list[str]:
+        """What is told of messages that other parts of the robot send on the topic of the actions."""
+        if commands is None or not commands.others:
+            return []
+        joints = ", ".join(self._fields)
+        return [f"{commands.others:,} messages on {self._actions!r} hold none of the joints {joints} and do not count."]
+
     def _camera_messages(self) -> Iterator[tuple[int, RawMessage]]:
-        return enumerate(self._file.messages(self._camera))
+        """The camera's messages in the order of their times, each with its place; some may wait for earlier ones."""
+        messages = self._file.messages(self._camera)
+        if self._places is None:
+            yield from enumerate(messages)
+            return
+        waiting: dict[int, RawMessage] = {}
+        due = 0
+        for place, message in zip(self._places.tolist(), messages, strict=False):
+            waiting[place] = message
+            while due in waiting:
+                yield due, waiting.pop(due)
+                due += 1
+
+    def _sorted(
+        self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"], lengths: Int64[np.ndarray, " n"]
+    ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
+        """Both clocks in the order of the first, as all readers of MCAP give messages in the order of their times.
+
+        They stay as they are where too many bytes of messages would have to wait for earlier ones.
+
+        Args:
+            times_ns, others_ns: Of each message, in the order of the file.
+            lengths: Of the messages [bytes].
+        """
+        self._places = None
+        if not self._may_sort or not (np.diff(times_ns) < 0).any():
+            return times_ns, others_ns
+        order = np.argsort(times_ns, kind="stable")
+        last_before = np.maximum.accumulate(order)  # what has to be read before a message, in time, can be given
+        given = np.searchsorted(last_before, np.arange(len(order)), side="right")
+        waiting = np.cumsum(lengths) - np.append(0, np.cumsum(lengths[order]))[given]
+        if waiting.max() > self._limits.message_bytes:
+            return times_ns, others_ns
+        self._places = np.argsort(order)
+        return times_ns[order], others_ns[order]
 
     def _decode(
         self,

@@ -125,6 +125,9 @@ class McapFile:
         salvage: Take a damaged file's messages up to the damage instead of refusing it; of a chunk whose checksum
             does not match, none.
 
+    Attributes:
+        is_harmed: Whether damage, or a cut, was met so far that is to be lived with.
+
     Raises:
         RecordingImportError: The file is not there, cannot be read, or is no MCAP file.
     """
@@ -132,6 +135,7 @@ class McapFile:
     def __init__(self, path: Path, *, limits: ImportLimits, salvage: bool = False) -> None:
         self.path, self.limits, self.salvage = path, limits, salvage
         self._usable: int | None = None
+        self.is_harmed = False
         try:
             with path.open("rb") as file:
                 start = file.read(len(MAGIC))
@@ -148,13 +152,22 @@ class McapFile:
             raise RecordingImportError(f"{str(path)!r} {where}: it does not begin with MCAP's eight bytes.")
 
     def topics(self) -> list[TopicInfo]:
-        """Every channel, sorted by topic: from the summary at the end, or from the whole file without one."""
+        """Every channel, sorted by topic: from the summary at the end, or from the whole file without one.
+
+        Raises:
+            RecordingTruncated: The file is damaged before the first of them.
+        """
         found = self._summary_topics()
         if not found:
             known = _Directory()
             for _ in self._messages(frozenset(), known):
                 pass
             found = list(known.channels.values())
+        if not found and self.is_harmed:
+            raise RecordingTruncated(
+                f"{str(self.path)!r} is damaged or cut off near its beginning, and nothing whole stands before that: "
+                "'--salvage' finds nothing to import. Leave the file out, or copy it again."
+            )
         return sorted(set(found), key=lambda topic: (topic.topic, topic.schema_name))
 
     def messages(self, *topics: str) -> Iterator[RawMessage]:
@@ -195,6 +208,7 @@ class McapFile:
                     self._damaged(file.tell(), Broken(f"it inflates to more than {MOST_INFLATED:,} times its size"))
                     return
                 if self.salvage:
+                    self.is_harmed = True
                     return
                 raise RecordingTruncated(
                     f"{str(self.path)!r} is cut off: it ends in the middle of a record, after {size:,} bytes; "
@@ -211,6 +225,7 @@ class McapFile:
                 f"{str(self.path)!r} is damaged near byte {offset:,}: {str(error)[:200] or type(error).__name__}; "
                 "import what stands before the damage with '--salvage'."
             ) from None
+        self.is_harmed = True
 
     def _walk(self, span: Span, topics: frozenset[str], known: _Directory, chunks: _Chunks) -> Iterator[RawMessage]:
         while True:

@@ -25,6 +25,7 @@ from dmotion_bench.storage.video.stream import DamagedPicture, PictureStream
 class McapVideo(McapRecording):
     """One MCAP file; arguments and errors as for ``McapRecording``."""
 
+    _may_sort = False  # a picture is drawn on top of the one that was sent before it
     _stream: PictureStream | None = None
     _codec = ""
 

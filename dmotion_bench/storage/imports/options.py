@@ -20,8 +20,8 @@ class ImportOptions:
     """How recordings become episodes.
 
     Attributes:
-        camera: Of the pictures: a topic (MCAP), a feature (LeRobot), a path (HDF5), a folder (pictures), the number of
-            a stream or the name of the files without suffix (video); None for the only one there is.
+        camera: Of the pictures: a topic (MCAP), a feature (LeRobot), a path (HDF5), a folder or a pattern of names
+            (pictures), the number of a stream or the name of the files without suffix (video); None for the only one.
         actions: Topic or feature of the actions; None imports the video alone.
         action_fields: Fields with the numbers of continuous actions; a field with several numbers stands for them
             all. Without any, actions are discrete, unless the format says that they are continuous.
@@ -37,6 +37,7 @@ class ImportOptions:
         frames_per_episode: A longer one is cut into equal parts.
         seed: Of the split into training, validation and test.
         salvage: Take what stands before the damage in a damaged file, and for a damaged picture the one before it.
+        skip_damaged: Leave out damaged episodes of recordings that hold several.
         limits: What a file may make us do.
     """
 
@@ -54,6 +55,7 @@ class ImportOptions:
     frames_per_episode: int = 100
     seed: int = 0
     salvage: bool = False
+    skip_damaged: bool = False
     limits: ImportLimits = field(default_factory=ImportLimits)
 
     def __post_init__(self) -> None:
@@ -114,7 +116,8 @@ class ImportReport:
         actions: What they are; None without labels.
         may_hold_actions: Whether one of the recordings is of a kind that can hold actions.
         advice: Sentences about what would make a better data set of the same recordings.
-        skipped: Recordings that were left out because they are damaged, each with the reason.
+        skipped: Recordings that were left out because they are damaged, and episodes of recordings (``PATH: NAME``),
+            each with the reason.
     """
 
     path: Path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -21,6 +22,17 @@ VIDEOS: Final = (
 PICTURES: Final = (".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".exr", ".heic", ".avif", ".jp2")
 """Suffixes of recordings, videos and pictures that are not read."""
 CONVERTER: Final = "'rosbags-convert --src BAG --dst OUT --dst-storage mcap'"
+NOT_READ: Final = (
+    "a format that is not read: write the pictures of each episode as PNG files into a folder of its own, or as "
+    "'data/demo_0/obs/NAME' into an HDF5 file; or make a LeRobot data set of it"
+)
+"""What is said of arrays, after their name."""
+_ARRAYS: Final = {
+    re.compile(r".*\.np[yz]"): "NumPy arrays",
+    re.compile(r".*\.zarr|\.z(group|array|attrs)|zarr\.json"): "Zarr arrays",
+    re.compile(r".*\.tfrecord.*"): "TFRecord files, as RLDS and TensorFlow Datasets have them",
+    re.compile(r".*\.(pkl|pickle|pt|pth)"): "pickled Python objects",
+}
 _CONVERT: Final = {
     BAGS: f"bags with {CONVERTER}",
     VIDEOS: "videos with 'ffmpeg -i IN OUT.mkv'",
@@ -28,6 +40,7 @@ _CONVERT: Final = {
 }
 _OWN_FORMAT: Final = re.compile(rb'"format"\s*:\s*"dmbench/')
 _MOST_FILES: Final = 200_000  # that are looked at besides those that are imported
+_MOST_LISTED: Final = 1_000  # names on a level that are looked at for arrays
 _SHOWN: Final = 3
 
 
@@ -128,6 +141,17 @@ class PassedOver:
         if len(paths) == 1:
             return f"1 file or folder in {str(self.folder)!r} was"
         return f"{len(paths):,} files and folders in {str(self.folder)!r} were"
+
+
+def arrays_of(name: str) -> str | None:
+    """What a file or folder of this name holds, if that is arrays of another kind."""
+    return next((kind for names, kind in _ARRAYS.items() if names.fullmatch(name)), None)
+
+
+def arrays_in(folder: Path) -> tuple[Path, str] | None:
+    """The first file or folder with arrays in a folder, or in the folders in it, and what they are."""
+    inside = [one for level in ("*", "*/*") for one in itertools.islice(folder.glob(level), _MOST_LISTED)]
+    return next(((one, kind) for one in inside if (kind := arrays_of(one.name)) is not None), None)
 
 
 def is_dataset(folder: Path) -> bool:

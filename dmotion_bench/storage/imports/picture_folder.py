@@ -1,11 +1,16 @@
 """A folder of pictures as a recording: each folder with pictures is an episode, in the natural order of their names.
 
 Pictures have no times; they count as taken at a steady rate.
+
+Names that differ in more than their numbers, ``img0_left.png`` and ``img0_right.png``, are of several cameras. A
+pattern such as ``img#_left.png`` chooses one: a ``#`` stands for each number.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
@@ -19,26 +24,61 @@ from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.natural_order import in_natural_order
 from dmotion_bench.storage.imports.pixels import Shape, shape_of, to_rgb
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
+from dmotion_bench.wording import shown
 
 PICTURES: Final = (".jpeg", ".jpg", ".png", ".webp")
 _HEAD: Final = 1 << 20  # of a picture's file: its size stands there, if not behind a large thumbnail
+_NUMBER: Final = re.compile(r"\d+(?:\.\d+)*")
+_LISTED: Final = 10  # patterns that an error names
 
 
-def pictures_in(folder: Path) -> list[Path]:
+def pattern_of(name: str) -> str:
+    """A picture's name with a ``#`` for each number: ``img#_left.png``; a time with a fraction is one number."""
+    return _NUMBER.sub("#", name)
+
+
+def folder_and_pattern(camera: str | None) -> tuple[str | None, str | None]:
+    """The folder and the pattern that ``--camera`` names: ``rgb``, ``img#_left.png`` or ``rgb/img#_left.png``."""
+    if camera is None or Path(camera).suffix.lower() not in PICTURES:
+        return camera, None
+    folder, _, name = camera.rpartition("/")
+    return folder or None, pattern_of(name)
+
+
+def pictures_in(folder: Path, pattern: str | None = None) -> list[Path]:
     """The pictures that lie in a folder, in natural order; hidden files are none.
 
     A link that leads nowhere is one: a picture is missing there, and reading it says so.
+
+    Args:
+        folder: It.
+        pattern: Of the names that count; None for all.
     """
-    files = [file for file in folder.iterdir() if _is_called_a_picture(file) and (file.is_file() or file.is_symlink())]
+    files = [
+        file for file in folder.iterdir() if _is_picture_of(pattern, file) and (file.is_file() or file.is_symlink())
+    ]
     return in_natural_order((file for file in files if not file.is_dir()), may_be_times=True)
+
+
+def patterns_in(folder: Path) -> Counter[str]:
+    """How many pictures of each pattern lie in a folder."""
+    return Counter(pattern_of(file.name) for file in pictures_in(folder))
+
+
+def listed_patterns(patterns: Counter[str]) -> str:
+    """Patterns for an error, each with its number of pictures."""
+    told = "".join(f"\n  --camera {shown(name)} ({count:,} pictures)" for name, count in patterns.most_common(_LISTED))
+    return told + (f"\n  and {len(patterns) - _LISTED} more" if len(patterns) > _LISTED else "")
 
 
 def episode_folders(path: Path, camera: str | None) -> list[Path]:
     """The folders whose pictures are an episode each: the folder itself, those in it, or a camera's in those.
 
     Pictures in the folder itself come first, unless a camera's are asked for: then the folder must be called so.
+    Of a camera that is a pattern, a folder must hold pictures with such names.
     """
-    is_own = _has_pictures(path)
+    camera, pattern = folder_and_pattern(camera)
+    is_own = _has_pictures(path, pattern)
     if is_own and camera is None:
         return [path]
     is_own = is_own and path.resolve().name == camera
@@ -47,18 +87,20 @@ def episode_folders(path: Path, camera: str | None) -> list[Path]:
     if camera is not None:
         below = [folder / camera for folder in inside if Path(camera).name == camera]
         inside = [folder for folder in below if _is_folder(folder)] or [one for one in inside if one.name == camera]
-    found = [folder for folder in inside if _has_pictures(folder)]
+    found = [folder for folder in inside if _has_pictures(folder, pattern)]
     return [path] if is_own and not found else found
 
 
-def _is_called_a_picture(file: Path) -> bool:
-    return file.suffix.lower() in PICTURES and not file.name.startswith(".")
+def _is_picture_of(pattern: str | None, file: Path) -> bool:
+    """Whether a file is called like a picture, and by the pattern if there is one."""
+    is_one = file.suffix.lower() in PICTURES and not file.name.startswith(".")
+    return is_one and pattern in (None, pattern_of(file.name))
 
 
-def _has_pictures(folder: Path) -> bool:
+def _has_pictures(folder: Path, pattern: str | None) -> bool:
     """Whether a folder holds a picture; one that cannot be read does not, as far as anybody knows."""
     try:
-        return any(_is_called_a_picture(file) and file.is_file() for file in folder.iterdir())
+        return any(_is_picture_of(pattern, file) and file.is_file() for file in folder.iterdir())
     except OSError:
         return False
 
@@ -76,7 +118,7 @@ class PictureFolder:
     Args:
         path: The folder.
         camera: The name of the folder in each episode's folder that the pictures are in; None where they lie in the
-            episode's folder itself.
+            episode's folder itself. See ``folder_and_pattern`` for cameras whose pictures share a folder.
         source_hz: Pictures a second.
         limits: What a file may make us do.
         salvage: In a damaged picture's place take the one before it.
@@ -87,6 +129,7 @@ class PictureFolder:
     ) -> None:
         self.path, self._source_hz, self._limits, self._salvage = path, source_hz, limits, salvage
         self._camera, self.unreadable = camera, 0
+        self._pattern = folder_and_pattern(camera)[1]
         self._folders = episode_folders(path, camera)
 
     def sha256(self) -> str:
@@ -102,12 +145,12 @@ class PictureFolder:
         """Look at the size of every picture.
 
         Raises:
-            RecordingImportError: They are of several sizes or kinds, too many, or no pictures.
+            RecordingImportError: They are of several cameras, sizes or kinds, too many, or no pictures.
         """
         first: tuple[Path, Shape] | None = None
         segments, count = [], 0
         for folder in self._folders:
-            files = pictures_in(folder)
+            files = self._in(folder)
             for file in files:
                 shape = self._shape(file, first[1] if first is not None and self._salvage else None)
                 first = first or (file, shape)
@@ -131,7 +174,7 @@ class PictureFolder:
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Unpack some of an episode's pictures."""
-        files = pictures_in(self._folders[segment])
+        files = self._in(self._folders[segment])
         shown: UInt8[np.ndarray, "h w 3"] | None = None
         for number in wanted.tolist():
             if number >= len(files):
@@ -148,7 +191,23 @@ class PictureFolder:
 
     def _files(self) -> Iterator[Path]:
         for folder in self._folders:
-            yield from pictures_in(folder)
+            yield from self._in(folder)
+
+    def _in(self, folder: Path) -> list[Path]:
+        """An episode's pictures.
+
+        Raises:
+            RecordingImportError: They are of several cameras.
+        """
+        files = pictures_in(folder, self._pattern)
+        patterns = Counter(pattern_of(file.name) for file in files)
+        if len(patterns) > 1:
+            raise RecordingImportError(
+                f"the pictures in {str(folder)!r} have names of {len(patterns)} patterns ('#' is a number), as those "
+                "of several cameras have; choose one, or rename them so that they differ in their numbers alone:"
+                f"{listed_patterns(patterns)}"
+            )
+        return files
 
     def _mixed(self, one: Path, shape: Shape, other: Path, others_shape: Shape) -> RecordingImportError:
         """The error for two pictures that do not go together."""

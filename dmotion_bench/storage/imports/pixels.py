@@ -20,6 +20,7 @@ from jaxtyping import Integer, UInt8
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture, Picture, RawPicture, VideoPacket
+from dmotion_bench.storage.imports.git_lfs import IS_POINTER, is_pointer
 from dmotion_bench.storage.imports.limits import ImportLimits
 
 RGB = UInt8[np.ndarray, "h w 3"]
@@ -213,6 +214,8 @@ def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise BadPicture(f"declares more than the {limits.pixels:,} pixels that one may have") from error
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Warning) as error:
+        if is_pointer(picture.data):
+            raise BadPicture(IS_POINTER) from error
         raise BadPicture(
             f"has the format {picture.format[:60]!r}, but its {len(picture.data):,} bytes are no JPEG, PNG or WebP file"
         ) from error
@@ -237,6 +240,11 @@ def _orientation(image: Image.Image) -> int:
     return number if number in _UPRIGHT else 1
 
 
+def _rgb(image: Image.Image) -> Image.Image:
+    """Without its alpha channel, by way of one where a palette holds it: Pillow warns of the direct way."""
+    return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
+
+
 def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
     with _opened(picture, limits) as image:
         try:
@@ -245,9 +253,9 @@ def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
                 image.load()
                 turn = _UPRIGHT.get(_orientation(image))
                 if turn is not None:
-                    return np.array(image.convert("RGB").transpose(turn))
+                    return np.array(_rgb(image).transpose(turn))
                 if _is_deep(image):
                     return _gray((np.asarray(image) >> 8).astype(np.uint8))
-                return np.array(image.convert("RGB"))
+                return np.array(_rgb(image))
         except (OSError, ValueError, SyntaxError, Warning) as error:
             raise BadPicture(f"is a damaged {image.format} file: {str(error)[:120]}") from error

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
@@ -29,10 +29,14 @@ class Segment:
     Attributes:
         times_ns: When each frame was taken, ascending.
         commands: The actions over the same time; None where none were asked for.
+        name: What a recording with several segments calls this one, for sentences; empty where it is the only one.
+        number: By which ``Recording.pictures`` knows it; None: its place in the survey.
     """
 
     times_ns: Int64[np.ndarray, " n"]
     commands: Commands | None = None
+    name: str = ""
+    number: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +49,7 @@ class Survey:
         segments: At least one, each with at least one frame.
         hints: Sentences about a better way to import the recording, for whoever asked for this one.
         is_deep: Whether the pictures are files in grey with 16 bits a pixel, as depth is stored.
+        skipped: Segments that were left out because they are damaged, by their names, each with the reason.
     """
 
     camera: str
@@ -53,6 +58,18 @@ class Survey:
     segments: Sequence[Segment]
     hints: Sequence[str] = ()
     is_deep: bool = False
+    skipped: Sequence[tuple[str, str]] = ()
+
+    def without(self, damaged: Mapping[int, str]) -> Survey:
+        """The same recording without some segments, by their numbers, each with the reason."""
+        kept = [replace(one, number=number) for number, one in self.numbered if number not in damaged]
+        left_out = [(one.name, damaged[number]) for number, one in self.numbered if number in damaged]
+        return replace(self, segments=kept, skipped=[*self.skipped, *left_out])
+
+    @property
+    def numbered(self) -> list[tuple[int, Segment]]:
+        """The segments, each with the number by which ``Recording.pictures`` knows it."""
+        return [(place if one.number is None else one.number, one) for place, one in enumerate(self.segments)]
 
     @property
     def pictures(self) -> int:

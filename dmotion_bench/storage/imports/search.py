@@ -11,8 +11,22 @@ from typing import Final
 from dmotion_bench.errors import RecordingImportError, UsageError
 from dmotion_bench.storage.imports.lerobot_layout import INFO
 from dmotion_bench.storage.imports.natural_order import in_natural_order
-from dmotion_bench.storage.imports.passed_over import PassedOver, Taken, is_dataset, passed_over, real_paths
-from dmotion_bench.storage.imports.picture_folder import PICTURES, episode_folders
+from dmotion_bench.storage.imports.passed_over import (
+    NOT_READ,
+    PassedOver,
+    Taken,
+    arrays_in,
+    is_dataset,
+    passed_over,
+    real_paths,
+)
+from dmotion_bench.storage.imports.picture_folder import (
+    PICTURES,
+    episode_folders,
+    folder_and_pattern,
+    listed_patterns,
+    patterns_in,
+)
 from dmotion_bench.storage.imports.sources import CONVERT_BAG, KNOWN, SUFFIXES, Kind, Source, camera_file, kind_of
 from dmotion_bench.wording import command
 
@@ -124,7 +138,7 @@ def _taken(sources: Sequence[Source], camera: str | None, faults: Iterable[Path]
         whole=real_paths([*faults, *(source.path for source in sources if source.kind is not Kind.PICTURES)]),
         pictures=real_paths(folders),
         chosen=real_paths(
-            [one.parent for one in folders if one.name == camera]
+            [one.parent for one in folders if one.name == folder_and_pattern(camera)[0]]
             + [
                 source.path.parent
                 for source in sources
@@ -202,7 +216,7 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
     if not found and camera is not None and (others := episode_folders(folder, None)):
         raise _no_folder_of(camera, folder, others)
     if not found and not any(folder in one.parents for one in faults):
-        raise _nothing_in(folder)
+        raise _nothing_in(folder, camera)
     kinds = {source.kind for source in found}
     if len(kinds) > 1:
         raise RecordingImportError(
@@ -232,6 +246,12 @@ def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[So
 
 def _no_folder_of(camera: str, folder: Path, others: Sequence[Path]) -> RecordingImportError:
     """The error for pictures that are there, and none of which is a camera's."""
+    name, pattern = folder_and_pattern(camera)
+    if pattern is not None and name is None:
+        return RecordingImportError(
+            f"no pictures in {str(folder)!r} are called {pattern!r}, where '#' is a number; in {str(others[0])!r} are:"
+            f"{listed_patterns(patterns_in(others[0]))}"
+        )
     where = "in it" if others == [folder] else f"in folders in it ({', '.join(one.name for one in others[:_SHOWN])})"
     return RecordingImportError(
         f"no folder in {str(folder)!r} is called {camera!r}; '--camera' names the folder that the pictures are in. "
@@ -249,18 +269,18 @@ def _unreadable(folder: Path, error: OSError) -> RecordingImportError:
     return RecordingImportError(f"cannot read {kind}{str(folder)!r}: {error.strerror}.")
 
 
-def _nothing_in(folder: Path) -> RecordingImportError:
+def _nothing_in(folder: Path, camera: str | None) -> RecordingImportError:
     if any(folder.glob("*.db3*")):
         return RecordingImportError(f"{str(folder)!r} is a ROS 2 bag in SQLite; {CONVERT_BAG}.")
     over = _passed_over(folder, Taken(whole=frozenset(), pictures=frozenset(), chosen=frozenset()))
     deeper = ""
     if over.readable:
-        deeper = (
-            f" Recordings or pictures lie deeper in it: {over.listed(over.readable)}. Name these folders, or with "
-            "'--camera NAME' the folder in each of them that the pictures are in."
-        )
+        which = "" if camera else ", or with '--camera NAME' the folder in each of them that the pictures are in"
+        deeper = f" Recordings or pictures lie deeper in it: {over.listed(over.readable)}. Name these folders{which}."
     elif over.foreign:
         deeper = f" {over.foreign_sentence()}"
+    elif (arrays := arrays_in(folder)) is not None:
+        deeper = f" {str(arrays[0].relative_to(folder))!r} in it holds {arrays[1]}, {NOT_READ}."
     return RecordingImportError(
         f"{str(folder)!r} holds no recording: no {KNOWN}, no pictures ({' '.join(PICTURES)}), and it is no LeRobot "
         f"data set.{deeper}"

@@ -8,12 +8,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final, TypedDict
 
-from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.errors import InvalidSetting, RecordingImportError
 from dmotion_bench.storage.imports.confinement import Confinement
+from dmotion_bench.storage.imports.git_lfs import IS_POINTER, is_pointer, require_content
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_recording import McapRecording
 from dmotion_bench.storage.imports.options import ImportOptions
-from dmotion_bench.storage.imports.passed_over import CONVERTER
+from dmotion_bench.storage.imports.passed_over import CONVERTER, NOT_READ, arrays_of
 from dmotion_bench.storage.imports.picture_folder import PictureFolder
 from dmotion_bench.storage.imports.recording import Clock, Recording
 
@@ -49,7 +50,9 @@ SUFFIXES: Final = {
 KNOWN: Final = "MCAP (.mcap, .mcap.zst), video (.mp4 .mov .mkv .webm .avi), HDF5 (.hdf5 .h5)"
 CONVERT_BAG: Final = f"convert it with {CONVERTER}"
 UNSALVAGED: Final = (Kind.HDF5, Kind.LEROBOT)
-"""Kinds of which a damaged one is refused as a whole, with ``--salvage`` too."""
+"""Kinds for which ``--salvage`` does nothing."""
+_WITHOUT_TIMES: Final = (Kind.VIDEO, Kind.HDF5, Kind.PICTURES)
+"""Kinds for which ``--source-hz`` says when the pictures were taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,16 +73,34 @@ def kind_of(file: Path) -> Kind:
 
     try:
         with file.open("rb") as opened:
-            start = opened.read(16)
+            start = opened.read(64)
     except OSError as error:
         raise RecordingImportError(f"cannot read {str(file)!r}: {error.strerror}.") from error
     if start.startswith((b"\x89MCAP", b"\x28\xb5\x2f\xfd")):
         return Kind.MCAP
     if start.startswith(b"\x89HDF\r\n\x1a\n"):
         return Kind.HDF5
-    if container_of(start) is not None:
+    if container_of(start[:16]) is not None:
         return Kind.VIDEO
-    raise RecordingImportError(f"{str(file)!r} {_what_else(start)}.")
+    raise RecordingImportError(f"{str(file)!r} {_what_else(start, file)}.")
+
+
+def require_effect(sources: Sequence[Source], options: ImportOptions) -> None:
+    """Check that options about times change something for one of the recordings at least.
+
+    Raises:
+        InvalidSetting: One does not.
+    """
+    kinds = {source.kind for source in sources}
+    if kinds and options.source_hz is not None and kinds.isdisjoint(_WITHOUT_TIMES):
+        raise InvalidSetting(
+            "'--source-hz' is for pictures, HDF5 files and videos; MCAP files and LeRobot data sets say when their "
+            "pictures were taken: leave it out."
+        )
+    if kinds and options.clock is Clock.HEADER and Kind.MCAP not in kinds:
+        raise InvalidSetting(
+            "'--clock header' is for MCAP files; other recordings have one time for each picture at most: leave it out."
+        )
 
 
 def camera_file(video: Path, camera: str | None) -> bool:
@@ -93,6 +114,8 @@ def open_recording(source: Source, options: ImportOptions, confinement: Confinem
     Raises:
         RecordingImportError: It cannot be imported.
     """
+    if source.path.is_file():
+        require_content(source.path)
     if source.kind is Kind.PICTURES:
         return open_here(source.path, source.kind, options)
     if source.kind is Kind.MCAP:
@@ -144,11 +167,17 @@ def open_here(path: Path, kind: str, options: ImportOptions) -> Recording:
             source_hz=options.source_hz,
             default_hz=options.hz,
             limits=limits,
+            skip_damaged=options.skip_damaged,
         )
     from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording
 
     return LeRobotRecording(
-        path, camera=options.camera, actions=options.actions, action_fields=options.action_fields, limits=limits
+        path,
+        camera=options.camera,
+        actions=options.actions,
+        action_fields=options.action_fields,
+        limits=limits,
+        skip_damaged=options.skip_damaged,
     )
 
 
@@ -172,7 +201,9 @@ def _of_mcap(options: ImportOptions) -> _McapArguments:
     }
 
 
-def _what_else(start: bytes) -> str:
+def _what_else(start: bytes, file: Path) -> str:
+    if is_pointer(start):
+        return IS_POINTER
     if start.startswith(b"#ROSBAG"):
         return f"is a ROS 1 bag; {CONVERT_BAG}"
     if start.startswith(b"SQLite"):
@@ -181,4 +212,6 @@ def _what_else(start: bytes) -> str:
         return "is a single picture; name the folder that it is in"
     if not start:
         return "is empty"
+    if (arrays := arrays_of(file.name)) is not None:
+        return f"holds {arrays}, {NOT_READ}"
     return f"is no recording that can be imported: {KNOWN}; FFmpeg makes an MKV of other videos: 'ffmpeg -i IN OUT.mkv'"

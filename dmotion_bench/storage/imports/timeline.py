@@ -10,6 +10,7 @@ stands still. How long is decided by the camera's own interval and, above that, 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,11 +69,13 @@ def forgiven_ns(usual: float, tick: float) -> float:
 def irregularity(times_ns: Int64[np.ndarray, " n"]) -> float:
     """How uneven the intervals are: their mean distance from their mean, in units of their mean.
 
-    0 for a steady camera; about 2 where pictures come in bursts. Pauses count as well.
+    0 for a steady camera; about 2 where pictures come in bursts. Pauses count as well. Infinite if all have one time.
     """
     intervals = np.diff(times_ns)
-    mean = float(intervals.mean()) if len(intervals) else 0.0
-    return float(np.abs(intervals - mean).mean()) / mean if mean else 0.0
+    if not len(intervals):
+        return 0.0
+    mean = float(intervals.mean())
+    return float(np.abs(intervals - mean).mean()) / mean if mean else math.inf
 
 
 def resample(times_ns: Int64[np.ndarray, " n"], *, hz: float, max_gap_s: float | None, most: int) -> list[Piece]:

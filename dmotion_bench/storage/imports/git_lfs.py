@@ -1,0 +1,35 @@
+"""Pointers of Git LFS: what a clone holds in place of large files until ``git lfs pull`` fetches them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from dmotion_bench.errors import RecordingImportError
+
+IS_POINTER: Final = "is a pointer of Git LFS and not the file itself; fetch the files with 'git lfs pull'"
+_START: Final = b"version https://git-lfs"
+
+
+class NotFetched(RecordingImportError):
+    """A pointer stands where a file of a recording should."""
+
+
+def is_pointer(start: bytes) -> bool:
+    """Whether a file is a pointer, by its beginning."""
+    return start.startswith(_START)
+
+
+def require_content(file: Path) -> None:
+    """Check that a file is not a pointer; whoever reads it says what else is wrong with it.
+
+    Raises:
+        NotFetched: It is a pointer.
+    """
+    try:
+        with file.open("rb") as opened:
+            start = opened.read(len(_START))
+    except OSError:
+        return
+    if is_pointer(start):
+        raise NotFetched(f"{str(file)!r} {IS_POINTER}.")

@@ -171,7 +171,8 @@ class _Unpacking:
         if number not in self._running:
             own = [one for one in self._job.episodes if one.recording == number]
             opened = {number: self._recording(number)}
-            self._running[number] = footage(opened, own, self._job.options, keep_times=self._job.keep_times)
+            by_source, options = self._job.recipe.splits_by_source, self._job.options
+            self._running[number] = footage(opened, own, options, keep_times=self._job.keep_times, by_source=by_source)
         return self._running[number]
 
     def _recording(self, number: int) -> Recording:

@@ -56,7 +56,7 @@ class Dataset:
         self.name = path.resolve().name if remote is None else last_name(remote.address)
         self.recipe, self.spec, self.fingerprint = manifest.recipe, manifest.spec, manifest.fingerprint
         self.lengths = rows.lengths
-        self._split = split_episodes(self.recipe.seed, len(rows))
+        self._split = split_episodes(self.recipe.seed, len(rows), rows.sources)
         self._cache: FrameCache | None = None
         self._numbers: Int[np.ndarray, " a"] | None = None  # of the stored actions, where they are numbered anew
 
@@ -263,7 +263,7 @@ class Dataset:
         return Episode(frames=self.video(episode), labels=self.labels(episode), seed=row.seed, ended=row.ended)
 
     def split(self, name: SplitName) -> Int[np.ndarray, " n"]:
-        """The episodes of a split: 10% test, 10% of the rest validation; nothing but seed and size decide."""
+        """The episodes of a split: 10% test, 10% of the rest validation; seed, size and sources alone decide."""
         if name not in SPLIT_NAMES:
             raise UnknownName("split", name, SPLIT_NAMES)
         return self._split[name]

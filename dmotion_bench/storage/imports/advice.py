@@ -31,7 +31,12 @@ def no_episode(surveys: Sequence[Survey], options: ImportOptions, told: Sequence
 
 
 def advice(
-    surveys: Sequence[Survey], pieces: list[Piece], episodes: int, options: ImportOptions, told: Sequence[str] = ()
+    surveys: Sequence[Survey],
+    pieces: list[Piece],
+    episodes: int,
+    sources: int,
+    options: ImportOptions,
+    told: Sequence[str] = (),
 ) -> tuple[str, ...]:
     """Sentences about what would make a better data set of the same recordings.
 
@@ -39,6 +44,7 @@ def advice(
         surveys: Of the recordings.
         pieces: Their stretches without a gap.
         episodes: How many there are in the data set.
+        sources: From how many recordings and demonstrations they come.
         options: How it was imported.
         told: Sentences about what was not imported.
     """
@@ -55,6 +61,12 @@ def advice(
         sentences.append(
             f"training, validation and test are split by episode and need at least {FEWEST_EPISODES} episodes, here "
             f"are {episodes}: {way_out}."
+        )
+    if sources < min(episodes, FEWEST_EPISODES):
+        few = f"the episodes are parts of {sources} recordings, and {FEWEST_EPISODES} are needed to keep parts together"
+        sentences.append(
+            f"{'all episodes are parts of one recording' if sources == 1 else few}, so test episodes are parts of what "
+            "is trained on. Import more recordings for an honest test."
         )
     return tuple(sentences)
 

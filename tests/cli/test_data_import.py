@@ -71,6 +71,23 @@ def test_one_clip_is_told_how_to_become_enough_episodes(workspace: Path) -> None
     assert "here are 1: import more recordings." in short.stdout
 
 
+def test_what_the_pictures_are_and_what_a_frame_shows_of_them(workspace: Path) -> None:
+    (workspace / "in").mkdir()
+    for name, hz in (("a", 10), ("b", 20)):
+        in_ms = [round(t_ns / 1e6) * 10**6 for t_ns in steady(31, hz=hz)]
+        foxglove_file(workspace / "in" / f"{name}.mcap", video(31, 24, 32), in_ms)
+    thirty = [round(t_ns / 1e6) * 10**6 for t_ns in steady(31, hz=30)]
+    file = foxglove_file(workspace / "c.mcap", video(31, 24, 32), thirty)
+    cropped = "; they show the middle 24x24 of 32x24, and '--fit pad' keeps all\n"
+
+    assert f"from 62 pictures of 32x24 at 10 to 20 Hz{cropped}" in typed("import", workspace / "in").stdout
+    assert f"from 31 pictures of 32x24 at 30.0 Hz{cropped}" in typed("import", file).stdout
+    padded = typed("import", file, "--fit", "pad", "--out", workspace / "padded")
+    assert "from 31 pictures of 32x24 at 30.0 Hz\n" in padded.stdout
+    in_pairs = foxglove_file(workspace / "d.mcap", video(12, 16, 16), sorted([*steady(6), *steady(6)]))
+    assert "from 12 pictures of 16x16 at 22.0 Hz\n" in typed("import", in_pairs).stdout
+
+
 def test_video_without_labels_is_exported_alone(workspace: Path) -> None:
     typed("import", foxglove_file(workspace / "a.mcap", video(6, 16, 16), steady(6)), "--size", "16")
     done = typed("export", "--codec", "av1")

@@ -28,7 +28,7 @@ from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
 from dmotion_bench.storage.summary import summarize
 from dmotion_bench.storage.tables import EPISODES
 
-HALVES = ImportOptions(size=16, frames_per_episode=4)
+HALVES = ImportOptions(size=16, frames_per_episode=4, source_hz=10)
 HONEST = "Import more recordings for an honest test."
 
 

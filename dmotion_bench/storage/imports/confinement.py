@@ -225,6 +225,7 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         "width": survey.width,
         "segments": segments,
         "hints": list(survey.hints),
+        "is_rate_assumed": survey.is_rate_assumed,
     }
     return head, b"".join(array.astype("<i8").tobytes() for array in arrays)
 
@@ -275,5 +276,10 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
             commands = DiscreteCommands(times_ns=given_at, names=names, vocabulary=given["vocabulary"])
         segments.append(Segment(times_ns=times, commands=commands))
     return Survey(
-        camera=head["camera"], height=head["height"], width=head["width"], segments=segments, hints=head["hints"]
+        camera=head["camera"],
+        height=head["height"],
+        width=head["width"],
+        segments=segments,
+        hints=head["hints"],
+        is_rate_assumed=head["is_rate_assumed"],
     )

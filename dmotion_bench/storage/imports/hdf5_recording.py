@@ -73,7 +73,8 @@ class Hdf5Recording:
             others = [name for name in found if name not in pictures]
             self._camera = self._named(cameras, camera, "camera", found)
             self._actions = None if actions is None else self._named(others, actions, "actions", found)
-            self._hz = source_hz or _control_frequency(file) or default_hz
+            known_hz = source_hz or _control_frequency(file)
+            self._hz, self._is_rate_assumed = known_hz or default_hz, known_hz is None
 
     def sha256(self) -> str:
         """Of the whole file."""
@@ -114,7 +115,14 @@ class Hdf5Recording:
             raise self._bad(f"has no pictures in {self._camera!r}")
         empty = f"{declared - len(segments)} of the {declared} demonstrations in {str(self.path)!r} hold no picture."
         hints = [empty] if len(segments) < declared else []
-        return Survey(camera=self._camera, height=size[0], width=size[1], segments=segments, hints=hints)
+        return Survey(
+            camera=self._camera,
+            height=size[0],
+            width=size[1],
+            segments=segments,
+            hints=hints,
+            is_rate_assumed=self._is_rate_assumed,
+        )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Read some pictures of a demonstration."""

@@ -35,6 +35,7 @@ from dmotion_bench.storage.imports.imported_actions import (
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Named, Recording, Survey
 from dmotion_bench.storage.imports.search import Found, find
+from dmotion_bench.storage.imports.source_rate import source_hz, source_hz_range
 from dmotion_bench.storage.imports.sources import UNSALVAGED, open_recording
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
@@ -135,7 +136,8 @@ class ImportPlan:
             source_frames=sum(survey.pictures for survey in self.surveys),
             source_height=self.surveys[0].height,
             source_width=self.surveys[0].width,
-            source_hz=_source_hz(self.surveys),
+            source_hz=source_hz(self.surveys),
+            source_hz_range=source_hz_range(self.surveys),
             repeated=sum(int((np.diff(one.piece.frames) == 0).sum()) for one in self.episodes),
             unreadable=unreadable,
             left_out=self.left_out,
@@ -409,9 +411,3 @@ def footage(
                 start_ns=int(plan.piece.t_ns[0]) if keep_times else None,
                 source=plan.source if by_source else None,
             )
-
-
-def _source_hz(surveys: Sequence[Survey]) -> float:
-    longest = max((segment.times_ns for survey in surveys for segment in survey.segments), key=len)
-    interval = float(np.median(np.diff(longest))) if len(longest) > 1 else 0.0
-    return 1e9 / interval if interval else 0.0

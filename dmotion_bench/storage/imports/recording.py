@@ -45,6 +45,7 @@ class Survey:
         segments: At least one, each with at least one frame.
         hints: Sentences about a better way to import the recording, for whoever asked for this one.
         is_deep: Whether the pictures are files in grey with 16 bits a pixel, as depth is stored.
+        is_rate_assumed: Whether neither the recording nor the user says how many pictures a second there are.
     """
 
     camera: str
@@ -53,6 +54,7 @@ class Survey:
     segments: Sequence[Segment]
     hints: Sequence[str] = ()
     is_deep: bool = False
+    is_rate_assumed: bool = False
 
     @property
     def pictures(self) -> int:

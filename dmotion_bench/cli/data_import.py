@@ -204,22 +204,17 @@ def _rate(report: ImportReport) -> str:
     return f" at {report.source_hz:.1f} Hz" if lowest == highest else f" at {lowest} to {highest} Hz"
 
 
-def _cropped(report: ImportReport, fit: str) -> str:
-    """What the frames show of the pictures, where that is not all."""
-    width, height = report.source_width, report.source_height
-    if fit != "crop" or width == height:
-        return ""
-    side = min(width, height)
-    return f"; they show the middle {side}x{side} of {width}x{height}, and '--fit pad' keeps all"
-
-
 def _summary(report: ImportReport, size: int, hz: float, fit: str) -> str:
     lines = [
         f"{report.path}",
         f"  {report.episodes} episodes, {report.frames} frames of {size}x{size} pixels at "
         f"{hz:g} Hz, from {report.source_frames} pictures of {report.source_width}x{report.source_height}"
-        f"{_rate(report)}{_cropped(report, fit)}",
+        f"{_rate(report)}",
     ]
+    width, height = report.source_width, report.source_height
+    if fit == "crop" and width != height:
+        side = min(width, height)
+        lines.append(f"  frames show the middle {side}x{side} of {width}x{height} pixels; '--fit pad' keeps all")
     if size % MODELS_TAKE:
         lines.append(
             f"  the models here take frames whose side is a multiple of {MODELS_TAKE}; import with another '--size'"

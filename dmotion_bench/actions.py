@@ -18,7 +18,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.wording import shown
@@ -218,6 +218,13 @@ class Continuous:
         actions: Float[np.ndarray, "*b a"] = np.asarray(normal, np.float64) * self.reach + self.middle
         return actions
 
+    def beyond(self, actions: Float[np.ndarray, "b a"]) -> Bool[np.ndarray, "b a"]:
+        """Which numbers lie beyond their bounds, more than rounding explains; NaN does."""
+        slack = 2 * self.reach * SLACK
+        with np.errstate(invalid="ignore"):
+            inside = (actions >= np.asarray(self.low) - slack) & (actions <= np.asarray(self.high) + slack)
+        return ~np.asarray(inside, np.bool_)
+
     def space(self) -> gymnasium.Space[Any]:
         """The actions, as Gymnasium describes them."""
         from gymnasium.spaces import Box
@@ -237,10 +244,7 @@ class Continuous:
                 f"actions of the type {values.dtype} and the shape {values.shape}, "
                 f"not {self.width} floating-point numbers each"
             )
-        slack = 2 * self.reach * SLACK
-        with np.errstate(invalid="ignore"):
-            inside = (values >= np.asarray(self.low) - slack) & (values <= np.asarray(self.high) + slack)
-        wrong = np.argwhere(~inside)  # NaN is not inside
+        wrong = np.argwhere(self.beyond(values))
         if len(wrong):
             row, place = wrong[0].tolist()
             return (

@@ -25,6 +25,12 @@ IMPORTED = "imported"
 VERSION = "version"
 """The parameter of an environment's constructor that says which of its versions it is; see ``Versioned``."""
 
+SPLIT = "split"
+"""The parameter of an import that says whose parts stay on one side of its split; it is missing for episodes."""
+
+SOURCE = "source"
+"""The value of ``SPLIT`` for parts of one recording or demonstration."""
+
 DELAY = "delay"
 """The factor of variation that says by how many steps an episode's frames lag behind the states of its world."""
 
@@ -232,6 +238,11 @@ class DatasetRecipe:
         """The version of the environment: its parameter ``version``, 1 where the recipe names none."""
         version = self.parameters.get(VERSION, 1)
         return version if isinstance(version, int) else 1
+
+    @property
+    def splits_by_source(self) -> bool:
+        """Whether the parts of one recording stay on one side of the split; else it is by episode."""
+        return self.environment == IMPORTED and self.parameters.get(SPLIT) == SOURCE
 
 
 def delay_of(factors: Mapping[str, Scalar]) -> int:

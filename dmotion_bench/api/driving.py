@@ -11,8 +11,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 import torch
+from jaxtyping import Float
 
-from dmotion_bench.actions import ActionSpec, ActionTaken
+from dmotion_bench.actions import ActionSpec, ActionTaken, Continuous
 from dmotion_bench.environment import Environment
 from dmotion_bench.errors import DmbenchError, LabelsNotAvailable
 from dmotion_bench.learning.driving import Drive
@@ -60,6 +61,21 @@ class Driven:
     def blueprint(self) -> rrb.Blueprint:
         """How a recording of it is laid out."""
         return drive_blueprint(self.dataset.spec, self._truth is not None)
+
+    @property
+    def first_command(self) -> Float[np.ndarray, " a"] | None:
+        """The first action of the episode, where continuous actions were imported; else None.
+
+        An import does not say which action does nothing: 0 may be far away, as of the joint positions of an arm. Where
+        the labels are not there, the middle of the bounds.
+        """
+        if self.dataset.recipe.environment != IMPORTED or not isinstance(self.actions, Continuous):
+            return None
+        try:
+            first: Float[np.ndarray, " a"] = self.dataset.states(self.episode).actions[0]
+        except LabelsNotAvailable:
+            return self.actions.middle
+        return first
 
     def begin(self, recording: rr.RecordingStream) -> None:
         """Log the first frame."""

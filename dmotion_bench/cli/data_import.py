@@ -190,7 +190,7 @@ def data_import(
     if as_json:
         print_json(_as_json(report))
     else:
-        typer.echo(_summary(report, size, hz))
+        typer.echo(_summary(report, size, hz, fit))
 
 
 def _as_json(report: ImportReport) -> dict[str, Any]:
@@ -199,13 +199,25 @@ def _as_json(report: ImportReport) -> dict[str, Any]:
     return dataclasses.asdict(report) | {"path": str(report.path), "actions": actions_to_json(report.actions)}
 
 
-def _summary(report: ImportReport, size: int, hz: float) -> str:
+def _rate(report: ImportReport) -> str:
+    """How fast the pictures follow one another, to follow their size."""
+    lowest, highest = (f"{rate:.3g}" for rate in report.source_hz_range)
+    if not report.source_hz:
+        return ""
+    return f" at {report.source_hz:.1f} Hz" if lowest == highest else f" at {lowest} to {highest} Hz"
+
+
+def _summary(report: ImportReport, size: int, hz: float, fit: str) -> str:
     lines = [
         f"{report.path}",
         f"  {report.episodes} episodes, {report.frames} frames of {size}x{size} pixels at "
-        f"{hz:g} Hz, from {report.source_frames} pictures of {report.source_width}x{report.source_height} at "
-        f"{report.source_hz:.1f} Hz",
+        f"{hz:g} Hz, from {report.source_frames} pictures of {report.source_width}x{report.source_height}"
+        f"{_rate(report)}",
     ]
+    width, height = report.source_width, report.source_height
+    if fit == "crop" and width != height:
+        side = min(width, height)
+        lines.append(f"  frames show the middle {side}x{side} of {width}x{height} pixels; '--fit pad' keeps all")
     if size % MODELS_TAKE:
         lines.append(
             f"  the models here take frames whose side is a multiple of {MODELS_TAKE}; import with another '--size'"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
+import numpy as np
 import typer
+from jaxtyping import Float
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.cli.arrows import Arrows, arrows_of, by_number
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
     from dmotion_bench.actions import ActionSpec, ActionTaken
 
 ARROWS = ("up", "down", "left", "right")
+NUDGE: Final = 0.05
+"""The share of a number's range that a key moves it by, where commands are changed."""
+_NAMED: Final = 10  # moves without a key
 
 
 @dataclass(frozen=True)
@@ -24,7 +29,7 @@ class Move:
     """An action that keys stand for.
 
     Attributes:
-        action: As an environment and a model take it.
+        action: As an environment and a model take it; of a change, what is added to the present command.
         name: By which the user is told of it.
         arrow: The arrow key that takes it; empty for none.
     """
@@ -70,7 +75,11 @@ def play(
 
     driven = open_driven(path, episode, workspace)
     actions = driven.actions
-    known = moves(actions, arrows_of(driven.dataset, actions) if isinstance(actions, Continuous) else None)
+    arrows, first = arrows_of(driven.dataset, actions) if isinstance(actions, Continuous) else None, None
+    if isinstance(actions, Continuous) and (first := driven.first_command) is not None:
+        known = changes(actions, arrows)
+    else:
+        known = moves(actions, arrows)
     window = not web and save is None
     with (
         contextlib.closing(driven),
@@ -78,10 +87,10 @@ def play(
     ):
         taken = list[str]()
         driven.begin(log)
-        typer.echo(_legend(known), err=True)
+        typer.echo(legend(known), err=True)
         with single_keys(terminal):
-            for move in commands(read_keys(terminal), known):
-                driven.move(log, None if move is None else move.action)
+            for move, action in taken_actions(commands(read_keys(terminal), known), actions, first):
+                driven.move(log, action)
                 if move is None:
                     taken.clear()
                 else:
@@ -112,6 +121,45 @@ def moves(actions: ActionSpec, arrows: Arrows | None = None) -> list[Move]:
     return found
 
 
+def changes(actions: Continuous, arrows: Arrows | None = None) -> list[Move]:
+    """What a user can choose from where commands are changed: each number, less or more by a share of its range.
+
+    Args:
+        actions: What can be done.
+        arrows: The arrow keys; ``by_number`` by default.
+    """
+    arrows = by_number(actions) if arrows is None else arrows
+    found = []
+    for place, (name, unit) in enumerate(zip(actions.names, actions.units, strict=True)):
+        for upper in (False, True):
+            change = np.zeros(actions.width)
+            change[place] = (2 * upper - 1) * NUDGE * 2 * actions.reach[place]
+            found.append(
+                Move(tuple(change.tolist()), f"{name}{change[place]:+.3g}{unit}", arrows.get((place, upper), ""))
+            )
+    return found
+
+
+def taken_actions(
+    chosen: Iterable[Move | None], actions: ActionSpec, first: Float[np.ndarray, " a"] | None
+) -> Iterator[tuple[Move | None, ActionTaken | None]]:
+    """Moves, each with its action; None, for starting again, goes back to the first command.
+
+    Args:
+        chosen: As ``commands`` yields them.
+        actions: What can be done.
+        first: The command that changes begin with, in the actions' units; None where moves are no changes.
+    """
+    command = first
+    for move in chosen:
+        if move is None or command is None or not isinstance(actions, Continuous):
+            command = first
+            yield move, None if move is None else move.action
+        else:
+            command = np.clip(command + np.asarray(move.action), actions.low, actions.high)
+            yield move, tuple(command.tolist())
+
+
 def commands(keys: Iterator[str], known: Sequence[Move]) -> Iterator[Move | None]:
     """The moves that keys stand for, None for starting again; q and Escape end it, other keys are ignored."""
     bound = bindings(known)
@@ -130,13 +178,17 @@ def bindings(known: Sequence[Move]) -> Mapping[str, Move]:
     return arrows | {str(number): move for number, move in enumerate(known[:9], start=1)}
 
 
-def _legend(known: Sequence[Move]) -> str:
+def legend(known: Sequence[Move]) -> str:
+    """The keys and their moves, and the moves without a key."""
     arrows = set(ARROWS) <= {move.name for move in known}
-    keys = ", ".join(
-        f"{move.arrow} or {number} {move.name}" if move.arrow not in ("", move.name) else f"{number} {move.name}"
-        for number, move in enumerate(known[:9], start=1)
-    )
-    return f"{'arrow keys, or ' if arrows else ''}{keys}; r starts over, q ends."
+    keys = {
+        move: [key for key, bound in bindings(known).items() if bound is move and key != move.name] for move in known
+    }
+    told = ", ".join(f"{' or '.join(own)} {move.name}" for move, own in keys.items() if own)
+    rest = [move.name for move, own in keys.items() if not own and move.arrow != move.name]
+    more = f" and {len(rest) - _NAMED} more" if len(rest) > _NAMED else ""
+    without = f"; without a key: {', '.join(rest[:_NAMED])}{more}" if rest else ""
+    return f"{'arrow keys, or ' if arrows else ''}{told}; r starts over, q ends{without}."
 
 
 def _tell(taken: Sequence[str]) -> None:

@@ -7,9 +7,11 @@ whoever calls: a command, a notebook that passes stored frames, or a test that p
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
@@ -46,6 +48,22 @@ _TAKEN: Final = (torch.float32, torch.bfloat16)
 
 BATCHES: Final = ("losses", "align")
 """Methods whose one argument holds triplets of images. The library alone makes these, in the right form."""
+
+
+_BEYOND_BOUNDS: ContextVar[bool] = ContextVar("beyond_bounds", default=False)
+
+
+@contextlib.contextmanager
+def recorded_actions() -> Iterator[None]:
+    """Within it, continuous actions may lie beyond the bounds of the training, as those of another import do.
+
+    They were held against the bounds of their own data set when they were read. A model normalises them beyond [-1, 1].
+    """
+    token = _BEYOND_BOUNDS.set(True)
+    try:
+        yield
+    finally:
+        _BEYOND_BOUNDS.reset(token)
 
 
 def guarded(method: MethodT, name: str | None = None) -> MethodT:
@@ -128,7 +146,9 @@ def _actions(model: ForwardModel[Any], method: str, value: Any, like: Tensor, se
         and len(actions) == rows
         and actions.shape[axes - len(spec.shape) :] == spec.shape
     ):
-        if actions.device.type == "cpu" and actions.numel():  # reading them elsewhere would wait for the device
+        anything_goes = bool(spec.shape) and _BEYOND_BOUNDS.get()
+        # reading them on another device would wait for it
+        if actions.device.type == "cpu" and actions.numel() and not anything_goes:
             numbers = actions.detach().reshape(-1, *spec.shape)
             if fault := spec.fault(numbers.double() if spec.shape else numbers, "in row"):
                 raise UsageError(f"{type(model).__name__}.{method} was given {fault}.")

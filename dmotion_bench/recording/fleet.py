@@ -183,8 +183,10 @@ class _Unpacking:
         """What is left of a segment's episodes; one pass through it serves all shards of the job."""
         if segment not in self._running:
             own = [one for one in self._job.episodes if _segment(one) == segment]
-            opened = {segment[0]: self._recording(segment[0])}
-            self._running[segment] = footage(opened, own, self._job.options, keep_times=self._job.keep_times)
+            opened, by_source = {segment[0]: self._recording(segment[0])}, self._job.recipe.splits_by_source
+            self._running[segment] = footage(
+                opened, own, self._job.options, keep_times=self._job.keep_times, by_source=by_source
+            )
         return self._running[segment]
 
     def _recording(self, number: int) -> Recording:

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_encoding import as_tensor
+from dmotion_bench.learning.boundary import recorded_actions
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.frame_measures import FrameMeasures
@@ -57,13 +58,16 @@ class Execution:
 
 @contextlib.contextmanager
 def predicting(device: torch.device, precision: Precision = "float32") -> Iterator[None]:
-    """Turn off gradients and TF32, which rounds float32 to 10 bits; ``bf16`` turns on autocast, which is faster."""
+    """Turn off gradients and TF32, which rounds float32 to 10 bits; ``bf16`` turns on autocast, which is faster.
+
+    Actions are taken as they were recorded, also beyond the bounds of the training.
+    """
     convolutions = torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False)
     rounded = torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16")
     products = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")
     try:
-        with torch.inference_mode(), convolutions, rounded:
+        with torch.inference_mode(), convolutions, rounded, recorded_actions():
             yield
     finally:
         torch.set_float32_matmul_precision(products)

@@ -62,7 +62,7 @@ def compose_report(
             "environment tells no positions, so it is no distance of objects, and no task counts as solved"
         )
     if own:
-        remarks["trained_on"] = transfer_remark(run, dataset)
+        remarks["trained_on"] = transfer_remark(run, dataset, settings["split"])
     if published is not None:
         beside["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
         remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()

@@ -172,6 +172,20 @@ def _same_numbers(mine: Continuous, theirs: Continuous) -> bool:
     return (mine.names, mine.units) == (theirs.names, theirs.units)
 
 
+def beyond_bounds(dataset: Dataset, split: SplitName) -> tuple[int, int]:
+    """How many actions of a split hold a number beyond the bounds of the training, and how many actions there are.
+
+    Args:
+        dataset: As ``transferable`` returns it.
+        split: Whose episodes are looked at; none if the bounds are those of the data set itself.
+    """
+    known = dataset.spec.actions
+    if not isinstance(known, Continuous) or known == dataset.manifest.spec.actions:
+        return 0, 0
+    taken = [dataset.states(episode).actions for episode in dataset.split(split).tolist()]
+    return sum(int(known.beyond(actions).any(axis=1).sum()) for actions in taken), sum(map(len, taken))
+
+
 def training_is_here(run: Run) -> bool:
     """Whether the data set that the run was trained on is there, which alone says which episodes are new to it."""
     return _own_dataset(run) is not None
@@ -186,8 +200,14 @@ def training_of(run: Run, dataset: Dataset) -> dict[str, Any] | None:
     return said | ({"environment": own.recipe.environment} if own is not None and differs else {})
 
 
-def transfer_remark(run: Run, dataset: Dataset) -> str:
-    """What to bear in mind of a report on another data set than the run's own."""
+def transfer_remark(run: Run, dataset: Dataset, split: SplitName) -> str:
+    """What to bear in mind of a report on another data set than the run's own.
+
+    Args:
+        run: Trained.
+        dataset: The other data set, as ``transferable`` returns it.
+        split: Whose episodes were scored.
+    """
     own = _own_dataset(run)
     world = f" ({own.recipe.environment})" if own is not None and _is_import(dataset) else ""
     said = f"trained on {run.spec.dataset!r}{world}, and scored on {dataset.name!r}"
@@ -200,6 +220,9 @@ def transfer_remark(run: Run, dataset: Dataset) -> str:
         )
     if own is not None and own.spec.step_ns != dataset.spec.step_ns:
         said += f"; a step of it takes {dataset.spec.step_ns / 1e9:g} s, of the training {own.spec.step_ns / 1e9:g} s"
+    beyond, count = beyond_bounds(dataset, split)
+    if beyond:
+        said += f"; {beyond:,} of the {count:,} {split} actions hold a number beyond the bounds of the training"
     if own is None:
         said += "; whether its episodes are new to the run was not looked at: the data of the training are not here"
     return said

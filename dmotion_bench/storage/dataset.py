@@ -264,10 +264,10 @@ class Dataset:
 
     @functools.cached_property
     def _splits(self) -> dict[SplitName, Int[np.ndarray, " n"]]:
-        return split_episodes(self.recipe.seed, len(self.rows))
+        return split_episodes(self.recipe.seed, len(self.rows), self.rows.sources)
 
     def split(self, name: SplitName) -> Int[np.ndarray, " n"]:
-        """The episodes of a split: 10% test, 10% of the rest validation; nothing but seed and size decide."""
+        """The episodes of a split: 10% test, 10% of the rest validation; seed, size and sources alone decide."""
         if name not in SPLIT_NAMES:
             raise UnknownName("split", name, SPLIT_NAMES)
         return self._splits[name]

@@ -149,4 +149,5 @@ def _footage(dataset: Dataset, place: int, labelled: bool) -> Footage:
         seed=row.seed,
         ended=row.ended,
         start_ns=row.start_ns,
+        source=row.source,
     )

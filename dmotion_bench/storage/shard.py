@@ -51,6 +51,7 @@ class Footage:
         seed: Of the environment, where one made it.
         ended: Why it ended.
         start_ns: When it started; None puts it on the clock of the recording.
+        source: The number of the recording that it is a part of, where the recipe splits by source.
     """
 
     frames: UInt8[np.ndarray, "t h w 3"]
@@ -58,6 +59,7 @@ class Footage:
     seed: int = 0
     ended: Ended = "truncated"
     start_ns: int | None = None
+    source: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +74,7 @@ class EpisodeRow:
         ended: Why it ended.
         interactions: Steps in which an object moved; 0 where that is not known.
         video, states, masks: Where they stand in their files; of size 0 where there are no labels.
+        source: The number of the recording that it is a part of; None where the split is by episode.
     """
 
     episode: int
@@ -84,6 +87,7 @@ class EpisodeRow:
     video: Span
     states: Span
     masks: Span
+    source: int | None = None
 
 
 class FileFacts(NamedTuple):
@@ -192,6 +196,9 @@ def write_shard(
                 "ended": episode.ended,
                 "start_ns": str(start_ns),
             }
+            source = episode.source if isinstance(episode, Footage) else None
+            if source is not None:
+                facts["source"] = str(source)
             video.metadata(f"episode {number}", facts)
             spans = [video.chunks(encode_video(episode.frames, start_ns, spec.step_ns)), Span(0, 0), Span(0, 0)]
             interactions, possible = 0, tuple[Candidate, ...]()
@@ -215,6 +222,7 @@ def write_shard(
                     video=spans[0],
                     states=spans[1],
                     masks=spans[2],
+                    source=source,
                 )
             )
             found.append(possible)
@@ -299,6 +307,7 @@ def episode_row(section: Section, index: int, spec: EnvSpec) -> EpisodeRow:
             video=section.span,
             states=Span(0, 0),
             masks=Span(0, 0),
+            source=int(values["source"]) if "source" in values else None,
         )
     except (KeyError, ValueError) as error:
         raise DamagedFile(f"holds a section that describes no episode: {error}") from None
@@ -309,6 +318,7 @@ def episode_row(section: Section, index: int, spec: EnvSpec) -> EpisodeRow:
         or row.frames < 1
         or not 0 <= row.seed <= LAST_NS
         or not 0 <= row.start_ns <= LAST_NS - row.frames * spec.step_ns
+        or not 0 <= (row.source or 0) < MOST_EPISODES
     ):
         raise DamagedFile(f"holds a section that describes no episode: {shown(dict(values))}")
     return row

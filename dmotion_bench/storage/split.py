@@ -1,4 +1,7 @@
-"""The split into training, validation and test episodes; it is by episode, never by triplet."""
+"""The split into training, validation and test episodes; it is by episode, never by triplet.
+
+Episodes that are parts of one recording stay on one side (decision 109).
+"""
 
 from __future__ import annotations
 
@@ -11,25 +14,35 @@ from dmotion_bench.specs import SplitName
 
 TEST_SHARE: Final = 0.1  # the paper's 9:1
 VALIDATION_SHARE: Final = 0.1  # of what the test leaves
-FEWEST_EPISODES: Final = 10  # with fewer, one episode is more than a tenth
+FEWEST_EPISODES: Final = 10  # with fewer, one episode is more than a tenth; the same of sources
 _STREAM: Final = 0x5711  # sets the split's random numbers apart from the episodes'
 SPLIT_NAMES: Final[tuple[SplitName, ...]] = get_args(SplitName)
 
 
-def split_episodes(seed: int, episodes: int) -> dict[SplitName, Int[np.ndarray, " n"]]:
-    """The episodes of each split, sorted: a pure function of the recipe's seed and the number of episodes.
+def split_episodes(
+    seed: int, episodes: int, sources: Int[np.ndarray, " {episodes}"] | None = None
+) -> dict[SplitName, Int[np.ndarray, " n"]]:
+    """The episodes of each split, sorted: a pure function of the arguments.
 
-    Each episode draws a number of its own; the lowest go to the test, the next to validation. When a data set
+    Each source draws a number of its own; the lowest go to the test, the next to validation. When a data set
     is extended, most episodes therefore stay on their side.
+
+    Args:
+        seed: The recipe's.
+        episodes: How many there are.
+        sources: The number of the recording that each episode is a part of; None: each episode is its own source.
     """
-    keys = np.empty((episodes, 2), np.uint32)
-    for one in range(episodes):
-        keys[one] = np.random.SeedSequence([seed, _STREAM], spawn_key=(one,)).generate_state(2)
+    numbers, source_of = np.unique(np.arange(episodes) if sources is None else sources, return_inverse=True)
+    count = len(numbers)
+    keys = np.empty((count, 2), np.uint32)
+    for place, number in enumerate(numbers.tolist()):
+        keys[place] = np.random.SeedSequence([seed, _STREAM], spawn_key=(number,)).generate_state(2)
     order = np.lexsort((keys[:, 1], keys[:, 0]))
-    test = 0 if episodes < 2 else max(1, round(TEST_SHARE * episodes))
-    validation = 0 if episodes < 3 else max(1, round(VALIDATION_SHARE * (episodes - test)))
-    return {
-        "train": np.sort(order[test + validation :]),
-        "validation": np.sort(order[test : test + validation]),
-        "test": np.sort(order[:test]),
+    test = 0 if count < 2 else max(1, round(TEST_SHARE * count))
+    validation = 0 if count < 3 else max(1, round(VALIDATION_SHARE * (count - test)))
+    sides: dict[SplitName, Int[np.ndarray, " n"]] = {
+        "train": order[test + validation :],
+        "validation": order[test : test + validation],
+        "test": order[:test],
     }
+    return {name: np.flatnonzero(np.isin(source_of, side)) for name, side in sides.items()}

@@ -7,14 +7,20 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Int
+
 from dmotion_bench.actions import actions_to_json
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.storage.check import labels_state
+from dmotion_bench.storage.dataset import corrupt
 from dmotion_bench.storage.frame_cache import cache_name
 from dmotion_bench.storage.manifest import FORMAT, Manifest, record_words
+from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.remote_copy import RemoteCopy
 from dmotion_bench.storage.shard import LABELS, VIDEO
 from dmotion_bench.storage.split import split_episodes
+from dmotion_bench.storage.tables import EPISODES, read_episodes
 from dmotion_bench.workspace import cache_folder
 
 
@@ -22,7 +28,8 @@ def summarize(path: Path) -> dict[str, Any]:
     """The figures of a data set in a folder or at an address, as plain values.
 
     Raises:
-        DatasetMissing, DatasetVersionUnknown, DatasetCorrupt: ``dataset.json`` cannot be read.
+        DatasetMissing, DatasetVersionUnknown, DatasetCorrupt: ``dataset.json`` cannot be read, or a table that is
+            needed.
         PlaceUnreachable: The storage does not answer.
     """
     remote = None if (address := remote_address(path)) is None else RemoteCopy(address)
@@ -49,7 +56,7 @@ def summarize(path: Path) -> dict[str, Any]:
         summary["shards_done"] = len(list((path / VIDEO).glob("*.mcap")))
         summary["go_on_with"] = shlex.join(record_words(recipe, path))
         return summary
-    split = split_episodes(recipe.seed, recipe.episodes)
+    split = split_episodes(recipe.seed, recipe.episodes, _sources(path, manifest, remote))
     return summary | {
         "frames": sum(shard.frames for shard in manifest.shards),
         "shards": len(manifest.shards),
@@ -57,6 +64,19 @@ def summarize(path: Path) -> dict[str, Any]:
         "split": {name: len(members) for name, members in split.items()},
         "fingerprint": manifest.fingerprint,
     }
+
+
+def _sources(path: Path, manifest: Manifest, remote: RemoteCopy | None) -> Int[np.ndarray, " e"] | None:
+    """The recordings that the episodes are parts of, where the split is by them."""
+    if not manifest.recipe.splits_by_source:
+        return None
+    if remote is not None:
+        remote.fetch_tables(manifest)
+    folder = path if remote is None else remote.folder
+    try:
+        return read_episodes(folder, manifest).sources
+    except DamagedFile as damage:
+        raise corrupt(path, folder / EPISODES, damage) if remote is None else remote.damaged(EPISODES, damage) from None
 
 
 def _size(folder: Path, pattern: str = "*") -> int:

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Int
 
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.atomic import write_atomically
-from dmotion_bench.storage.limits import INDEX_BYTES, LAST_NS, longest_episode, most_frames
+from dmotion_bench.storage.limits import INDEX_BYTES, LAST_NS, MOST_EPISODES, longest_episode, most_frames
 from dmotion_bench.storage.manifest import TABLES, Manifest
 from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.mcap_writer import Span
@@ -37,6 +37,9 @@ _EPISODE_SCHEMA: Final = pa.schema(
         *(pa.field(f"{span}_{part}", pa.int64(), False) for span in _SPANS for part in ("offset", "bytes")),
     ]
 )
+_SOURCE: Final = "source"
+_SCHEMA_BY_SOURCE: Final = _EPISODE_SCHEMA.append(pa.field(_SOURCE, pa.int64(), False))
+"""Of a data set whose recipe says that it is split by source."""
 _TASK_SCHEMA: Final = pa.schema([pa.field(name, pa.int64(), False) for name in ControlTask._fields])
 Columns = Mapping[str, np.ndarray]
 
@@ -45,7 +48,7 @@ class EpisodeTable(Sequence[EpisodeRow]):
     """The rows of ``episodes.parquet``, kept as columns: a hundred bytes an episode.
 
     Attributes:
-        columns: One an entry of the schema but ``split``, which the recipe decides.
+        columns: One an entry of the schema but ``split``, which the recipe decides; ``source`` where it is known.
     """
 
     def __init__(self, columns: Columns) -> None:
@@ -55,6 +58,7 @@ class EpisodeTable(Sequence[EpisodeRow]):
     def of(cls, rows: Sequence[EpisodeRow]) -> EpisodeTable:
         """The table of some rows."""
         names = [name for name in _EPISODE_SCHEMA.names if name != "split"]
+        names += [_SOURCE] if all(row.source is not None for row in rows) else []
         return cls({name: np.array([_value(row, name) for row in rows], _dtype(name)) for name in names})
 
     @property
@@ -62,6 +66,11 @@ class EpisodeTable(Sequence[EpisodeRow]):
         """Frames of each episode."""
         lengths: Int[np.ndarray, " e"] = self.columns["frames"]
         return lengths
+
+    @property
+    def sources(self) -> Int[np.ndarray, " e"] | None:
+        """The recording that each episode is a part of; None where the split is by episode."""
+        return self.columns.get(_SOURCE)
 
     def __len__(self) -> int:
         return len(self.columns["frames"])
@@ -94,14 +103,15 @@ def _value(row: EpisodeRow, name: str) -> Any:
 
 
 def _dtype(name: str) -> Any:
-    return object if _EPISODE_SCHEMA.field(name).type == pa.string() else np.int64
+    return object if _SCHEMA_BY_SOURCE.field(name).type == pa.string() else np.int64
 
 
-def write_episodes(dataset: Path, rows: Sequence[EpisodeRow], split: Mapping[SplitName, Int[np.ndarray, " n"]]) -> None:
+def write_episodes(dataset: Path, table: EpisodeTable, split: Mapping[SplitName, Int[np.ndarray, " n"]]) -> None:
     """Write the table of the episodes, in their order."""
     side = {int(episode): name for name, members in split.items() for episode in members}
-    columns: dict[str, Any] = {**EpisodeTable.of(rows).columns, "split": [side[row.episode] for row in rows]}
-    _write(dataset / EPISODES, pa.table({name: columns[name] for name in _EPISODE_SCHEMA.names}, _EPISODE_SCHEMA))
+    schema = _EPISODE_SCHEMA if table.sources is None else _SCHEMA_BY_SOURCE
+    columns: dict[str, Any] = {**table.columns, "split": [side[one] for one in table.columns["episode"].tolist()]}
+    _write(dataset / EPISODES, pa.table({name: columns[name] for name in schema.names}, schema))
 
 
 def write_tasks(dataset: Path, tasks: Sequence[ControlTask]) -> None:
@@ -123,7 +133,8 @@ def read_episodes(dataset: Path, manifest: Manifest) -> EpisodeTable:
         DamagedFile: The table is missing, changed, or contradicts the manifest.
     """
     count = manifest.recipe.episodes
-    columns = dict(_read(dataset, EPISODES, _EPISODE_SCHEMA, manifest, range(count, count + 1)))
+    schema = _SCHEMA_BY_SOURCE if manifest.recipe.splits_by_source else _EPISODE_SCHEMA
+    columns = dict(_read(dataset, EPISODES, schema, manifest, range(count, count + 1)))
     if not set(columns.pop("split")) <= set(SPLIT_NAMES):
         raise DamagedFile("puts an episode into a split that does not exist")
     for word in set(columns["ended"]):
@@ -162,6 +173,9 @@ def _check_episodes(columns: Columns, manifest: Manifest) -> None:
     starts = columns["start_ns"]
     _refuse((starts < 0) | (starts > LAST_NS - frames * spec.step_ns), "starts at no time that a time stamp can say")
     _refuse(columns["seed"] < 0, "has a negative seed")
+    if _SOURCE in columns:
+        source = columns[_SOURCE]
+        _refuse((source < 0) | (source >= MOST_EPISODES), "is a part of a recording of no possible number")
     steps = columns["interactions"]
     _refuse((steps < 0) | (steps >= frames), "has more interactions than steps")
     shards = np.arange(len(manifest.shards))

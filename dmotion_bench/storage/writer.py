@@ -33,7 +33,7 @@ from dmotion_bench.storage.shard import (
     write_shard,
 )
 from dmotion_bench.storage.split import split_episodes
-from dmotion_bench.storage.tables import EPISODES, TASKS, write_episodes, write_tasks
+from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, write_episodes, write_tasks
 from dmotion_bench.storage.tasks import choose_tasks
 from dmotion_bench.versions import versions
 from dmotion_bench.wording import command, shown
@@ -211,9 +211,9 @@ class DatasetWriter:
         if self.complete is not None:
             return self.complete
         receipts = [self._receipts[index] for index in range(shard_count(self.recipe))]
-        rows = [row for receipt in receipts for row in receipt.rows]
+        rows = EpisodeTable.of([row for receipt in receipts for row in receipt.rows])
         possible = [found for receipt in receipts for found in receipt.candidates]
-        split = split_episodes(self.recipe.seed, self.recipe.episodes)
+        split = split_episodes(self.recipe.seed, self.recipe.episodes, rows.sources)
         wanted = self.recipe.tasks if replay is None or replay.identical else 0
         tasks = choose_tasks(dict(enumerate(possible)), set(split["test"].tolist()), wanted)
         try:

@@ -64,10 +64,29 @@ def test_one_clip_is_told_how_to_become_enough_episodes(workspace: Path) -> None
     )
     again = typed("import", file, "--size", "16", "--frames-per-episode", "6", "--out", workspace / "more", "--json")
     assert json.loads(again.stdout)["episodes"] == 10
-    assert json.loads(again.stdout)["advice"] == []
+    (told,) = json.loads(again.stdout)["advice"]
+    assert told.startswith("all episodes are parts of one recording, so test episodes are parts of what is trained on")
 
     short = typed("import", foxglove_file(workspace / "b.mcap", video(6, 16, 16), steady(6)), "--size", "16")
     assert "here are 1: import more recordings." in short.stdout
+
+
+def test_what_the_pictures_are_and_what_a_frame_shows_of_them(workspace: Path) -> None:
+    (workspace / "in").mkdir()
+    for name, hz in (("a", 10), ("b", 20)):
+        in_ms = [round(t_ns / 1e6) * 10**6 for t_ns in steady(31, hz=hz)]
+        foxglove_file(workspace / "in" / f"{name}.mcap", video(31, 24, 32), in_ms)
+    thirty = [round(t_ns / 1e6) * 10**6 for t_ns in steady(31, hz=30)]
+    file = foxglove_file(workspace / "c.mcap", video(31, 24, 32), thirty)
+    cropped = "  frames show the middle 24x24 of 32x24 pixels; '--fit pad' keeps all\n"
+
+    assert f"from 62 pictures of 32x24 at 10 to 20 Hz\n{cropped}" in typed("import", workspace / "in").stdout
+    assert f"from 31 pictures of 32x24 at 30.0 Hz\n{cropped}" in typed("import", file).stdout
+    assert "frames show" not in typed("import", file, "--fit", "pad", "--out", workspace / "padded").stdout
+    in_pairs = foxglove_file(workspace / "d.mcap", video(12, 16, 16), sorted([*steady(6), *steady(6)]))
+    square = typed("import", in_pairs).stdout
+    assert "from 12 pictures of 16x16 at 22.0 Hz\n" in square
+    assert "frames show" not in square
 
 
 def test_video_without_labels_is_exported_alone(workspace: Path) -> None:

@@ -6,7 +6,10 @@ import json
 import os
 import pty
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,10 +19,10 @@ from PIL import Image
 from rrd_contents import curve, read
 
 from dmotion_bench.actions import Continuous, Discrete
-from dmotion_bench.api.driving import open_driven
+from dmotion_bench.api.driving import Driven, open_driven
 from dmotion_bench.cli.keys import read_keys, single_keys
-from dmotion_bench.cli.play import bindings, commands, moves
-from dmotion_bench.errors import UsageError
+from dmotion_bench.cli.play import bindings, changes, commands, legend, moves, taken_actions
+from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.start import TrainingRequest, open_run
 from dmotion_bench.planning.tasks import load_problems, task_environment
@@ -271,6 +274,67 @@ def test_arrows_take_the_actions_of_their_names_and_digits_any() -> None:
     assert {key: move.action for key, move in bindings(two).items()} == {"up": 1, "1": 0, "2": 1}
     taken = commands(iter(["1", "x", "up", "r", "q", "1"]), two)
     assert [None if move is None else move.action for move in taken] == [0, 1, None]
+
+
+ARM = Continuous(names=("lift", "turn"), low=(-90.0, 10.0), high=(110.0, 30.0), units=("deg", "deg"))
+
+
+def test_the_command_of_an_import_is_changed_one_number_at_a_time() -> None:
+    known = changes(ARM)
+    assert {key: move.name for key, move in bindings(known).items() if key.isdigit()} == {
+        "1": "lift-10deg",
+        "2": "lift+10deg",
+        "3": "turn-1deg",
+        "4": "turn+1deg",
+    }
+    taken = list(
+        taken_actions(
+            commands(iter(["up", "1", "1", "r", "left", *["2"] * 3, "q"]), known), ARM, np.array([95.0, 29.5])
+        )
+    )
+    assert [action for _, action in taken] == [
+        (95.0, 30.0),  # no further than its bound
+        (85.0, 30.0),
+        (75.0, 30.0),
+        None,
+        (85.0, 29.5),
+        (95.0, 29.5),
+        (105.0, 29.5),
+        (110.0, 29.5),
+    ]
+    assert [move is None for move, _ in taken] == [action is None for _, action in taken]
+
+
+def test_the_moves_without_a_key_are_said() -> None:
+    assert legend(moves(Discrete(("up", "down", "left", "right")))) == (
+        "arrow keys, or 1 up, 2 down, 3 left, 4 right; r starts over, q ends."
+    )
+    joints = replace(ARM, names=tuple("abcdef"), low=(0.0,) * 6, high=(1.0,) * 6, units=("",) * 6)
+    shown = legend(changes(joints, {(5, True): "up", (0, False): "left"}))
+    assert shown.startswith("left or 1 a-0.05, 2 a+0.05, 3 b-0.05,")
+    assert shown.endswith(", 9 e-0.05, up f+0.05; r starts over, q ends; without a key: e+0.05, f-0.05.")
+
+
+def test_only_an_import_of_numbers_has_a_command_to_begin_with() -> None:
+    states = SimpleNamespace(actions=np.array([[1.0, 2.0], [3.0, 4.0]]))
+
+    def driven(environment: str, actions: Any) -> Driven:
+        dataset: Any = SimpleNamespace(recipe=SimpleNamespace(environment=environment), states={7: states}.__getitem__)
+        return Driven(run=cast(Any, None), dataset=dataset, actions=actions, episode=7)
+
+    first = driven("imported", ARM).first_command
+    assert first is not None
+    assert first.tolist() == [1.0, 2.0]
+    assert driven("grid_world", ARM).first_command is None
+
+    def gone(_episode: int) -> Any:
+        raise LabelsNotAvailable("they are not there.")
+
+    without = driven("imported", ARM)
+    without.dataset.states = gone  # type: ignore[method-assign]
+    assert without.first_command is not None
+    assert without.first_command.tolist() == [10.0, 20.0]
+    assert driven("imported", Discrete(("a", "b"))).first_command is None
 
 
 def test_arrows_take_the_first_two_numbers_to_their_bounds_and_digits_any() -> None:

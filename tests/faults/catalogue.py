@@ -52,8 +52,8 @@ FAULTS = (
     Fault(
         name="training episodes leak into the test split",
         file="dmotion_bench/storage/split.py",
-        right='"train": np.sort(order[test + validation :]),',
-        wrong='"train": np.sort(order[validation:]),',
+        right='"train": order[test + validation :],',
+        wrong='"train": order[validation:],',
         tests=("tests/storage/test_dataset.py",),
     ),
     Fault(

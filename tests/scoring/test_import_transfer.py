@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from known_model import Known
+from known_model import Known, NoConfig
 from made_up_import import write_import
 from noise_world import MOVES, noise_spec, write_noise
 from PIL import Image
@@ -18,13 +18,15 @@ from torch import Tensor
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DatasetMissing, LabelsNotAvailable, RunMismatch, UsageError
+from dmotion_bench.learning.action_encoding import ActionEncoding
+from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.run import Run
 from dmotion_bench.scoring import transfer
 from dmotion_bench.scoring.report import Report, read_report_samples
 from dmotion_bench.scoring.score import score_model, score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
-from dmotion_bench.scoring.transfer import transferable
+from dmotion_bench.scoring.transfer import beyond_bounds, transferable
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import export_lerobot
 from dmotion_bench.storage.imports.importing import import_recordings
@@ -270,3 +272,38 @@ def test_a_run_that_knows_no_action_s_name_is_scored_on_video_alone(
     with pytest.raises(LabelsNotAvailable, match="trained with '--labels none'"):
         _score(nameless, write_import(tmp_path / "named", other))
     assert "mse_true_motion" in _score(nameless, write_import(tmp_path / "video", other, actions=())).figures
+
+
+class ByNumber(Known):
+    """Brightens the current frame by the first number of the action, normalised by the bounds of the training."""
+
+    def __init__(self, config: NoConfig, inputs: ModelInputs) -> None:
+        super().__init__(config, inputs)
+        self.encoding = ActionEncoding(inputs.actions)
+
+    def predict(self, previous: Tensor, current: Tensor, action: Tensor) -> Tensor:
+        return current + 0.1 * self.encoding(action)[:, 0].reshape(-1, 1, 1, 1)
+
+
+def test_actions_beyond_those_of_the_training_are_scored_as_they_are(tmp_path: Path) -> None:
+    wider = replace(MOVES, low=(-0.06, 0.0), high=(0.06, 2.25))
+    tuesday = write_noise(tmp_path / "tuesday", episodes=20, spec=noise_spec(16, 16, actions=wider)).bounded(MOVES)
+    model = ByNumber(NoConfig(), ModelInputs(height=16, width=16, actions=MOVES)).eval()
+    test = {episode: tuesday.states(episode).actions for episode in tuesday.split("test").tolist()}
+    taken = np.concatenate(list(test.values()))
+    outside = ((np.abs(taken[:, 0]) > 0.04) | (taken[:, 1] > 1.5)).sum()
+    assert 0 < outside < len(taken)
+    assert beyond_bounds(tuesday, "test") == (outside, len(taken))
+
+    scores = score_model(model, tuesday, metrics=("prediction", "rollout"), settings=ScoreSettings(horizon=2))
+    errors = []
+    for episode, actions in test.items():
+        frames = tuesday.video(episode).astype(np.float32)
+        for step in range(1, len(frames) - 1):
+            drawn = np.clip(np.rint(frames[step] + 127.5 * 0.1 * actions[step, 0] / 0.04), 0, 255)
+            errors.append(((drawn - frames[step + 1]) ** 2).mean())
+    assert scores.figures["mse"].mean == pytest.approx(np.mean(errors), rel=1e-3)
+
+    frames, (row, place) = tuesday.video(0)[:2], np.argwhere(MOVES.beyond(taken))[0]
+    with pytest.raises(UsageError, match=f"was given '{MOVES.names[place]}' = .* in row 0; it can be"):
+        model.predict(frames[:1], frames[1:], taken[row])

@@ -18,7 +18,7 @@ from dmotion_bench.storage.imports import passed_over
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 
-OPTIONS = ImportOptions(size=16)
+OPTIONS = ImportOptions(size=16, source_hz=10)
 COUNT = 10
 
 

@@ -10,5 +10,5 @@ and ``wire`` what they say to each other.
 several.
 ``mcap_records`` reads MCAP files without trust, ``hdf5_contents`` and ``hdf5_pictures`` HDF5; ``cameras`` and
 ``commands`` decode their messages, ``pixels`` and ``fitting`` make frames, ``timeline`` resamples, ``importing``
-writes the data set, and ``advice`` says what would make a better one.
+writes the data set, ``source_rate`` says how fast the recordings are, and ``advice`` what would make a better one.
 """

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Survey
-from dmotion_bench.storage.imports.timeline import MOST_TICKS, Piece, interval_ns, length_for
+from dmotion_bench.storage.imports.timeline import MOST_TICKS, Piece, gaps_ns, interval_ns, length_for, steady_hz
 from dmotion_bench.storage.split import FEWEST_EPISODES
 
 SLOWEST_HZ = 0.01  # that '--hz' takes
+UNEVEN_STEPS: Final = 4 / 3  # a step of so many times the source frames of another is told of
+RARE: Final = 0.02  # fewer steps than this share may differ: no rate is exact
 
 
 def no_episode(surveys: Sequence[Survey], options: ImportOptions, told: Sequence[str] = ()) -> RecordingImportError:
@@ -31,7 +36,12 @@ def no_episode(surveys: Sequence[Survey], options: ImportOptions, told: Sequence
 
 
 def advice(
-    surveys: Sequence[Survey], pieces: list[Piece], episodes: int, options: ImportOptions, told: Sequence[str] = ()
+    surveys: Sequence[Survey],
+    pieces: list[Piece],
+    episodes: int,
+    sources: int,
+    options: ImportOptions,
+    told: Sequence[str] = (),
 ) -> tuple[str, ...]:
     """Sentences about what would make a better data set of the same recordings.
 
@@ -39,10 +49,12 @@ def advice(
         surveys: Of the recordings.
         pieces: Their stretches without a gap.
         episodes: How many there are in the data set.
+        sources: From how many recordings and demonstrations they come.
         options: How it was imported.
         told: Sentences about what was not imported.
     """
     sentences = [*told, *dict.fromkeys(hint for survey in surveys for hint in survey.hints)]
+    sentences += [*_assumed_rate(surveys, options), *_uneven_steps(surveys, options), *_gaps(surveys, options)]
     if episodes < FEWEST_EPISODES:
         length = length_for(
             pieces, episodes=FEWEST_EPISODES, shortest=options.min_frames, most=options.frames_per_episode
@@ -56,7 +68,64 @@ def advice(
             f"training, validation and test are split by episode and need at least {FEWEST_EPISODES} episodes, here "
             f"are {episodes}: {way_out}."
         )
+    if sources < min(episodes, FEWEST_EPISODES):
+        few = f"the episodes are parts of {sources} recordings, and {FEWEST_EPISODES} are needed to keep parts together"
+        sentences.append(
+            f"{'all episodes are parts of one recording' if sources == 1 else few}, so test episodes are parts of what "
+            "is trained on. Import more recordings for an honest test."
+        )
     return tuple(sentences)
+
+
+def _assumed_rate(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
+    """That nobody knows when the pictures were taken."""
+    if not any(survey.is_rate_assumed for survey in surveys):
+        return []
+    return [
+        f"the files do not say how many pictures a second they have; {options.hz:g} was assumed. Say it with "
+        "'--source-hz'."
+    ]
+
+
+def _uneven_steps(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
+    """That some steps are much longer than others, because the camera's rate is no multiple of the new one."""
+    rates = Counter[float]()
+    for times_ns in (segment.times_ns for survey in surveys for segment in survey.segments):
+        rate = _rounded(steady_hz(times_ns))
+        shown = rate / options.hz  # source frames a step
+        fewest = math.floor(shown)
+        if fewest and RARE < shown - fewest < 1 - RARE and fewest + 1 > UNEVEN_STEPS * fewest:
+            rates[rate] += len(times_ns)
+    if not rates:
+        return []
+    rate = rates.most_common(1)[0][0]
+    fewest = math.floor(rate / options.hz)
+    better = " or ".join(f"'--hz {rate / frames:.4g}'" for frames in (fewest + 1, fewest))
+    return [
+        f"{rate:g} Hz read at {options.hz:g} Hz makes some steps {fewest + 1} pictures long and others {fewest}; "
+        f"{better} does not."
+    ]
+
+
+def _rounded(hz: float) -> float:
+    """The whole number that a rate is meant to be, if there is one within half a percent; else four digits."""
+    whole = round(hz)
+    return float(whole) if abs(hz - whole) <= hz / 200 else float(f"{hz:.4g}")
+
+
+def _gaps(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
+    """That recordings are divided where no picture came for long."""
+    if options.max_gap_s is not None:
+        return []
+    segments = [segment.times_ns for survey in surveys for segment in survey.segments]
+    gaps = np.concatenate([gaps_ns(times_ns, hz=options.hz) for times_ns in segments]) / 1e9
+    if not len(gaps):
+        return []
+    lasting = f"{gaps.max():.3g} s" if len(gaps) == 1 else f"{gaps.min():.3g} to {gaps.max():.3g} s"
+    return [
+        f"pictures are missing in {len(gaps):,} {'place' if len(gaps) == 1 else 'places'}, for {lasting}, and an "
+        "episode ends at each; '--max-gap SECONDS' bridges those up to so long by repeating the picture before."
+    ]
 
 
 def _reason(surveys: Sequence[Survey], options: ImportOptions) -> str:

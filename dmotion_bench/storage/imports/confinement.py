@@ -226,6 +226,7 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         "segments": segments,
         "hints": list(survey.hints),
         "skipped": list(survey.skipped),
+        "is_rate_assumed": survey.is_rate_assumed,
     }
     return head, b"".join(array.astype("<i8").tobytes() for array in arrays)
 
@@ -282,4 +283,5 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
         segments=segments,
         hints=head["hints"],
         skipped=[(_printable(name), _printable(why)) for name, why in head["skipped"]],
+        is_rate_assumed=head["is_rate_assumed"],
     )

@@ -84,7 +84,8 @@ class Hdf5Recording:
             others = [name for name in found if name not in pictures]
             self._camera = self._named(cameras, camera, "camera", found)
             self._actions = None if actions is None else self._named(others, actions, "actions", found)
-            self._hz = source_hz or _control_frequency(file) or default_hz
+            known_hz = source_hz or _control_frequency(file)
+            self._hz, self._is_rate_assumed = known_hz or default_hz, known_hz is None
 
     def sha256(self) -> str:
         """Of the whole file."""
@@ -130,6 +131,7 @@ class Hdf5Recording:
             segments=[sound[place][1] for place in kept],
             hints=[told] if empty else [],
             skipped=faults.skipped,
+            is_rate_assumed=self._is_rate_assumed,
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float, Int64
@@ -25,6 +26,8 @@ from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Named, Survey
 from dmotion_bench.storage.imports.timeline import Piece, interval_ns
 
+SEVERAL: Final = 1.1
+"""Commands a step from which on it is said that one is kept and the others are not."""
 Actions = Int64[np.ndarray, " s"] | Float[np.ndarray, "s a"]
 
 
@@ -107,7 +110,7 @@ def check_pace(recording: Named, commands: Commands, pieces: Sequence[Piece], op
 
 
 def pace_advice(given: Sequence[tuple[Piece, Commands | None]], options: ImportOptions) -> tuple[str, ...]:
-    """A sentence about steps for which no continuous command came, where they are more than may be lost.
+    """Sentences about continuous commands that are not kept, and about steps for which none came.
 
     Args:
         given: The episodes, each with the commands of its recording.
@@ -116,10 +119,18 @@ def pace_advice(given: Sequence[tuple[Piece, Commands | None]], options: ImportO
     continuous = [(piece, commands) for piece, commands in given if isinstance(commands, ContinuousCommands)]
     steps = sum(len(piece) - 1 for piece, _ in continuous)
     without = sum(_without_command(piece, commands, options.action_reduce) for piece, commands in continuous)
+    told = []
+    count = sum(int(np.ptp(first_commands(commands, piece)[[0, -1]])) for piece, commands in continuous)
+    if options.action_reduce is Reduce.LAST and count >= SEVERAL * steps > 0:
+        told.append(
+            f"each action stands for {count / steps:.2g} commands, of which the one in force halfway is kept, as suits "
+            "positions; '--action-reduce sum' adds displacements, 'mean' averages velocities."
+        )
     if without <= steps // LOST:
-        return ()
+        return tuple(told)
     instead = "their sum is zero" if options.action_reduce is Reduce.SUM else "they repeat an earlier one"
     return (
+        *told,
         f"{without:,} of {steps:,} steps have no command of their own on {options.actions!r}: {instead}. If commands "
         "come slower than frames, lower '--hz'; if they pause, cut the pauses out of the recordings.",
     )

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError, UsageError
-from dmotion_bench.specs import IMPORTED, UNPLACED_AGENT, DatasetRecipe, EnvSpec, Scalar, unplaced_labels
+from dmotion_bench.specs import IMPORTED, SOURCE, SPLIT, UNPLACED_AGENT, DatasetRecipe, EnvSpec, Scalar, unplaced_labels
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.advice import advice, no_episode
 from dmotion_bench.storage.imports.confinement import Confinement
@@ -35,10 +35,12 @@ from dmotion_bench.storage.imports.imported_actions import (
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Named, Recording, Survey
 from dmotion_bench.storage.imports.search import Found, find
+from dmotion_bench.storage.imports.source_rate import source_hz, source_hz_range
 from dmotion_bench.storage.imports.sources import UNSALVAGED, WITHOUT_ACTIONS, open_recording, require_effect
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
+from dmotion_bench.storage.split import FEWEST_EPISODES
 from dmotion_bench.storage.staging import staged, sweep
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
@@ -53,10 +55,19 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedEpisode:
-    """A planned episode."""
+    """A planned episode.
+
+    Attributes:
+        recording: The number of the recording that it is of.
+        segment: The number of the segment in it.
+        source: The number of the segment among all that episodes come of, which decides its side of the split.
+        piece: What it shows.
+        actions: Of its steps; None for video alone.
+    """
 
     recording: int
     segment: int
+    source: int
     piece: Piece
     actions: Actions | None
 
@@ -138,7 +149,8 @@ class ImportPlan:
             source_frames=sum(survey.pictures for survey in self.surveys),
             source_height=self.surveys[0].height,
             source_width=self.surveys[0].width,
-            source_hz=_source_hz(self.surveys),
+            source_hz=source_hz(self.surveys),
+            source_hz_range=source_hz_range(self.surveys),
             repeated=sum(int((np.diff(one.piece.frames) == 0).sum()) for one in self.episodes),
             unreadable=unreadable,
             left_out=self.left_out,
@@ -191,7 +203,8 @@ def plan_import(
         width=options.size,
         step_ns=round(1e9 / options.hz),
     )
-    told = advice(surveys, [one for some in pieces for one in some], len(planned), options, hints)
+    every = [one for some in pieces for one in some]
+    told = advice(surveys, every, len(planned), source_count(planned), options, hints)
     commands = [{number: segment.commands for number, segment in survey.numbered} for survey in surveys]
     given = [(one.piece, commands[one.recording][one.segment]) for one in planned]
     return ImportPlan(
@@ -222,9 +235,15 @@ def _other(standing: DatasetRecipe, wanted: DatasetRecipe) -> str:
     """Why a data set is not the one that is wanted, to follow "holds"."""
     known = standing.parameters
     hashes = {key: value for key, value in wanted.parameters.items() if key.startswith(HASH) and key in known}
-    if replace(standing, episodes=wanted.episodes, parameters={**known, **hashes}) != wanted:
+    split = {SPLIT: wanted.parameters[SPLIT]} if wanted.splits_by_source and SPLIT not in known else {}
+    if replace(standing, episodes=wanted.episodes, parameters={**known, **hashes, **split}) != wanted:
         return "a data set of other recordings or options"
     changed = [str(known[f"{FILE}{key.removeprefix(HASH)}"]) for key in hashes if hashes[key] != known[key]]
+    if not changed and SPLIT in wanted.parameters.keys() - known.keys():
+        return (
+            "what an earlier version of dmbench has made of these recordings, with parts of one recording in training "
+            "and in test"
+        )
     if not changed:
         return (
             "what an earlier version of dmbench has made of these recordings, and this one makes something else of them"
@@ -303,17 +322,25 @@ def _plan(
 ) -> tuple[list[PlannedEpisode], int]:
     """The episodes, and how many frames are left out of all."""
     planned: list[PlannedEpisode] = []
-    waiting = iter(found)
+    waiting, sources = iter(found), itertools.count()
     for number, survey in enumerate(surveys):
         for index, segment in survey.numbered:
             pieces = next(waiting)
             if segment.commands is not None:
                 pieces = [commanded(piece, segment.commands) for piece in pieces]
                 check_pace(recordings[number], segment.commands, pieces, options)
-            for piece in cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames):
+            parts = cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames)
+            source = next(sources) if parts else 0
+            for piece in parts:
                 actions = None if segment.commands is None else step_actions(piece, segment.commands, names, options)
-                planned.append(PlannedEpisode(recording=number, segment=index, piece=piece, actions=actions))
+                one = PlannedEpisode(recording=number, segment=index, source=source, piece=piece, actions=actions)
+                planned.append(one)
     return planned, sum(len(piece) for one in found for piece in one) - sum(len(plan.piece) for plan in planned)
+
+
+def source_count(planned: Sequence[PlannedEpisode]) -> int:
+    """From how many segments the episodes come."""
+    return len({one.source for one in planned})
 
 
 def _recipe(
@@ -334,6 +361,8 @@ def _recipe(
         parameters |= {"action_fields": ",".join(options.action_fields), "action_reduce": options.action_reduce.value}
     if options.source_hz is not None:
         parameters["source_hz"] = options.source_hz
+    if FEWEST_EPISODES <= source_count(planned) < len(planned):
+        parameters[SPLIT] = SOURCE
     for number, recording in enumerate(recordings):
         parameters[f"{FILE}{number}"] = recording.path.name
         parameters[f"{HASH}{number}"] = recording.sha256()
@@ -353,7 +382,8 @@ def _write(
     """Write beside ``out`` and move there."""
     recipe = plan.recipe
     with staged(out, UNFINISHED) as folder, DatasetWriter.create_or_resume(folder, recipe, plan.spec) as writer:
-        episodes = footage(dict(enumerate(recordings)), plan.episodes, options, keep_times=plan.keeps_times)
+        numbered, by_source = dict(enumerate(recordings)), recipe.splits_by_source
+        episodes = footage(numbered, plan.episodes, options, keep_times=plan.keeps_times, by_source=by_source)
         done = 0
         for shard in writer.missing:
             progress("importing", done, recipe.episodes)
@@ -370,6 +400,7 @@ def footage(
     options: ImportOptions,
     *,
     keep_times: bool,
+    by_source: bool,
 ) -> Iterator[Footage]:
     """Episodes in order, unpacked one at a time.
 
@@ -378,6 +409,7 @@ def footage(
         planned: The episodes.
         options: How.
         keep_times: See ``ImportPlan.keeps_times``.
+        by_source: Whether the data set is split by source.
     """
     for (number, segment), group in itertools.groupby(planned, key=lambda plan: (plan.recording, plan.segment)):
         plans = list(group)
@@ -392,10 +424,9 @@ def footage(
                     frame = fitted(picture, options.size, options.fit)
                 frames[tick] = frame
             labels = None if plan.actions is None else unplaced_labels(plan.actions, frames.shape[:3])
-            yield Footage(frames=frames, labels=labels, start_ns=int(plan.piece.t_ns[0]) if keep_times else None)
-
-
-def _source_hz(surveys: Sequence[Survey]) -> float:
-    longest = max((segment.times_ns for survey in surveys for segment in survey.segments), key=len)
-    interval = float(np.median(np.diff(longest))) if len(longest) > 1 else 0.0
-    return 1e9 / interval if interval else 0.0
+            yield Footage(
+                frames=frames,
+                labels=labels,
+                start_ns=int(plan.piece.t_ns[0]) if keep_times else None,
+                source=plan.source if by_source else None,
+            )

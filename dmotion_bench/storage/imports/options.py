@@ -108,7 +108,8 @@ class ImportReport:
         episodes, frames: That it has.
         source_frames: Pictures in the recordings.
         source_height, source_width: Of the pictures [px].
-        source_hz: Pictures a second in the longest recording.
+        source_hz: Pictures a second in all recordings together, without pauses; 0 where that is not known.
+        source_hz_range: The lowest and the highest rate of a recording.
         repeated: Frames that show the same picture as the one before, as the camera was slower than asked for.
         unreadable: Damaged pictures, in whose place the ones before them were taken; of this import, none if the data
             set was there already.
@@ -127,6 +128,7 @@ class ImportReport:
     source_height: int
     source_width: int
     source_hz: float
+    source_hz_range: tuple[float, float]
     repeated: int
     unreadable: int
     left_out: int

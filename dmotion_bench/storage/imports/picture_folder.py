@@ -122,11 +122,20 @@ class PictureFolder:
         source_hz: Pictures a second.
         limits: What a file may make us do.
         salvage: In a damaged picture's place take the one before it.
+        is_rate_assumed: Whether nobody has said ``source_hz``.
     """
 
     def __init__(
-        self, path: Path, *, camera: str | None, source_hz: float, limits: ImportLimits, salvage: bool = False
+        self,
+        path: Path,
+        *,
+        camera: str | None,
+        source_hz: float,
+        limits: ImportLimits,
+        salvage: bool = False,
+        is_rate_assumed: bool = False,
     ) -> None:
+        self._is_rate_assumed = is_rate_assumed
         self.path, self._source_hz, self._limits, self._salvage = path, source_hz, limits, salvage
         self._camera, self.unreadable = camera, 0
         self._pattern = folder_and_pattern(camera)[1]
@@ -170,6 +179,7 @@ class PictureFolder:
             width=shape.width,
             segments=segments,
             is_deep=shape.is_deep,
+            is_rate_assumed=self._is_rate_assumed,
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:

@@ -50,6 +50,7 @@ class Survey:
         hints: Sentences about a better way to import the recording, for whoever asked for this one.
         is_deep: Whether the pictures are files in grey with 16 bits a pixel, as depth is stored.
         skipped: Segments that were left out because they are damaged, by their names, each with the reason.
+        is_rate_assumed: Whether neither the recording nor the user says how many pictures a second there are.
     """
 
     camera: str
@@ -59,6 +60,7 @@ class Survey:
     hints: Sequence[str] = ()
     is_deep: bool = False
     skipped: Sequence[tuple[str, str]] = ()
+    is_rate_assumed: bool = False
 
     def without(self, damaged: Mapping[int, str]) -> Survey:
         """The same recording without some segments, by their numbers, each with the reason."""

@@ -150,6 +150,7 @@ def open_here(path: Path, kind: str, options: ImportOptions) -> Recording:
             source_hz=options.source_hz or options.hz,
             limits=limits,
             salvage=options.salvage,
+            is_rate_assumed=options.source_hz is None,
         )
     if kind == Kind.VIDEO:
         from dmotion_bench.storage.imports.video_recording import VideoRecording

@@ -49,6 +49,19 @@ def interval_ns(times_ns: Int64[np.ndarray, " n"]) -> float:
     return float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else 0.0
 
 
+def steady_hz(times_ns: Int64[np.ndarray, " n"]) -> float:
+    """Frames a second while none is lost: over all intervals that are shorter than one and a half usual ones.
+
+    0 for a camera without a steady rate: one such interval in ten is off by more than a quarter.
+    """
+    intervals, usual = np.diff(times_ns), interval_ns(times_ns)
+    whole = intervals[2 * intervals < 3 * usual]
+    steady = whole[4 * np.abs(whole - usual) <= usual]
+    if not len(steady) or not usual or 10 * len(steady) < 9 * len(whole):
+        return 0.0
+    return 1e9 * len(whole) / int(whole.sum())
+
+
 def longest_gap_ns(usual: float, tick: float) -> float:
     """The longest time without a frame that does not end an episode [ns].
 
@@ -59,6 +72,13 @@ def longest_gap_ns(usual: float, tick: float) -> float:
         tick: Of the new clock [ns].
     """
     return max(min(GAP_INTERVALS * usual, MOST_TICKS * tick), GAP_TICKS * tick)
+
+
+def gaps_ns(times_ns: Int64[np.ndarray, " n"], *, hz: float) -> Int64[np.ndarray, " g"]:
+    """How long no frame came, each time that ends an episode by default [ns]; ``hz`` is the new clock's."""
+    intervals = np.diff(times_ns)
+    gaps: Int64[np.ndarray, " g"] = intervals[intervals > longest_gap_ns(interval_ns(times_ns), 1e9 / hz)]
+    return gaps
 
 
 def forgiven_ns(usual: float, tick: float) -> float:

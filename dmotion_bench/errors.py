@@ -16,7 +16,8 @@
     │   └── PlaceUnreachable          object storage that does not answer, however often it is asked
     ├── RecordingFailed               an environment or a policy failed in the middle of an episode
     ├── RecordingImportError          a foreign recording that cannot be read
-    │   └── RecordingTruncated        it ends in the middle
+    │   ├── RecordingTruncated        it ends in the middle
+    │   └── RecordingNotFetched       a pointer of Git LFS stands in its place
     ├── LabelsNotAvailable            labels/ is not there, or the budget does not allow them
     ├── RunError
     │   ├── RunMissing
@@ -152,6 +153,10 @@ class RecordingImportError(DmbenchError):
 
 class RecordingTruncated(RecordingImportError):
     """A foreign recording that ends in the middle."""
+
+
+class RecordingNotFetched(RecordingImportError):
+    """A pointer of Git LFS stands where a file of a recording should."""
 
 
 class LabelsNotAvailable(DmbenchError):

@@ -24,6 +24,7 @@ import torch  # noqa: E402
 
 torch.set_num_threads(1)
 os.environ["DMBENCH_QUIET"] = "1"
+os.environ.pop("COLUMNS", None)  # xdist sets it for its workers: tables would be cut for a terminal of 80
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the other cores have other tests
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job; children would inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -19,6 +19,8 @@ from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 
 OPTIONS = ImportOptions(size=16, source_hz=10)
+BY_TIMES = ImportOptions(size=16)
+"""Of recordings that say when their pictures were taken."""
 COUNT = 10
 
 
@@ -71,7 +73,7 @@ def test_recordings_in_folders_beside_recordings(root: Path) -> None:
     mcap(root / "days" / "monday" / "morning" / "ep11.mcap", 11)
     pictures(root / "seen", 12)
     (root / "thumbnail.jpg").write_bytes(b"")
-    sentence = told(root)
+    sentence = told(root, BY_TIMES)
     assert f"4 files and folders in {str(root)!r} were not imported: days/monday/, more/, seen/ and 1 more." in sentence
     paths = [root, root / "more", root / "seen", root / "days" / "monday"]
     everything = import_recordings(paths, root.parent / "everything", OPTIONS)
@@ -86,7 +88,7 @@ def test_recordings_in_folders_beside_recordings(root: Path) -> None:
 def test_recordings_of_formats_that_are_not_read(root: Path, name: str, way: str) -> None:
     episodes(root, mcap, "ep{}.mcap")
     (root / name).write_bytes(b"")
-    sentence = told(root)
+    sentence = told(root, BY_TIMES)
     assert f"not imported: {name}. Files of the kind {Path(name).suffix} are not read: convert" in sentence
     assert way in sentence
 
@@ -113,7 +115,7 @@ def test_links_that_lead_nowhere(root: Path) -> None:
     (root / "ep10.mcap").symlink_to(root / "gone.mcap")
     (root / "ep11").symlink_to(root / "ep11")
     (root / "again.mcap").symlink_to(root / "more" / "ep12.mcap")
-    sentence = told(root)
+    sentence = told(root, BY_TIMES)
     assert "3 files and folders" in sentence
     assert "not imported: again.mcap, ep10.mcap, ep11. A link leads nowhere" in sentence
 
@@ -149,7 +151,7 @@ def test_what_a_folder_without_an_episode_holds_besides_is_said(root: Path) -> N
     foxglove_file(root / "a.mcap", video(2), steady(2))
     mcap(root / "more" / "b.mcap")
     with pytest.raises(RecordingImportError, match=r"no episode of at least 3 frames .* not imported: more/"):
-        imported(root)
+        imported(root, BY_TIMES)
 
 
 def test_a_folder_without_a_recording_is_told_where_some_lie(root: Path) -> None:
@@ -172,7 +174,7 @@ def test_many_other_files_end_the_search(root: Path, monkeypatch: pytest.MonkeyP
     for number in range(9):
         (root / "more").mkdir(exist_ok=True)
         (root / "more" / f"{number}.txt").write_text("")
-    assert "holds more than 5 other files" in told(root)
+    assert "holds more than 5 other files" in told(root, BY_TIMES)
 
 
 @pytest.fixture
@@ -200,12 +202,13 @@ def closed(root: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("kind", ["pictures", "mcap"])
 def test_a_folder_that_cannot_be_read_is_a_damaged_recording(root: Path, closed: Path, kind: str) -> None:
+    options = OPTIONS if kind == "pictures" else BY_TIMES
     for number in range(COUNT):
         folder = root / f"ep{number}"
         pictures(folder, number) if kind == "pictures" else mcap(folder / f"{number}.mcap", number)
     with pytest.raises(RecordingImportError, match=r"cannot read the folder '.*ep3': Permission denied\."):
-        imported(root)
-    report = import_fleet([root], root.parent / "out", OPTIONS, skip_damaged=True)
+        imported(root, options)
+    report = import_fleet([root], root.parent / "out", options, skip_damaged=True)
     assert report.episodes == COUNT - 1
     assert [path for path, _ in report.skipped] == [str(closed)]
     assert "not imported" not in " ".join(report.advice)

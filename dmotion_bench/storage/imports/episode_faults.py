@@ -6,8 +6,7 @@ import contextlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from dmotion_bench.errors import RecordingImportError
-from dmotion_bench.storage.imports.git_lfs import NotFetched
+from dmotion_bench.errors import RecordingImportError, RecordingNotFetched
 
 Size = tuple[int, int]
 
@@ -39,7 +38,7 @@ class EpisodeFaults:
         except RecordingImportError as error:
             if self._skip:
                 self.skipped.append((episode, str(error)))
-            elif self._several and not isinstance(error, NotFetched):
+            elif self._several and not isinstance(error, RecordingNotFetched):
                 raise type(error)(f"{error} Leave such episodes out with '--skip-damaged'.") from error
             else:
                 raise

@@ -5,14 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.errors import RecordingNotFetched
 
 IS_POINTER: Final = "is a pointer of Git LFS and not the file itself; fetch the files with 'git lfs pull'"
 _START: Final = b"version https://git-lfs"
-
-
-class NotFetched(RecordingImportError):
-    """A pointer stands where a file of a recording should."""
 
 
 def is_pointer(start: bytes) -> bool:
@@ -24,7 +20,7 @@ def require_content(file: Path) -> None:
     """Check that a file is not a pointer; whoever reads it says what else is wrong with it.
 
     Raises:
-        NotFetched: It is a pointer.
+        RecordingNotFetched: It is a pointer.
     """
     try:
         with file.open("rb") as opened:
@@ -32,4 +28,4 @@ def require_content(file: Path) -> None:
     except OSError:
         return
     if is_pointer(start):
-        raise NotFetched(f"{str(file)!r} {IS_POINTER}.")
+        raise RecordingNotFetched(f"{str(file)!r} {IS_POINTER}.")

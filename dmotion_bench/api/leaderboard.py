@@ -226,7 +226,7 @@ def leaderboard_compare(
         >>> report = dm.score("tiny", "prediction")
         >>> differences = dm.leaderboard_compare("tiny", "tiny")
         >>> differences[0].figure, differences[0].difference.mean, differences[0].verdict
-        ('mse', 0.0, 'tied')
+        ('mse', 0.0, 'unknown: 2 episodes')
     """
     require_one_of("split", split, ("test", "validation"))
     place = _workspace(workspace)

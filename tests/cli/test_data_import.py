@@ -37,7 +37,7 @@ def test_in_and_out_again(workspace: Path) -> None:
     assert done.exit_code == 0
     assert "3 episodes, 15 frames of 16x16 pixels at 10 Hz, from 30 pictures of 32x24 at 20.0 Hz" in done.stdout
     assert "actions, held out as labels: stop" in done.stdout
-    assert f"dmbench train dmotion --data {folder}" in done.stdout
+    assert "dmbench train dmotion --data imported-Run-1'" in done.stdout
     assert len(Dataset.open(folder)) == 3
 
     exported = typed("export", folder, "--json")

@@ -230,7 +230,7 @@ def test_control_of_the_earlier_protocol_stands_apart(
 
 def test_a_front_page_can_show_a_cell(board: Board, tmp_path: Path) -> None:
     (tmp_path / "chosen.toml").write_text(
-        '[[row]]\nname = "control"\ntitle = "control"\nmodel_title = "DMotion"\nboard = "grid-test"\n'
+        '[[row]]\nname = "control"\ntitle = "control tasks"\nmodel_title = "DMotion"\nboard = "grid-test"\n'
         'model = "dmotion"\nlabels = "one-shot"\nfigure = "control_distance[2]"\ncolumn = "generic"\n'
         'baseline = "idle"\n'
     )
@@ -241,7 +241,7 @@ def test_a_front_page_can_show_a_cell(board: Board, tmp_path: Path) -> None:
     assert found.value.interval == (cell.left.low, cell.left.high)
     assert (found.value.samples, found.value.seeds, found.baseline.mean) == (25, 3, 1.0)
     (line,) = [line for line in chosen_table([found]) if "DMotion" in line]
-    assert "control, 25 tasks" in line
+    assert "| 25 control tasks |" in line
     (tmp_path / "chosen.toml").write_text((tmp_path / "chosen.toml").read_text().replace("generic", "tuned"))
     with pytest.raises(UsageError, match="asks for the row"):
         find_rows(read_choices(tmp_path / "chosen.toml"), [board])

@@ -46,6 +46,8 @@ def test_patterns_are_of_the_whole_text() -> None:
 
 def test_an_entry_is_its_report_and_reads_back(sound: Entry, scored_workspace: Any, tmp_path: Path) -> None:
     stored = json.loads((scored_workspace.runs / sound.name / "report/report.json").read_text())
+    for figure in (*stored["figures"].values(), *(one for own in stored["reference"].values() for one in own.values())):
+        figure.pop("episodes", None)  # entries have five parts of a figure
 
     assert dict(sound.report) == stored
     assert read_entry(write_entry(sound, tmp_path)) == sound

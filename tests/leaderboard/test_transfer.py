@@ -210,4 +210,4 @@ def test_an_entry_on_a_copy_of_the_training_does_not_hold(
         score_run(workspace.runs / RUN, settings=SETTINGS, data=copied.path)
     entry = entry_of_run(workspace.runs / RUN, workspace.runs / RUN / "report/on/copied")
     (finding,) = check_entry(entry, workspace).findings
-    assert re.match(r"data set: 2 of the 3 test episodes of 'copied' show the same as", finding)
+    assert re.match(r"data set: 4 of the 5 test episodes of 'copied' show the same as", finding)

@@ -201,7 +201,8 @@ def test_runs_are_compared_where_both_were_scored(make_run: MakeRun, other: Data
         _score(run, other)
 
     found = {one.figure: one for one in compare_runs(elsewhere.path, native.path, "other")}
-    assert found["mse"].better == "second"
+    assert found["mse"].difference.mean > 0
+    assert found["mse"].verdict == "unknown: 3 episodes"
     assert scored_on(native.path, "other")[0].trained_on is None
     _score(elsewhere)
     with pytest.raises(RunMismatch, match="not scored on the same triplets"):

@@ -28,9 +28,6 @@ from dmotion_bench.storage.imports.sources import SUFFIXES
 from dmotion_bench.storage.video.codecs import CODECS
 from dmotion_bench.workspace import AnyPath, Workspace
 
-FORMATS: Final = ("lerobot",)
-"""Of other tools, that data sets can be written in."""
-
 _CLUSTER_GIGABYTES: Final = 8
 _CLUSTER_MINUTES: Final = 24 * 60
 
@@ -183,18 +180,16 @@ def _plain(path: Path) -> str:
 def export_dataset(
     data: AnyPath | None = None,
     *,
-    format: str = "lerobot",  # noqa: A002  # as the command's option
     codec: str = "h264",
     labels: bool | None = None,
     out: AnyPath | None = None,
     workspace: AnyPath | None = None,
     progress: Progress = None,
 ) -> ExportReport:
-    """Write a data set in the format of another tool. The video is decoded again, to measure what the codec lost.
+    """Write a data set in LeRobot's format v3, Parquet and video, which is decoded again to measure the codec's loss.
 
     Args:
         data: The data set, by folder or name, or what ``record`` returned. Default: the workspace's only one.
-        format: ``"lerobot"``: its v3, Parquet and video.
         codec: ``"h264"`` keeps every pixel; ``"av1"`` is LeRobot's default, smaller and lossy.
         labels: Whether actions and positions are written; None: where there are any.
         out: The folder to write; ``exports/NAME-lerobot`` of the workspace by default.
@@ -211,7 +206,6 @@ def export_dataset(
         >>> exported.episodes, exported.labels, exported.mse
         (20, True, 0.0)
     """
-    require_one_of("format", format, FORMATS)
     require_one_of("codec", codec, CODECS)
     place = Workspace.current() if workspace is None else Workspace(workspace)
     source = Dataset.open(place.dataset(data))

@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.errors import Interrupted
 
 if TYPE_CHECKING:
-    from dmotion_bench.execution.job_progress import JobProgress
     from dmotion_bench.storage.exports.lerobot import ExportReport
+
+
+FORMATS = ("lerobot",)
 
 
 def register(data: typer.Typer) -> None:
@@ -52,20 +55,15 @@ def data_export(
     from dmotion_bench.api.importing import export_dataset
     from dmotion_bench.cli.progress import note, progress_bar
 
+    require_one_of("format", format_, FORMATS)
     with progress_bar() as bar:
-        task = bar.add_task("writing", total=None, status="")
-
-        def show(told: JobProgress) -> None:
-            bar.update(task, description=told.what, completed=told.done, total=told.total)
-
         try:
             report = export_dataset(
                 dataset,
-                format=format_,
                 codec=codec,
                 labels=False if video_only else None,
                 out=out,
-                progress=show,
+                progress=bar.tell,
             )
         except KeyboardInterrupt:
             raise Interrupted(

@@ -16,7 +16,6 @@ from dmotion_bench.wording import command, sentence
 from dmotion_bench.workspace import Workspace
 
 if TYPE_CHECKING:
-    from dmotion_bench.execution.job_progress import JobProgress
     from dmotion_bench.storage.imports.options import ImportReport
 
 
@@ -147,11 +146,6 @@ def data_import(
     many = workers if workers or executor else 1
     at_once = skip_damaged or executor not in (None, "local") or many != 1
     with progress_bar() as bar:
-        task = bar.add_task("importing", total=None, status="")
-
-        def show(told: JobProgress) -> None:
-            bar.update(task, description=told.what, completed=told.done, total=told.total)
-
         try:
             report = import_recordings(
                 recordings,
@@ -175,8 +169,8 @@ def data_import(
                 out=out,
                 workers=many,
                 executor=executor or "local",
-                progress=show,
-                watch=lambda running: bar.show_jobs(task, running),
+                progress=bar.tell,
+                watch=bar.watch,
             )
         except KeyboardInterrupt:
             if at_once:

@@ -125,12 +125,11 @@ def check(
     many = workers if workers or executor else 1
     finished: tuple[float, float | None] = 0, None
     with progress_bar() as bar:
-        task = bar.add_task("checking", total=None, status="")
 
         def show(told: JobProgress) -> None:
             nonlocal finished
             finished = told.done, told.total
-            bar.update(task, description=told.what, completed=told.done, total=told.total, status=told.status)
+            bar.tell(told)
 
         try:
             verdicts = leaderboard_check(
@@ -142,7 +141,7 @@ def check(
                 executor=executor or "local",
                 place=place,
                 progress=show,
-                watch=lambda jobs: bar.show_jobs(task, jobs),
+                watch=bar.watch,
                 warn=lambda told: typer.echo(told, err=True),
             )
         except KeyboardInterrupt:

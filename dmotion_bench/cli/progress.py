@@ -82,7 +82,7 @@ class ProgressDisplay:
         self._clock, self._lines = clock, not (terminal or os.environ.get(QUIET))
         self._began: dict[TaskID, tuple[float, float]] = {}  # when, and how much was done already
         self._jobs: dict[str, TaskID] = {}
-        self._told: tuple[TaskID, str] | None = None
+        self._told: TaskID | None = None
         self._due = clock() + FIRST_SECONDS
 
     def show_jobs(self, task: TaskID, jobs: Mapping[str, JobProgress]) -> None:
@@ -104,12 +104,19 @@ class ProgressDisplay:
 
     def tell(self, told: JobProgress) -> None:
         """Say how far something is; it takes the place of what was told of something else before."""
-        if self._told is None or self._told[1] != told.what:
-            if self._told is not None:
-                self._bar.remove_task(self._told[0])
-            self._told = (self.add_task(told.what, total=told.total, status=told.status, unit=told.unit), told.what)
+        if self._told is None:
+            self._told = self.add_task(told.what, total=told.total, status=told.status, unit=told.unit)
+        elif self._progress_of(self._told).description != told.what:
+            self._restart(self._told)
         done = None if told.total is None else told.done  # before the end is known, nothing has begun
-        self.update(self._told[0], completed=done, total=told.total, status=told.status, unit=told.unit)
+        self.update(
+            self._told, description=told.what, completed=done, total=told.total, status=told.status, unit=told.unit
+        )
+
+    def watch(self, jobs: Mapping[str, JobProgress]) -> None:
+        """Say how far the jobs of an executor are, beside what was told last (``show_jobs``)."""
+        if self._told is not None:
+            self.show_jobs(self._told, jobs)
 
     def add_task(self, description: str, *, total: float | None = None, status: str = "", unit: str = "") -> TaskID:
         """A piece of work.
@@ -137,8 +144,7 @@ class ProgressDisplay:
         given: dict[str, Any] = {name: value for name, value in fields.items() if value is not None}
         before = self._progress_of(task).completed
         if completed is not None and completed < before:  # another part of the work, counted from the start
-            self._began.pop(task, None)
-            self._bar.reset(task)
+            self._restart(task)
         self._bar.update(task, description=description, completed=completed, total=total, **given)
         if not self._lines:
             return
@@ -149,6 +155,11 @@ class ProgressDisplay:
             self._due = now + SECONDS
             sys.stderr.write(self._line(task, now) + "\n")
             sys.stderr.flush()
+
+    def _restart(self, task: TaskID) -> None:
+        """Count a task's work and time from the start."""
+        self._began.pop(task, None)
+        self._bar.reset(task)
 
     def _line(self, task: TaskID, now: float) -> str:
         known = self._progress_of(task)

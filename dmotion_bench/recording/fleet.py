@@ -28,13 +28,11 @@ from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.surveys import Surveyed, looked_through
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.imports.confinement import Confinement
+from dmotion_bench.storage.imports.import_plan import ImportPlan, PlannedEpisode, plan_import
 from dmotion_bench.storage.imports.importing import (
     UNFINISHED,
-    ImportPlan,
-    PlannedEpisode,
     Progress,
     footage,
-    plan_import,
     require_same,
     skipped_episodes,
     standing_in,

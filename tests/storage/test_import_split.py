@@ -18,7 +18,7 @@ from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.specs import SPLIT
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.imports import importing
+from dmotion_bench.storage.imports import import_plan
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.limits import MOST_EPISODES
@@ -109,7 +109,7 @@ def test_an_earlier_import_keeps_its_split_and_is_told_from_a_new_one(
 ) -> None:
     given = recordings(tmp_path / "in", 12)
     with monkeypatch.context() as earlier:
-        earlier.setattr(importing, "FEWEST_EPISODES", 1000)
+        earlier.setattr(import_plan, "FEWEST_EPISODES", 1000)
         dataset = Dataset.open(import_recordings([given], tmp_path / "out", HALVES).path)
     np.testing.assert_array_equal(dataset.split("test"), split_episodes(0, 24)["test"])
     assert not check_dataset(dataset.path).damages

@@ -21,7 +21,7 @@ from storage.foreign_video import moving, video_file
 from dmotion_bench.errors import RecipeMismatch, RecordingImportError
 from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.imports import importing
+from dmotion_bench.storage.imports import import_plan
 from dmotion_bench.storage.imports.confinement import ConfinedRecording
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.lerobot_recording import LeRobotRecording
@@ -375,7 +375,7 @@ def test_an_import_by_an_earlier_version_is_told_apart(tmp_path: Path, monkeypat
 def test_an_import_that_this_version_makes_otherwise_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = v3(tmp_path / "set", video(15))
     with monkeypatch.context() as before:
-        before.setattr(importing, "cut", lambda pieces, **lengths: pieces[:1] if len(pieces[0]) != 4 else [])
+        before.setattr(import_plan, "cut", lambda pieces, **lengths: pieces[:1] if len(pieces[0]) != 4 else [])
         import_recordings([folder], tmp_path / "out", OPTIONS)
     with pytest.raises(RecipeMismatch, match="what an earlier version of dmbench has made of these recordings"):
         import_recordings([folder], tmp_path / "out", OPTIONS)

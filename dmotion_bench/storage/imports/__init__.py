@@ -4,11 +4,11 @@
 Each kind has a file that answers the questions of ``recording``: ``mcap_recording``, ``mcap_video``,
 ``video_recording``, ``picture_folder``, ``hdf5_recording``, ``lerobot_recording``.
 What libraries of C read is read in a process apart: ``confinement`` is this end of it, ``confined_reader`` the other,
-and ``wire`` what they say to each other.
+and ``wire`` what they say to each other. ``git_lfs`` knows files that were not fetched, and ``episode_faults`` leaves
+out damaged episodes of a recording that holds several.
 
-``git_lfs`` knows files that were not fetched, ``episode_faults`` leaves out damaged episodes of a recording that holds
-several.
 ``mcap_records`` reads MCAP files without trust, ``hdf5_contents`` and ``hdf5_pictures`` HDF5; ``cameras`` and
-``commands`` decode their messages, ``pixels`` and ``fitting`` make frames, ``timeline`` resamples, ``importing``
-writes the data set, ``source_rate`` says how fast the recordings are, and ``advice`` what would make a better one.
+``commands`` decode their messages, ``pixels`` and ``fitting`` make frames, ``timeline`` resamples. ``import_plan``
+says which data set the recordings become, with ``source_rate`` how fast they are and ``advice`` what would make a
+better one; ``importing`` writes it.
 """

@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from dmotion_bench.errors import UsageError
 from leaderboard.board import AGENT_MOVES, REFERENCE_WORDS, Board
-from leaderboard.board_tables import budget, labels, trainings, tuned, world
+from leaderboard.board_tables import budget, labels, trainings, tuned
 from leaderboard.column_table import Outcome
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import between, figure, mean
@@ -215,7 +215,7 @@ def chosen_table(rows: Sequence[Chosen]) -> list[str]:
 
 def _cells(one: Chosen) -> list[str]:
     return [
-        world(one.board),
+        one.board.title,
         f"{one.value.samples or 0:,} {one.choice.title}",
         one.choice.model_title,
         budget(one.row),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,11 +19,19 @@ from dmotion_bench.wording import command
 AnyPath = str | os.PathLike[str]
 """What may stand for a folder where somebody calls the library."""
 
+AnyPaths = AnyPath | Sequence[AnyPath]
+"""One or several of these."""
+
 CACHE = "cache"
 CACHE_VARIABLE = "DMBENCH_CACHE"
 ANOTHER_CACHE = f"name another folder with '--cache DIR', or in the variable {CACHE_VARIABLE}"
 DATASET_MANIFEST = "dataset.json"
 RUN_MANIFEST = "run.json"
+
+
+def listed(given: AnyPaths) -> list[AnyPath]:
+    """One path or several as a list."""
+    return [given] if isinstance(given, str | os.PathLike) else list(given)
 
 
 def cache_folder(dataset: Path) -> Path:
@@ -52,6 +61,11 @@ class Workspace:
     def current(cls) -> Workspace:
         """The workspace of this process."""
         return cls(Path(os.environ.get("DMBENCH_WORKSPACE", ".")))
+
+    @classmethod
+    def given(cls, root: AnyPath | None) -> Workspace:
+        """The workspace that a caller names; without a name that of this process."""
+        return cls.current() if root is None else cls(root)
 
     @property
     def data(self) -> Path:

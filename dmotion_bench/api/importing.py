@@ -26,14 +26,14 @@ from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Clock
 from dmotion_bench.storage.imports.sources import SUFFIXES
 from dmotion_bench.storage.video.codecs import CODECS
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, listed
 
 _CLUSTER_GIGABYTES: Final = 8
 _CLUSTER_MINUTES: Final = 24 * 60
 
 
 def import_recordings(
-    recordings: AnyPath | Sequence[AnyPath],
+    recordings: AnyPaths,
     *,
     camera: str | None = None,
     actions: str | None = None,
@@ -111,7 +111,6 @@ def import_recordings(
         >>> imported.episodes, imported.frames, imported.actions.names
         (20, 240, ('up', 'down', 'left', 'right'))
     """
-    given = [recordings] if isinstance(recordings, str | os.PathLike) else list(recordings)
     for option, value, allowed in (
         ("fit", fit, Fit),
         ("clock", clock, Clock),
@@ -140,8 +139,8 @@ def import_recordings(
         ),
     )
     workers = whole("workers", workers, 1)
-    place = Workspace.current() if workspace is None else Workspace(workspace)
-    paths = [Path(one) for one in given]
+    place = Workspace.given(workspace)
+    paths = [Path(one) for one in listed(recordings)]
     folder = default_folder(paths, place) if out is None else Path(out)
     with telling(progress) as tell:
 
@@ -207,7 +206,7 @@ def export_dataset(
         (20, True, 0.0)
     """
     require_one_of("codec", codec, CODECS)
-    place = Workspace.current() if workspace is None else Workspace(workspace)
+    place = Workspace.given(workspace)
     source = Dataset.open(place.dataset(data))
     folder = place.root / "exports" / f"{source.name}-lerobot" if out is None else Path(out)
     os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder talks on stderr, past every log

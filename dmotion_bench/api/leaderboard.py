@@ -6,8 +6,7 @@ The core knows no leaderboard: what makes and checks entries comes through entry
 from __future__ import annotations
 
 import logging
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -23,7 +22,7 @@ from dmotion_bench.pairing import Difference
 from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.specs import SplitName
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, listed
 
 _GIGABYTES: Final = 2.0  # that checking takes beside others
 _CLUSTER_GIGABYTES: Final = 16
@@ -82,9 +81,9 @@ class Verdict(Protocol):
 
 
 def leaderboard_build(
-    runs: AnyPath | Sequence[AnyPath] | None = None,
+    runs: AnyPaths | None = None,
     *,
-    entries: AnyPath | Sequence[AnyPath] = (),
+    entries: AnyPaths = (),
     out: AnyPath | None = None,
     workspace: AnyPath | None = None,
     progress: Progress = None,
@@ -110,12 +109,12 @@ def leaderboard_build(
         >>> built.page.as_posix(), built.measured
         ('page/index.html', 1)
     """
-    place = _workspace(workspace)
-    paths = place.all_runs() if runs is None else [place.run(one) for one in _listed(runs)]
+    place = Workspace.given(workspace)
+    paths = place.all_runs() if runs is None else [place.run(one) for one in listed(runs)]
     with telling(progress) as tell:
         made: Built = leaderboard_part("build")(
             paths,
-            [Path(one) for one in _listed(entries)],
+            [Path(one) for one in listed(entries)],
             built_page(place) if out is None else Path(out),
             on_progress=_told(tell, "building"),
         )
@@ -123,7 +122,7 @@ def leaderboard_build(
 
 
 def leaderboard_check(
-    paths: AnyPath | Sequence[AnyPath] | None = None,
+    paths: AnyPaths | None = None,
     *,
     quick: bool = False,
     differing: float = 0.0,
@@ -168,14 +167,14 @@ def leaderboard_check(
     workers, draw = whole("workers", workers, 1), whole("draw", draw, 0)
     if not 0 <= differing <= 1:
         raise UsageError(f"differing is {shown(differing)}; it must be a share from 0 to 1.")
-    home = _workspace(workspace)
+    home = Workspace.given(workspace)
     built = built_page(home) / "entries"
     if paths is None and not built.is_dir():
         raise UsageError(
             f"nothing to check: there is no {shown(str(built))}; build it with 'dmbench leaderboard build', or name "
             "entries."
         )
-    asked = [built] if paths is None else [Path(one) for one in _listed(paths)]
+    asked = [built] if paths is None else [Path(one) for one in listed(paths)]
     if place is not None:
         for why in pull_entries(asked, place, workspace=workspace, progress=progress):
             warn(f"not fetched: {why}")
@@ -229,23 +228,15 @@ def leaderboard_compare(
         ('mse', 0.0, 'unknown: 2 episodes')
     """
     require_one_of("split", split, ("test", "validation"))
-    place = _workspace(workspace)
+    place = Workspace.given(workspace)
     name = None if data is None else place.dataset(data).name
     differences: list[Difference] = leaderboard_part("compare")(place.run(first), place.run(second), name, split)
     return differences
 
 
-def _workspace(given: AnyPath | None) -> Workspace:
-    return Workspace.current() if given is None else Workspace(given)
-
-
 def built_page(workspace: Workspace | None = None) -> Path:
     """Where a workspace's page is built if nobody names a folder."""
     return (workspace or Workspace.current()).reports / "leaderboard"
-
-
-def _listed(given: AnyPath | Sequence[AnyPath]) -> list[AnyPath]:
-    return [given] if isinstance(given, str | os.PathLike) else list(given)
 
 
 def _told(tell: Callable[[JobProgress], None], verb: str) -> Callable[[str, int, int], None]:

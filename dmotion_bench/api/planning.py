@@ -119,7 +119,7 @@ def plan(
     chosen = control_scoring(
         None, planner, planner_settings, objective, objective_settings, steps=steps, seed=seed, group=1, column=column
     )
-    place = Workspace.current() if workspace is None else Workspace(workspace)
+    place = Workspace.given(workspace)
     trial = open_trial(run, task, chosen, place, data)
     if save is None or Path(save).suffix == STRIP:
         return trial.solve(progress=progress, strip=None if save is None else Path(save))

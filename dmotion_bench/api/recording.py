@@ -89,7 +89,7 @@ def record(
         size=whole("size", size, 16, 1024),
         frame_skip=whole("frame_skip", frame_skip, 1),
     )
-    place = Workspace.current() if workspace is None else Workspace(workspace)
+    place = Workspace.given(workspace)
     folder = default_folder(recipe, as_preset(preset), place) if out is None else Path(out)
     return record_recipe(recipe, folder, executor_for(recipe, folder, executor, workers), progress)
 

@@ -159,7 +159,7 @@ def plan_table(
         preset=None if preset is None else as_preset(preset), seeds=seeds, models=models, worlds=worlds
     )
     require_models(narrowed)
-    return Plan(narrowed, name, Workspace.current() if workspace is None else Workspace(workspace))
+    return Plan(narrowed, name, Workspace.given(workspace))
 
 
 def what_it_costs(

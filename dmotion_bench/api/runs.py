@@ -194,7 +194,7 @@ def load_run(run: AnyPath | None = None, *, workspace: AnyPath | None = None) ->
         >>> run.spec.model, run.spec.labels
         ('dmotion', 'one-shot')
     """
-    place = Workspace.current() if workspace is None else Workspace(workspace)
+    place = Workspace.given(workspace)
     return Run.open(place.run(run))
 
 

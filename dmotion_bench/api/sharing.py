@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,10 +22,8 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import file_facts
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath, Workspace
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath, AnyPaths, Workspace, listed
 
-Things = AnyPath | Sequence[AnyPath]
-"""One or several."""
 _HASH: Final = re.compile(r"([0-9a-f]{8,64})(?:/([0-9a-f]{8,64}))?")
 
 
@@ -39,7 +36,7 @@ class _Sources:
 
 
 def share_push(
-    what: Things,
+    what: AnyPaths,
     place: AnyPath,
     *,
     labels: bool = True,
@@ -71,7 +68,7 @@ def share_push(
         >>> [(one.kind, one.name) for one in pushed]
         [('data set', 'grid_world-tiny'), ('run', 'tiny')]
     """
-    here, there = _workspace(workspace), open_place(place)
+    here, there = Workspace.given(workspace), open_place(place)
     sources = [_sources(one, here) for one in _listed(what)]
     datasets = dict.fromkeys(path for one in sources for path in one.datasets)
     runs = dict.fromkeys(path for one in sources for path in one.runs)
@@ -83,7 +80,7 @@ def share_push(
 
 
 def share_pull(
-    what: Things,
+    what: AnyPaths,
     place: AnyPath,
     *,
     labels: bool = True,
@@ -113,7 +110,7 @@ def share_pull(
         >>> [(one.kind, one.name, one.path.as_posix()) for one in pulled]
         [('run', 'tiny', 'elsewhere/runs/tiny')]
     """
-    here, there = _workspace(workspace), open_place(place)
+    here, there = Workspace.given(workspace), open_place(place)
     pulled: list[Pulled] = []
     with telling(progress) as tell:
         told = _telling(tell, "fetching")
@@ -173,14 +170,11 @@ def pull_entries(
     return missing
 
 
-def _workspace(given: AnyPath | None) -> Workspace:
-    return Workspace.current() if given is None else Workspace(given)
-
-
-def _listed(things: Things) -> list[AnyPath]:
+def _listed(things: AnyPaths) -> list[AnyPath]:
     """One thing after the other; a folder of entries stands for those of its entries that were measured."""
-    given = [things] if isinstance(things, str | os.PathLike) else list(things)
-    return [one for thing in given for one in (_measured(Path(thing)) if _holds_entries(Path(thing)) else [thing])]
+    return [
+        one for thing in listed(things) for one in (_measured(Path(thing)) if _holds_entries(Path(thing)) else [thing])
+    ]
 
 
 def _measured(folder: Path) -> list[Path]:

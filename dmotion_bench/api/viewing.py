@@ -35,7 +35,7 @@ from dmotion_bench.viewing.scene import Scene, write_scene
 from dmotion_bench.viewing.target import Target, find_target
 from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, listed
 
 __all__ = [
     "ANIMATED",
@@ -92,7 +92,7 @@ class Served:
 
 
 def view(
-    what: AnyPath | Sequence[AnyPath],
+    what: AnyPaths,
     *,
     save: AnyPath | None = None,
     web: bool = False,
@@ -139,8 +139,8 @@ def view(
     animated = file is not None and file.suffix in ANIMATED
     if steps is not None and not animated:
         raise UsageError("steps is for an animation; name its file with save='FILE.gif' or save='FILE.webp'.")
-    place = Workspace.current() if workspace is None else Workspace(workspace)
-    asked = [what] if isinstance(what, str) or hasattr(what, "__fspath__") else list(what)
+    place = Workspace.given(workspace)
+    asked = listed(what)
     if not asked:
         raise UsageError("nothing is named to be shown; name a data set or a run.")
     targets = find_targets([Path(one) for one in asked], place)

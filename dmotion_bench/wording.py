@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shlex
@@ -40,14 +41,17 @@ def sentence(text: str) -> str:
 def rounded(value: float | None) -> str:
     """A figure with three significant digits and without an exponent, thousands set apart; empty for None.
 
-    Below 1e-4 it is zero: no figure of this benchmark is told apart there.
+    Every figure for readers is written by this rule: in the terminal, in Rerun, on the page and in the documents. Below
+    1e-4 it is zero: no figure of this benchmark is told apart there.
     """
     if value is None:
         return ""
-    size = abs(value)
-    if size >= 10:
-        return f"{value:,.0f}" if size >= 99.95 else f"{value:.1f}"
-    return f"{value:.3g}" if size >= 1e-4 else "nan" if value != value else "0"
+    if not math.isfinite(value):
+        return f"{value:g}"
+    if abs(value) < 1e-4:
+        return "0"
+    exponent = int(f"{value:.2e}".partition("e")[2])
+    return f"{value:,.{max(0, 2 - exponent)}f}"
 
 
 def counted(count: int, what: str) -> str:

@@ -9,13 +9,14 @@ from functools import partial
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.statistics import Estimate
+from dmotion_bench.wording import rounded
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
-from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns
+from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns, named
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.label_table import label_lines
 from leaderboard.markdown import WIDTH, plain, table
-from leaderboard.markdown_numbers import TO, between, figure, mean, written
+from leaderboard.markdown_numbers import TO, between, figure, mean
 from leaderboard.planners import tuned_share
 from leaderboard.row import Row, each
 from leaderboard.value import Value
@@ -27,7 +28,7 @@ def board_section(board: Board) -> list[str]:
     """The lines of a board: its heading, what it was measured on, and its tables."""
     lines = [f"### {world(board)}: {plain(board.dataset)} ({board.fingerprint[:8]})", ""]
     protocols = sorted({str(entry.content["protocol"]) for entry in board.entries if entry.is_measured})
-    told = [f"Protocol {', '.join(map(plain, protocols))}", f"split by {plain(board.protocol)}"]
+    told = [f"{named('Protocol', list(map(plain, protocols)))}", f"split by {plain(board.protocol)}"]
     lines.append(", ".join([*told, *([f"{board.triplets:,} predicted frames"] if board.triplets else [])]) + ".")
     if board.measured:
         lines += ["", *_predictions(board)]
@@ -58,7 +59,7 @@ def column_lines(control: ColumnTable) -> list[str]:
     words = [f"Distance left after {control.steps} steps, with the 95% interval over tasks and trainings."]
     words += [f"Solved: {SOLVED_AT:g} of the distance or less, with Wilson's interval."]
     words += [
-        f"{COLUMNS[name].title}: differences below {written(one)} between two models are too small for this table."
+        f"{COLUMNS[name].title}: differences below {rounded(one)} between two models are too small for this table."
         for name, one in control.detectable.items()
     ]
     return [*lines, "", *textwrap.wrap(" ".join(words), WIDTH)]
@@ -79,7 +80,7 @@ def left(cell: Outcome | None) -> str:
     if cell is None:
         return ""
     one = cell.left
-    return written(one.mean) + ("" if one.low is None else f" ({between(one.low, one.high)})")
+    return rounded(one.mean) + ("" if one.low is None else f" ({between(one.low, one.high)})")
 
 
 def solved(cell: Outcome | None) -> str:
@@ -124,7 +125,7 @@ def published_section(board: Board) -> list[str]:
     if last is not None:
         columns["Distance left"] = lambda row: figure(row.figures.get(last))
     said = textwrap.wrap(" ".join(map(plain, [f"{', '.join(sources)}.", *notes])), WIDTH)
-    return [f"### {board.title}: as published", "", *said, "", *_lines(columns, rows)]
+    return [f"### {environment_title(board.environment)}: as published", "", *said, "", *_lines(columns, rows)]
 
 
 def _predictions(board: Board) -> list[str]:
@@ -141,7 +142,7 @@ def _predictions(board: Board) -> list[str]:
         "15 ahead": lambda row: mean(row.figures.get("rollout_mse[15]")),
         f"{POSITION_CHARGED} [px]": lambda row: figure(row.figures.get("position_error_paper")),
         f"{POSITION_FOUND} [px]": lambda row: mean(row.figures.get("position_error")),
-        "Gain captured": lambda row: _rounded(row.figures.get("planning_gain"), ".2f"),
+        "Gain captured": lambda row: _formatted(row.figures.get("planning_gain"), ".2f"),
     }
     return _lines(columns, rows)
 
@@ -161,8 +162,8 @@ def _control(board: Board) -> list[str]:
         f"Left after {steps} steps": lambda row: figure(row.figures[last], strong=last in row.leads),
         "paper": lambda row: mean(_published(paper, row).get(last)),
         "after 40": lambda row: mean(row.figures.get("control_distance[40]")),
-        "Solved": lambda row: _rounded(row.figures.get("control_success"), ".0%"),
-        "Lost": lambda row: _rounded(row.figures.get("control_lost"), ".3g"),
+        "Solved": lambda row: _formatted(row.figures.get("control_success"), ".0%"),
+        "Lost": lambda row: _formatted(row.figures.get("control_lost"), ".3g"),
         "Tuned here": lambda row: tuned(board, row, last),
     }
     return _lines(columns, sorted(rows, key=lambda row: row.figures[last].mean))
@@ -188,7 +189,7 @@ def _lines(columns: dict[str, Cell], rows: Sequence[Row]) -> list[str]:
     return table(heads, [[cells[head][place] for head in heads] for place in range(len(rows))])
 
 
-def _rounded(value: Value | None, form: str) -> str:
+def _formatted(value: Value | None, form: str) -> str:
     return "" if value is None else format(value.mean, form)
 
 
@@ -200,7 +201,7 @@ def labels(row: Row) -> str:
 
 
 def budget(row: Row) -> str:
-    """The same, and of demonstrations how many of each action: so many labels as they come are another budget."""
+    """The same, and of demonstrations how many of each action: as many labels of any actions are another budget."""
     return "" if row.kind == "reference" else budget_words(row.label_count, row.labels)
 
 
@@ -215,7 +216,7 @@ def trainings(row: Row, name: str) -> str:
     value = row.figures[name]
     if row.kind != "measured":
         return ""
-    return f"{value.seeds}" if value.seeds == 1 else f"{value.seeds}: {written(value.low)} to {written(value.high)}"
+    return f"{value.seeds}" if value.seeds == 1 else f"{value.seeds}: {rounded(value.low)} to {rounded(value.high)}"
 
 
 def tuned(board: Board, row: Row, name: str) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
+
+from dmotion_bench.wording import rounded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +42,7 @@ TRUE_MOTION: Final = Column(
 
 _SINGLE: Final = (
     Column(
-        figure="mse", heading="MSE", meaning="Mean squared error of pixel values 0-255 over all pixels and channels."
+        figure="mse", heading="MSE", meaning="Mean squared error of the next frame, over pixel values from 0 to 255."
     ),
     Column(figure="mse_push", heading="MSE, pushes", meaning="The same over the steps at which an object is moved."),
     Column(figure="psnr", heading="PSNR", unit="dB", meaning="Mean of the frames' PSNRs.", higher=True),
@@ -65,7 +67,7 @@ UNWANTED: Final = {
     "background": "background",
     "movers": "movers",
 }
-"""What a latent action should not hold (``scoring/true_factors.py``), in words."""
+"""What a latent action should not hold (``scoring/true_factors.py``), in words; a sentence puts "the" before them."""
 
 _AFTER: Final = (
     Column(
@@ -82,14 +84,14 @@ _AFTER: Final = (
     Column(
         figure="probe_mlp[action]",
         heading="Probe, action",
-        meaning="What a small network reads of the true action from the latent one: accuracy of names, else R².",
+        meaning="How well a small network reads the true action from the latent one: accuracy of names, else R².",
         higher=True,
     ),
     *(
         Column(
             figure=f"probe_mlp[{factor}]",
             heading=f"Probe, {words}",
-            meaning=f"R² with which a small network reads {words}, beyond what the action tells of it; should be 0.",
+            meaning=f"R² with which a small network reads the {words}, beyond what the action tells; should be 0.",
         )
         for factor, words in UNWANTED.items()
     ),
@@ -97,7 +99,7 @@ _AFTER: Final = (
         Column(
             figure=f"state_probe[{place}]",
             heading=f"State, {words}",
-            meaning=f"R² with which a linear probe reads {words} from a model's state, if it has one, in new layouts.",
+            meaning=f"R² with which a linear probe reads the {words} from a model's state, in new layouts.",
             higher=True,
         )
         for place, words in (("agent_place", "agent's place"), ("object_place", "objects' places"))
@@ -118,7 +120,7 @@ _CONTROL_AFTER: Final = (
     Column(
         figure="control_success",
         heading="Tasks solved",
-        meaning="Share of the tasks that end with a fifth of the distance at the start, or less.",
+        meaning="Share of the tasks that end with at most a fifth of the distance at the start.",
         higher=True,
     ),
     Column(figure="control_lost", heading="Objects lost", meaning="Objects that fall off the table, per task."),
@@ -166,30 +168,15 @@ def _rollouts(figures: Collection[str]) -> list[Column]:
 
 
 def number(value: float | int | None) -> str:
-    """A number with three significant digits, without an exponent below a million, with a true minus sign."""
-    if value is None:
-        return ""
-    size = abs(value)
-    if size >= 1e6:
-        text = f"{size:.2e}"
-    elif size >= 100:
-        text = f"{size:,.0f}"
-    elif size >= 10:
-        text = f"{size:.1f}"
-    elif size >= 1:
-        text = f"{size:.2f}"
-    elif size >= 1e-4:
-        text = f"{size:#.3g}"
-    else:
-        text = "0"
-    return f"\u2212{text}" if value < 0 and text != "0" else text
+    """A figure as it is rounded everywhere, with a true minus sign."""
+    return rounded(value).replace("-", "\u2212")
 
 
 def interval(low: float | None, high: float | None, *, sign: bool = False) -> str:
     """An interval as text; empty if there is none."""
     if low is None or high is None:
         return ""
-    return f"{signed(low)} to {signed(high)}" if sign else f"{number(low)} \u2013 {number(high)}"
+    return " to ".join(map(signed if sign else number, (low, high)))
 
 
 def count(value: float) -> str:
@@ -201,3 +188,10 @@ def signed(value: float) -> str:
     """A difference, with its sign."""
     text = number(value)
     return text if text == "0" or value < 0 else f"+{text}"
+
+
+def named(what: str, names: Sequence[str]) -> str:
+    """One thing or several by name: ``protocol a``, ``protocols a and b``."""
+    if len(names) < 2:
+        return f"{what} {''.join(names)}"
+    return f"{what}s {', '.join(names[:-1])} and {names[-1]}"

@@ -17,13 +17,13 @@ MOST_BUDGETS: Final = 8
 """Besides that of all labels; a page has no room for more."""
 
 SAID: Final = (
-    f"Labels needed: the fewest from which on the MSE stays within {WITHIN:.0%} of the model's own with all labels, "
-    "judged by the budgets of this table (not comparable with fewer than three of them), as the two measured budgets "
-    "between which that is; in brackets the 95% interval over episodes and, where a budget has several, trainings, "
-    "where that reaches beyond the two. It is blank where the MSE with all labels is not below that of copying the "
-    "last frame. Then the MSE by the number of labels, each of them the actions of so many transitions as they come. A "
-    "row is of the same trainings under every budget; where none has all of them, a cell of fewer trainings says of "
-    "how many it is."
+    f"Labels needed: the fewest labels from which on the MSE stays within {WITHIN:.0%} of the model's own with all "
+    "labels. The table names the two measured budgets between which this number lies; a model with fewer than three "
+    "of the table's budgets is not comparable. In brackets: the 95% interval over episodes and, where a budget has "
+    "several trainings, over trainings, if it reaches beyond the two budgets. The cell is blank where the MSE with all "
+    "labels is not below that of copying the last frame. The other columns have the MSE by the number of labels, which "
+    "are the actions of that many transitions, whichever actions these show. A row has the same trainings under every "
+    "budget; where no training has all budgets, a cell of fewer trainings says how many it has."
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from leaderboard.columns import number
+from dmotion_bench.wording import rounded
 from leaderboard.value import Value
 
 TO: Final = "\u00a0to\u00a0"
@@ -18,20 +18,15 @@ def figure(value: Value | None, *, strong: bool = False) -> str:
     text = f"**{mean(value)}**" if strong else mean(value)
     if value.interval is not None:
         return f"{text} ({between(*value.interval)})"
-    return text if value.std is None or value.samples is not None else f"{text} ± {written(value.std)}"
+    return text if value.std is None or value.samples is not None else f"{text} ± {rounded(value.std)}"
 
 
 def mean(value: Value | None) -> str:
     """A mean alone."""
-    return "" if value is None else written(value.mean)
+    return "" if value is None else rounded(value.mean)
 
 
 def between(low: float | None, high: float | None) -> str:
     """An interval as text on one line, with two digits for numbers below 10."""
-    bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else written(one) for one in (low, high))
+    bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else rounded(one) for one in (low, high))
     return TO.join(bounds)
-
-
-def written(value: float | None) -> str:
-    """A number of a few digits, with an ordinary minus sign."""
-    return number(value).replace("\u2212", "-")

@@ -37,11 +37,11 @@ WORDS: Final = {
     "label": "an action that a model is told; without labels it sees video alone",
     "one-shot": "one demonstration of each action",
     "latent action": "the numbers by which a model of video describes what was done between two frames",
-    "rollout": "several predictions in a row, each fed with the ones before",
+    "rollout": "several predictions in a row, each made from the ones before",
     "gain captured": "of what the best of many action sequences brings, the share that the model's favourite brings",
     "control": "a planner chooses actions by a model's predictions, to bring objects to where a picture has them",
-    "frozen planner": "one whose settings were chosen on other tasks than those of the table",
-    "copying": "predicting that nothing changes; a model above its error is of no use",
+    "frozen planner": "one with fixed settings, which were chosen on other tasks than those of the table",
+    "copying": "predicting that nothing changes; a model with a higher error than that is of no use",
 }
 """What the page says of its own words, as it may stand alone."""
 
@@ -135,13 +135,14 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary 
                     "li",
                     "Small print under a number: \u201c95%\u201d is the interval of the mean over test episodes (a "
                     "bootstrap), for the models as they were trained; \u201cseeds\u201d are the lowest and the highest "
-                    "of several trainings; of a published row, what its table printed after \u00b1.",
+                    "of several trainings. In a published row it is what the paper's table has after \u00b1.",
                 ),
                 element(
                     "li",
-                    "\u201cMSE above the best\u201d is the paired difference on the same test episodes. Bold, of the "
-                    "MSE and of control at the end, are the best and those that are statistically tied with it: their "
-                    "interval reaches zero. It speaks of these trained models, not of other seeds.",
+                    "\u201cMSE above the best\u201d is the paired difference on the same test episodes. Of the MSE and "
+                    "of control after the last step, the best row is bold, and so are the rows that are statistically "
+                    "tied with it: the interval of their difference reaches zero. Bold is about these trained models, "
+                    "not about other seeds.",
                 ),
                 element(
                     "li",
@@ -199,8 +200,8 @@ def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
 def _described(board: Board) -> list[Markup]:
     if not board.fingerprint:
         return [escaped("Published results alone; nothing has been measured here yet.")]
-    told = [escaped(f"{count(board.triplets)} steps of the {board.split} episodes; " if board.triplets else "")]
-    told.append(escaped("data set "))
+    steps = f"{count(board.triplets)} steps of the {board.split} episodes; data set " if board.triplets else "Data set "
+    told = [escaped(steps)]
     told.append(element("code", board.fingerprint[:12], title=board.fingerprint))
     told.append(escaped("."))
     if board.protocol == "paper":
@@ -236,9 +237,9 @@ def _on_version(board: Board) -> list[str]:
     if not board.fingerprint or board.version >= newest:
         return []
     return [
-        f"Everything measured here is of version {board.version} of {board.environment}: "
-        f"{versions.get(board.version, 'not known here')}. dmbench now records version {newest}: {versions[newest]}. "
-        "The two have boards of their own until these results are made again."
+        f"Everything measured here is of version {board.version} of {board.environment} "
+        f"({versions.get(board.version, 'not known here')}). dmbench now records version {newest} "
+        f"({versions[newest]}). Each version has boards of its own."
     ]
 
 
@@ -248,7 +249,7 @@ def _footer(entries: Sequence[Entry]) -> Markup:
         "footer",
         element(
             "p",
-            f"{count_figures(entries)} figures in {_counted(len(entries), 'entry', 'entries')}. ",
+            f"{count(count_figures(entries))} figures in {_counted(len(entries), 'entry', 'entries')}. ",
             "Made of ",
             element("code", digest[:12], title=digest),
             " by dmbench leaderboard build; the format of an entry is in ",

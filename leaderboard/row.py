@@ -18,8 +18,8 @@ USUAL_BUDGETS: Final = ("one-shot", "100%", "all")
 
 DEMONSTRATIONS: Final = re.compile(r"(one|\d+)-shot(-per-agent)?")
 EACH_MEANING: Final = (
-    "Labels such as 4 (1 each) are demonstrations, one of each of four actions. Without such a bracket the actions are "
-    "those of so many transitions as they come, so a small number may lack an action."
+    "Labels such as 4 (1 each) are demonstrations, one of each of four actions. Without such a bracket they are the "
+    "actions of that many transitions, whichever actions these show, so a small number may lack an action."
 )
 
 

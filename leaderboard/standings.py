@@ -9,7 +9,7 @@ from dmotion_bench.planning.columns import COLUMNS
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.board_tables import tuned
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable
-from leaderboard.columns import Column, columns_for, control_columns, count, interval, number, signed
+from leaderboard.columns import Column, columns_for, control_columns, count, interval, named, number, signed
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markup import Markup, element, joined
 from leaderboard.row import EACH_MEANING, Row, each
@@ -64,7 +64,7 @@ def control_standings(board: Board, anchor: str) -> Markup | None:
             "p",
             f"{' or '.join(map(count, tasks)) + ' tasks' if tasks else 'Tasks'}: "
             "bring the objects to where the goal's image has them. "
-            "Distances are those of the simulator, over that at the start; doing nothing is 1."
+            "A distance is the simulator's, divided by that at the start; doing nothing leaves 1."
             + (OTHER_PLANNER_NOTE if any(row.planned_otherwise for row in rows) else ""),
             class_="note",
         ),
@@ -100,7 +100,7 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
     protocols = sorted({COLUMNS[name].protocol for name in control.columns})
     return element(
         "section",
-        element("h3", f"Control, protocol {', '.join(protocols)}"),
+        element("h3", f"Control, {named('protocol', protocols)}"),
         element(
             "p",
             f"The distance left after {control.steps} steps, on tasks that nothing was tuned on. Small print: the 95% "
@@ -129,9 +129,7 @@ def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
         said = f"{between}{cell.tasks} tasks{trained}"
         cells += [
             element("td", number(cell.left.mean), element("small", said), data_value=repr(cell.left.mean)),
-            element(
-                "td", f"{share:.0%}", element("small", f"95%: {low:.0%} \u2013 {high:.0%}"), data_value=repr(share)
-            ),
+            element("td", f"{share:.0%}", element("small", f"95%: {low:.0%} to {high:.0%}"), data_value=repr(share)),
             element("td", number(cell.lost), data_value=repr(cell.lost)),
         ]
     return element("tr", *cells, class_="measured" if row.entries else "reference")
@@ -280,8 +278,8 @@ def _labels(row: Row) -> Markup:
 
 
 def _budget(labels: str) -> str:
-    """A budget as small print: demonstrations of each action are another one than a number of labels."""
-    return f"{labels}: {each(labels)}" if each(labels) else "as they come" if labels.isdecimal() else labels
+    """A budget as small print: demonstrations of each action are another budget than a number of labels."""
+    return f"{labels}: {each(labels)}" if each(labels) else "any actions" if labels.isdecimal() else labels
 
 
 def _is_strong(row: Row, figure: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import shlex
 from pathlib import Path
@@ -11,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmotion_bench.errors import DatasetCorrupt, DmbenchError, UnknownName
-from dmotion_bench.wording import SENTENCE_LIMIT, command, shown
+from dmotion_bench.wording import SENTENCE_LIMIT, command, rounded, shown
+from leaderboard.columns import number
 
 
 @settings(deadline=None, derandomize=True, max_examples=200)
@@ -47,3 +49,26 @@ def test_a_sentence_stays_short_and_keeps_its_advice() -> None:
 
 def test_what_would_move_a_terminal_is_written_out() -> None:
     assert str(DmbenchError("a\x1b[2Jb\ud800\n c")) == "a\\x1b[2Jb\\ud800\n c"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, ""),
+        (0.48, "0.480"),
+        (7, "7.00"),
+        (9.996, "10.0"),
+        (-13.72, "-13.7"),
+        (99.96, "100"),
+        (1883.2, "1,883"),
+        (1_234_567.8, "1,234,568"),
+        (-0.00012345, "-0.000123"),
+        (-0.00004, "0"),
+        (0, "0"),
+        (math.nan, "nan"),
+        (-math.inf, "-inf"),
+    ],
+)
+def test_a_figure_has_three_digits_in_the_terminal_and_on_the_page(value: float | None, text: str) -> None:
+    assert rounded(value) == text
+    assert number(value) == text.replace("-", "\u2212")

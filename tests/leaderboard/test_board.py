@@ -69,8 +69,8 @@ def test_versions_of_an_environment_have_boards_of_their_own(result: Callable[..
     measured = [[row.name for row in board.rows if row.kind == "measured"] for board in boards]
     assert measured == [["new"], ["old"]]
     page = make_page([old, later, _published()])
-    assert page.count("is of version 1 of grid_world: drawn on the 128 x 128 pixels themselves") == 1
-    assert "records version 2: drawn as the paper&#x27;s published code does" in page
+    assert page.count("is of version 1 of grid_world (drawn on the 128 x 128 pixels themselves)") == 1
+    assert "records version 2 (drawn as the paper&#x27;s published code does" in page
     assert "is of version" not in make_page([later, _published()])
 
 

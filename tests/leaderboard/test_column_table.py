@@ -23,6 +23,7 @@ from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.sharing.run_share import share_of
 from dmotion_bench.specs import DatasetRecipe, SplitName
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import rounded
 from dmotion_bench.workspace import Workspace
 from leaderboard import sources
 from leaderboard.board import Board, make_boards
@@ -31,7 +32,6 @@ from leaderboard.build import entry_of_run
 from leaderboard.check import check_entry
 from leaderboard.chosen import chosen_table, find_rows, read_choices
 from leaderboard.entry import Entry
-from leaderboard.markdown_numbers import written
 from leaderboard.model_results import model_lines
 from leaderboard.page import make_page
 
@@ -222,7 +222,7 @@ def test_control_of_the_earlier_protocol_stands_apart(
     assert board.control is not None
     assert [entry.column for entry in board.control.entries] == ["generic"]
     assert [entry.column for entry in board.measured] == [None]
-    assert "Protocol dmbench-1, dmbench-2" in lines
+    assert "Protocols dmbench-1 and dmbench-2" in lines
     assert "Control of protocol dmbench-1, by planners that were tuned on some of its tasks" in lines
     assert "Control, protocol dmbench-1" in page
     assert "Control, protocol dmbench-2" in page
@@ -251,11 +251,11 @@ def test_the_page_and_the_tables_show_it(board: Board) -> None:
     assert board.control is not None
     lines = "\n".join(board_section(board))
     page = make_page(board.entries)
-    mean = written(board.control.rows[0].cells["generic"].left.mean)
+    mean = rounded(board.control.rows[0].cells["generic"].left.mean)
 
     assert "Generic: left" in lines
     assert f"| {mean} (" in lines
-    assert f"Generic: differences below {written(board.control.detectable['generic'])} between" in lines
+    assert f"Generic: differences below {rounded(board.control.detectable['generic'])} between" in lines
     assert "are too small for this table" in page
     assert page.count("true simulator as the model") == 1
     (row,) = (line for line in lines.splitlines() if line.startswith("| dmotion |"))

@@ -248,7 +248,7 @@ def test_small_print_says_what_it_is_of_and_compute_on_what(sound: Entry, change
     assert value.interval is not None
 
     low, high = (number(one) for one in value.interval)
-    assert f"<small>95%: {low} \u2013 {high}</small><small>seeds: " in row
+    assert f"<small>95%: {low} to {high}</small><small>seeds: " in row
     assert "50 s CPU, 10 min GPU" in row
     assert "<small>one-shot: 1 each</small>" in row
 

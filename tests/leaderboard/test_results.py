@@ -179,6 +179,7 @@ def test_a_board_says_which_version_of_the_environment_recorded_its_data(
 
 def test_published_rows_say_where_they_were_printed(board: Board) -> None:
     lines = published_section(board)
+    assert lines[0] == "### Grid World: as published"
     assert "A paper. A note." in lines
     assert _cells(lines, "a") == ["a", "4 (1 each)", "14.3 ± 99.8"]
 

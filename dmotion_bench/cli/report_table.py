@@ -78,6 +78,8 @@ def show_report(report: Report, run: Path) -> None:
     for name in (*beside, "labels", "trained_on", "actions", "positions", "gain", "control", "rollout", "split"):
         if name in report.remarks:
             console.print(f"  {_plain(name)}: {report.remarks[name]}")
+    if others := [f"{name} {version}" for name, version in report.versions.items() if name.endswith(")")]:
+        console.print(f"  scored earlier, with other versions: {', '.join(others)}")
     console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
 
 

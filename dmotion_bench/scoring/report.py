@@ -15,7 +15,8 @@
       settings       split, horizon, precision ...; metrics: what has been scored so far; of control its version, too
       planning       of control: the planner and the cost, every field and every constant, and the arithmetic
       training       what the run cost; threads: that trained it, and scored it
-      versions       of Python and the packages
+      versions       of Python and the packages; "torch (control)": that a group of figures was scored with, where it
+                     was kept from an earlier scoring with another version
       figures        name -> mean, std, low, high, n, episodes; without the last in older reports
       reference      the same for predictors that know nothing, and published results, by their names
       remarks        what to bear in mind of each reference, and what could not be scored

@@ -46,7 +46,14 @@ from dmotion_bench.scoring.run_report import compose_report
 from dmotion_bench.scoring.samples import SCHEMA, require_readable
 from dmotion_bench.scoring.settings import DEFAULT_METRICS, OWN_SETTINGS, Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
-from dmotion_bench.scoring.standing import planning_of, samples_of, standing_report, true_groups, with_standing
+from dmotion_bench.scoring.standing import (
+    planning_of,
+    samples_of,
+    standing_report,
+    true_groups,
+    versions_with,
+    with_standing,
+)
 from dmotion_bench.scoring.transfer import report_folder, transferable
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.specs import SplitName
@@ -232,6 +239,9 @@ def score_run(
             )
         groups = tuple(dict.fromkeys((*true, *metrics)))
         scored = compose_report(run, dataset, scores.figures, scores.reference, settings.to_json(groups))
+        if report is not None:
+            kept = [name for name in true if name not in metrics]
+            scored = replace(scored, versions=versions_with(report, kept, scored.versions))
         if lacking is not None:
             scored = replace(scored, remarks={**scored.remarks, "gain": f"not measured: {lacking}"})
         if "control" in metrics:

@@ -72,6 +72,23 @@ def true_groups(
     return tuple(name for name in report.settings["metrics"] if _is_true(name, report, settings, planning))
 
 
+def versions_with(report: Report, kept: Collection[str], present: Mapping[str, str]) -> dict[str, str]:
+    """The present versions and, of groups that a report keeps from earlier, what differs: ``torch (control)``.
+
+    Args:
+        report: The earlier one, which may itself hold groups of several versions.
+        kept: The groups of figures that are taken from it.
+        present: Of the packages that score the others now.
+    """
+    told = dict(present)
+    plain = {name: version for name, version in report.versions.items() if not name.endswith(")")}
+    for group in kept:
+        mark = f" ({group})"
+        own = {name.removesuffix(mark): one for name, one in report.versions.items() if name.endswith(mark)}
+        told |= {f"{name}{mark}": one for name, one in (plain | own).items() if one != present.get(name)}
+    return told
+
+
 def _is_true(metric: str, report: Report, settings: ScoreSettings, planning: Mapping[str, Any]) -> bool:
     """Whether a report's figures of one group are those that scoring now would give."""
     said = settings.to_json(METRICS)

@@ -18,6 +18,7 @@ import pytest
 from killed_writes import Killed, each_kill, killed_at
 
 from dmotion_bench.actions import Continuous
+from dmotion_bench.cli.report_table import show_report
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing, StorageFull
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import compare_runs
@@ -26,7 +27,7 @@ from dmotion_bench.scoring.references import PublishedFigure, PublishedResult, p
 from dmotion_bench.scoring.report import SCORING_VERSION, read_report, read_report_samples, settled, write_report
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS
 from dmotion_bench.scoring.score import score_model, score_run
-from dmotion_bench.scoring.settings import ScoreSettings
+from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.statistics import FEWEST_EPISODES
 from dmotion_bench.storage.atomic import remove_leftovers
@@ -111,6 +112,25 @@ def test_the_report_says_how_it_was_made(make_run: MakeRun, grid: Dataset, tmp_p
     assert {"python", "torch", "numpy"} <= set(report["versions"])
     assert report["reference"]["paper"]["mse"] == {"mean": 14.3, "std": 99.8, "low": None, "high": None, "n": None}
     assert "Yuan" in report["remarks"]["paper"]
+
+
+def test_figures_that_are_kept_say_by_which_versions_they_were_made(
+    make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, here = make_run(tmp_path / "run"), {"dmbench": "0.2", "torch": "1.0"}
+    monkeypatch.setattr("dmotion_bench.scoring.run_report.versions", lambda: dict(here))
+
+    def score(torch: str, metric: Metric) -> dict[str, str]:
+        here["torch"] = torch
+        return dict(score_run(run.path, metrics=(metric,), settings=QUICK).versions)
+
+    assert score("1.0", "prediction") == {"dmbench": "0.2", "torch": "1.0"}
+    assert score("2.0", "rollout") == {"dmbench": "0.2", "torch": "2.0", "torch (prediction)": "1.0"}
+    mixed = score("3.0", "rollout")
+    assert mixed == {"dmbench": "0.2", "torch": "3.0", "torch (prediction)": "1.0"}
+    show_report(read_report(run.path / "report"), run.path)
+    assert "scored earlier, with other versions: torch (prediction) 1.0" in capsys.readouterr().out
+    assert score("3.0", "prediction") == {"dmbench": "0.2", "torch": "3.0"}
 
 
 def test_the_same_run_gives_the_same_bytes(make_run: MakeRun, tmp_path: Path) -> None:

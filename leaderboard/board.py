@@ -143,12 +143,12 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
     control = column_table([entry for entry in every if entry.column is not None], REFERENCE_WORDS)
     planner, usual = _planner_of(entries), _usual_settings(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
-    twins: dict[tuple[str, ...], int] = defaultdict(int)
+    seen: dict[tuple[str, ...], int] = defaultdict(int)
     for entry in entries:
         key = _row_key(entry)
         one = (*key, str(entry.content["seed"]))
-        groups[*key, str(twins[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
-        twins[one] += 1
+        groups[*key, str(seen[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
+        seen[one] += 1
     measured = _told_apart([_measured_row(own, planner, usual) for own in groups.values()])
     comparable = published if entries and entries[0].actions == "discrete" else ()
     rows = [*_ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, planner, usual)]

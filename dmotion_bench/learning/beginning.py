@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.twins import take_over
+from dmotion_bench.learning.shared_pretraining import take_over
 from dmotion_bench.storage.lock import held
 from dmotion_bench.wording import shown
 
@@ -41,9 +41,9 @@ def finished_result(
             note(f"{run.path} is already trained; here is its result.")
             tell_changes(run, warn)
             return run.result
-    if (twin := take_over(run)) is not None:
-        note(f"using the training of {twin.path}, which differs only in its labels.")
-        tell_changes(twin, warn)
+    if (source := take_over(run)) is not None:
+        note(f"using the training of {source.path}, which differs only in its labels.")
+        tell_changes(source, warn)
     elif run.last.exists():
         note(f"going on with {run.path}.")
         tell_changes(run, warn)

@@ -239,8 +239,8 @@ class Run:
         return self.path / "best.safetensors"
 
     @property
-    def watched(self) -> Path:
-        """The checkpoint from which a run of another label budget can go on; few models have one."""
+    def unlabelled_stage(self) -> Path:
+        """The checkpoint after the phases that need no labels, from which other label budgets go on."""
         return self.path / "watched.safetensors"
 
     @property
@@ -277,7 +277,7 @@ class Run:
 
     def begin_anew(self) -> None:
         """Delete the result and everything that the training wrote, so that it starts again."""
-        for file in (self.last, self.best, self.watched, self.unadapted, self.metrics):
+        for file in (self.last, self.best, self.unlabelled_stage, self.unadapted, self.metrics):
             file.unlink(missing_ok=True)
         self.manifest |= {"code": code_of(self.spec.model), "result": None}
         self.manifest.pop("trained_as", None)

@@ -4,7 +4,7 @@ Rows are independent. A row that is trained already is taken as it is, one that 
 is noted with its sentence, and the next is trained.
 
 Several models can be trained beside each other, by an executor. The rows of one model stay one job, in their order:
-they share the training that needs no labels (``twins.py``).
+they share the training that needs no labels (``shared_pretraining.py``).
 """
 
 from __future__ import annotations

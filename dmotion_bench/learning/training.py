@@ -130,7 +130,7 @@ class _Trainer:
         shown = self.demonstrations if self.model.supervision is Supervision.FEW else None
         self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device, shown)
         self._require_batches()
-        self.steps, self.watched = self.parts[-1].stop, steps_before_labels(self.parts)
+        self.steps, self.unlabelled_steps = self.parts[-1].stop, steps_before_labels(self.parts)
         losses, self.optimizer = set_up(fabric, self.model, make_optimizer(self.model, self.config))
         self.step = Stepper(
             model=self.model,
@@ -240,8 +240,8 @@ class _Trainer:
                         self.state.end_early(part, validate_every, self.config.patience)
                         if self.state.step == part.stop < self.steps:
                             self._take_best()
-                        if self.state.step == self.watched:  # before the other: a kill in between takes this step again
-                            self._write_checkpoint(self.run.watched)
+                        if self.state.step == self.unlabelled_steps:  # first: a kill in between takes this step again
+                            self._write_checkpoint(self.run.unlabelled_stage)
                         saved = self._save()
                     stop = self.companions.any(stopping())  # all at the same step, though a signal comes to each alone
                     if not validated and (stop or time.monotonic() - saved > CHECKPOINT_SECONDS):

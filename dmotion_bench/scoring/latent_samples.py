@@ -1,7 +1,7 @@
 """Single steps by latent actions: what a model that learned from video predicts by its own, and what they hold.
 
 None of it depends on the label budget. So runs that share a training share these samples, as they share the training
-(``learning/twins.py``); only what their actions predict is their own.
+(``learning/shared_pretraining.py``); only what their actions predict is their own.
 """
 
 from __future__ import annotations

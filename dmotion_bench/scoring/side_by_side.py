@@ -23,8 +23,8 @@ from dmotion_bench.errors import DmbenchError, JobsLost, RunMismatch
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.shared_pretraining import training_of
 from dmotion_bench.learning.threads import using_threads
-from dmotion_bench.learning.twins import training_of
 from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.scoring.control import score_control, share_of
 from dmotion_bench.scoring.prediction import Execution

@@ -19,9 +19,9 @@ from dmotion_bench.errors import UsageError
 from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.shared_pretraining import take_over
 from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training import Report, train
-from dmotion_bench.learning.twins import take_over
 from dmotion_bench.registry import MODELS, model_class
 from dmotion_bench.specs import DatasetRecipe, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
@@ -200,9 +200,9 @@ def test_a_fine_tuning_shares_the_stage_without_labels(name, recorded, trained, 
     dataset, runs = Dataset.open(recorded), Workspace(tmp_path)
     request = TrainingRequest(model=name, labels="one-shot", preset=Preset.TINY, settings=SETTINGS)
     after = open_run(request, dataset, None, runs)
-    twin = take_over(after)
-    assert twin is not None
-    assert twin.path == tuned.path
+    source = take_over(after)
+    assert source is not None
+    assert source.path == tuned.path
     train(after, training_data(after, dataset), launch("cpu"), lambda _: None)
     assert after.result["weights"] == averaged.result["weights"]
 
@@ -240,9 +240,9 @@ def test_another_budget_takes_the_training_over_and_ends_with_the_same_bits(name
 
     one = Run.open(shutil.copytree(trained(name, "one-shot").path, tmp_path / "runs" / "one"))
     more = open_run(request("3-shot"), dataset, None, runs)
-    twin = take_over(more)
-    assert twin is not None
-    assert twin.path == one.path
+    source = take_over(more)
+    assert source is not None
+    assert source.path == one.path
     steps: list[int] = []
     train(more, training_data(more, dataset), launch("cpu"), lambda report: steps.append(report.step))
     assert not steps
@@ -259,9 +259,9 @@ def test_another_share_of_labels_goes_on_where_the_video_was_learned(name, recor
     tenth = open_run(
         TrainingRequest(model=name, labels="10%", preset=Preset.TINY, settings=SETTINGS), dataset, None, runs
     )
-    twin = take_over(tenth)
-    assert twin is not None
-    assert twin.name == "all"
+    source = take_over(tenth)
+    assert source is not None
+    assert source.name == "all"
     steps: list[int] = []
     train(tenth, training_data(tenth, dataset), launch("cpu"), lambda report: steps.append(report.step))
     alone = trained(name, "10%")

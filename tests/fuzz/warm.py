@@ -15,7 +15,7 @@ LOADED = (
         "dmotion_bench.storage.exports.lerobot",
         "dmotion_bench.storage.check",
     ),
-    *("dmotion_bench.recording.restore", "dmotion_bench.learning.start", "dmotion_bench.learning.twins"),
+    *("dmotion_bench.recording.restore", "dmotion_bench.learning.start", "dmotion_bench.learning.shared_pretraining"),
     *(
         "dmotion_bench.api.sharing",
         "dmotion_bench.cli.app",

@@ -86,15 +86,15 @@ def test_dmotion_is_told_by_64_transitions_and_scored(workspace: Workspace) -> N
 
 
 def test_another_number_of_labels_takes_the_training_over(workspace: Workspace) -> None:
-    from dmotion_bench.learning.twins import take_over
+    from dmotion_bench.learning.shared_pretraining import take_over
 
     first = _trained(workspace, "dmotion", "64")
     dataset = Dataset.open(first.dataset_path)
     request = TrainingRequest(model="dmotion", labels="4", preset=Preset.TINY, settings=SETTINGS)
     run = open_run(request, dataset, None, workspace)
-    twin = take_over(run)
-    assert twin is not None
-    assert twin.name == first.name
+    source = take_over(run)
+    assert source is not None
+    assert source.name == first.name
     train(run, training_data(run, dataset), launch("cpu"), lambda _: None)
     weights, others = Run.open(run.path).weights(), first.weights()
     assert run.result is not None

@@ -18,7 +18,7 @@ from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.run import Run, RunSpec
 from dmotion_bench.learning.run_manifest import stored_actions
 from dmotion_bench.learning.settings import to_json
-from dmotion_bench.learning.twins import take_over
+from dmotion_bench.learning.shared_pretraining import take_over
 from dmotion_bench.registry import model_class
 
 
@@ -101,9 +101,9 @@ def test_its_training_is_taken_over_by_another_budget(tmp_path: Path) -> None:
     stored.last.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     assert of(spec) is None  # a damaged checkpoint is not handed on
     stored.last.write_bytes(whole)
-    twin = of(spec)
-    assert twin is not None
-    assert twin.name == "one"
+    source = of(spec)
+    assert source is not None
+    assert source.name == "one"
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_its_training_is_taken_over_by_another_budget(tmp_path: Path) -> None:
         ("ed-cnn", "last.safetensors", []),  # it shares nothing, as none of its runs has what could be shared
     ],
 )
-def test_only_runs_that_can_be_twins_are_opened(
+def test_only_runs_that_may_share_their_training_are_opened(
     model: str, has: str, opened: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A name as dmbench gives them tells the model, the data set and the seed; one of the user's own tells nothing."""

@@ -30,9 +30,9 @@ from dmotion_bench.learning.beginning import finished_result
 from dmotion_bench.learning.devices import launch
 from dmotion_bench.learning.figures import StepFigures
 from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.shared_pretraining import take_over
 from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve, training_data
 from dmotion_bench.learning.training import Report, train
-from dmotion_bench.learning.twins import take_over
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.workspace import Workspace
@@ -159,7 +159,7 @@ def test_a_kill_between_two_checkpoints_loses_neither(recorded, tmp_path, monkey
         _train(world(f"{place}"), recorded)
         again = Run.open(tmp_path / f"{place}")
         assert again.result["weights"] == whole.result["weights"]
-        tensors, expected = (checkpoint.load(run.watched, required=None)[0] for run in (again, whole))
+        tensors, expected = (checkpoint.load(run.unlabelled_stage, required=None)[0] for run in (again, whole))
         assert checkpoint.weights_hash(tensors) == checkpoint.weights_hash(expected)
 
 
@@ -413,7 +413,7 @@ def test_a_training_that_was_killed_while_it_took_another_over_goes_on(recorded,
     assert kills > 12
 
 
-def test_a_training_whose_twin_was_deleted_while_it_was_taken_over_begins_anew(recorded, trained, tmp_path) -> None:
+def test_a_training_begins_anew_if_its_source_was_deleted_while_it_was_taken_over(recorded, trained, tmp_path) -> None:
     shutil.copytree(trained.path, tmp_path / "one")
     with contextlib.suppress(Killed), killed_at(7):
         take_over(_run(recorded, tmp_path / "two", labels="5-shot"))

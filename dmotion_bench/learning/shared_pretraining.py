@@ -54,39 +54,39 @@ def take_over(run: Run) -> Run | None:
     """
     if run.result is not None or run.last.exists():
         return None
-    twin, files = next(_sources(run), (None, {}))
-    if twin is None and "trained_as" not in run.manifest:
+    source, files = next(_sources(run), (None, {}))
+    if source is None and "trained_as" not in run.manifest:
         return None
     run.path.mkdir(parents=True, exist_ok=True)
     with held(run.path):
         run.read_again()
         if run.result is not None or run.last.exists():
             return None
-        if twin is None:  # the one that a killed process began to take over is gone
+        if source is None:  # the one that a killed process began to take over is gone
             run.begin_anew()
             return None
-        run.manifest |= {"trained_as": twin.name, "code": twin.manifest.get("code", {})}
-        if twin.conditions is None:
+        run.manifest |= {"trained_as": source.name, "code": source.manifest.get("code", {})}
+        if source.conditions is None:
             run.write()
         else:
-            run.begin(twin.conditions)
-        for name, source in files.items():
-            write_atomically(run.path / name, source.read_bytes())
-    return twin
+            run.begin(source.conditions)
+        for name, file in files.items():
+            write_atomically(run.path / name, file.read_bytes())
+    return source
 
 
 def _sources(run: Run) -> Iterator[tuple[Run, dict[str, Path]]]:
-    """The runs beside this one whose training can be taken over, each with the files of it."""
+    """The runs beside this one that have a training to take over, each with its files."""
     for folder in _candidates(run):
-        if (twin := _twin(run, folder)) is not None and (files := _shared(twin)):
-            yield twin, files
+        if (source := _source(run, folder)) is not None and (files := _shared(source)):
+            yield source, files
 
 
 def _candidates(run: Run) -> Iterator[Path]:
-    """The folders beside a run that may hold a twin, found without opening any: there may be hundreds of runs.
+    """The folders beside a run that may hold a source, found without opening any: there may be hundreds of runs.
 
-    A twin has the checkpoint that is taken over. A name as ``start.default_path`` makes them tells the model, the data
-    set and the seed, and those of a twin are the run's own. Any other name tells nothing.
+    A source has the checkpoint that is taken over. A name as ``start.default_path`` makes them tells the model, the
+    data set and the seed, and those of a source are the run's own. Any other name tells nothing.
     """
     spec, needed = run.spec, _checkpoint(run).name
     usual = re.compile(rf"(?:{'|'.join(map(re.escape, model_names()))})-.+-s[0-9]+")
@@ -98,10 +98,11 @@ def _candidates(run: Run) -> Iterator[Path]:
 
 def _checkpoint(run: Run) -> Path:
     """The checkpoint of a run with which another one begins."""
-    return run.last if model_class(run.spec.model).supervision is Supervision.NONE else run.watched
+    return run.last if model_class(run.spec.model).supervision is Supervision.NONE else run.unlabelled_stage
 
 
-def _twin(run: Run, folder: Path) -> Run | None:
+def _source(run: Run, folder: Path) -> Run | None:
+    """The run in a folder, if it differs from this one in nothing that its shared training depends on."""
     try:
         other = Run.open(folder)
         if other.spec.model != run.spec.model or other.path == run.path:
@@ -123,7 +124,11 @@ def _shared(run: Run) -> dict[str, Path]:
         files = {run.metrics.name: run.metrics, run.best.name: best, run.last.name: run.last}
         files = files if run.result is not None else {}
     else:
-        files = {run.metrics.name: run.metrics, run.watched.name: run.watched, run.last.name: run.watched}
+        files = {
+            run.metrics.name: run.metrics,
+            run.unlabelled_stage.name: run.unlabelled_stage,
+            run.last.name: run.unlabelled_stage,
+        }
     try:
         for path in {*files.values()} - {run.metrics}:
             checkpoint.load(path, required=None)

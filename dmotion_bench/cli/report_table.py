@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.cli.tables import show_figures, stdout_console
+from dmotion_bench.figure_words import figure_words
 from dmotion_bench.wording import rounded
 
 if TYPE_CHECKING:
@@ -16,32 +17,6 @@ if TYPE_CHECKING:
 SHOWN_AHEAD = (1, 2, 5, 10, 15)
 """Steps of a rollout that a table shows, besides the last; the report has all steps."""
 
-WORDS = {
-    "mse": "MSE",
-    "psnr": "PSNR [dB]",
-    "ssim": "SSIM",
-    "position_error_paper": "position error, missing charged [px]",
-    "position_error": "position error, found objects [px]",
-    "miss_rate": "miss rate",
-    "false_positive_rate": "false positive rate",
-    "agent_iou": "agent IoU",
-    "motion_shift_error": "motion shift error [px]",
-    "motion_probe_accuracy": "motion probe accuracy",
-    "mse_true_motion": "MSE with the true motion",
-    "motion_swap_change": "change by a swapped motion",
-    "motion_within_over_between": "motion within/between",
-    "codebook_perplexity": "codes in use, perplexity",
-    "codebook_used": "codes in use, share",
-    "hit_at_1": "H@1",
-    "reciprocal_rank": "MRR",
-    "state_probe[agent_place]": "agent's place in the state, R²",
-    "state_probe[object_place]": "objects' places in the state, R²",
-    "planning_gain": "gain captured",
-    "control_distance": "control, distance",
-    "control_picture_distance": "control, difference of pictures",
-    "control_success": "control, tasks solved",
-    "control_lost": "control, objects lost",
-}
 FACTORS = {
     "action": "action",
     "agent_motion": "agent's motion",
@@ -69,7 +44,7 @@ def show_report(report: Report, run: Path) -> None:
         figure = report.figures[name]
         others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
         counts = [_count(figure.get(name)) for name in ("n", "episodes")]
-        rows.append((_words(name), _mean_std(figure), _interval(figure), *counts, *others))
+        rows.append((figure_words(name), _mean_std(figure), _interval(figure), *counts, *others))
     headings = ("figure", "mean ± std", "95% interval", "n", "episodes", *map(_plain, beside))
     show_figures(_headline(report), headings, rows)
     _show_probes(report)
@@ -127,7 +102,7 @@ def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) ->
                 (_mean_std(one[figure]), _interval(one[figure])) if figure in one else ("", "")
                 for one in figures.values()
             ]
-            rows.append((_words(figure), *(cell for pair in pairs for cell in pair)))
+            rows.append((figure_words(figure), *(cell for pair in pairs for cell in pair)))
     show_figures(title, ("figure", *headings), rows)
     _say_why_no_interval(figure for one in figures.values() for figure in one.values())
 
@@ -148,7 +123,7 @@ def _show_board(reports: Mapping[Path, Report]) -> None:
     behind = _behind(paths, here) if "mse" in shown else {}
     headings = ["run", "labels"]
     for name in shown:
-        headings += [_words(name)] + ["MSE above the best, 95%"] * (name == "mse" and bool(behind))
+        headings += [figure_words(name)] + ["MSE above the best, 95%"] * (name == "mse" and bool(behind))
     rows: list[tuple[str, ...]] = []
     for path, report in zip(paths, here, strict=True):
         use = f", {report.labels['use']}" if "use" in report.labels else ""
@@ -182,7 +157,7 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
 def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
     """How much higher each run's MSE is than the first run's on the same triplets; empty if a run has no samples."""
     from dmotion_bench.api.scoring import read_report_samples
-    from dmotion_bench.pairing import behind, standing_words
+    from dmotion_bench.pairing import behind
 
     samples = {
         path: found
@@ -196,7 +171,7 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
         difference = behind(samples[path], samples[paths[0]]) if path in samples else None
         if difference is not None:
             above, between = f"+{rounded(difference.mean)}", _interval(difference.to_json())
-            told[path] = standing_words(difference, above, between)
+            told[path] = standingfigure_words(difference, above, between)
     return told
 
 
@@ -208,7 +183,7 @@ def show_differences(differences: Sequence[Any], first: str, second: str, *, eve
         if everything or one.figure in shown:
             estimate = one.difference.to_json()
             values = (rounded(one.first), rounded(one.second), rounded(estimate["mean"]), _interval(estimate))
-            rows.append((_words(one.figure), *values, one.verdict))
+            rows.append((figure_words(one.figure), *values, one.verdict))
     headings = ("figure", "first", "second", "first - second", "95% interval", "better")
     show_figures(f"{first} against {second}, on the same held-out frames", headings, rows)
 
@@ -236,29 +211,6 @@ def _is_shown(name: str, last: int) -> bool:
     if name.startswith(("control_distance", "control_picture_distance")):
         return name.endswith(tuple(f"[{step}]" for step in CONTROL_STEPS))
     return not name.startswith("rollout_") or _ahead(name) in (*SHOWN_AHEAD, last)
-
-
-def _words(name: str) -> str:
-    if name in WORDS:
-        return WORDS[name]
-    if name.startswith("rollout_"):
-        base, _, ahead = name.removeprefix("rollout_").rstrip("]").partition("[")
-        return f"{WORDS.get(base, base)} {ahead} ahead"
-    if name.startswith("control_"):
-        base, _, at = name.rstrip("]").partition("[")
-        after = f" after {at} steps"
-        how = (
-            {"control_distance": after, "control_picture_distance": after, "control_success": f" to {at}"}.get(base, "")
-            if at
-            else ""
-        )
-        return WORDS.get(base, base) + how
-    if name.endswith("]"):
-        base, _, number = name.rstrip("]").partition("[")
-        return f"{WORDS.get(base, base)}, {'codebook' if base.startswith('codebook_') else 'agent'} {number}"
-    if name.endswith("_push"):
-        return f"{_words(name.removesuffix('_push'))}, pushes"
-    return name
 
 
 def _mse(report: Report) -> float:

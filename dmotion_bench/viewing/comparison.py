@@ -12,6 +12,7 @@ import rerun.blueprint as rrb
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
+from dmotion_bench.figure_words import figure_words
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import behind, standing_words
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, read_report_samples
@@ -19,7 +20,7 @@ from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart
 from dmotion_bench.viewing.dataset import labels_if_any, part_of
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
-from dmotion_bench.viewing.labels import ACTION_COLORS, log_events, log_legend, plain, what_happens
+from dmotion_bench.viewing.labels import ACTION_COLORS, log_events, log_legend, what_happens
 from dmotion_bench.viewing.report import episode_means, figure_text, interval_text, rollout_curves
 from dmotion_bench.viewing.run import AMPLIFIED, COPIED, log_prediction
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
@@ -297,7 +298,7 @@ def _table(reports: Mapping[str, tuple[Path, Report]]) -> str:
     samples = {name: read_report_samples(reports[name][0] / REPORT_FOLDER, reports[name][1]) for name in order}
     best = samples[order[0]]
     lines = [
-        f"| | {' | '.join(map(plain, shown))} | MSE above the best |",
+        f"| | {' | '.join(map(figure_words, shown))} | MSE above the best |",
         "|---|" + "---|" * (len(shown) + 1),
     ]
     for name in order:

@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from dmotion_bench.figure_words import figure_words
 from dmotion_bench.scoring.report import (
     REPORT_FOLDER,
     FigureJson,
@@ -149,10 +150,10 @@ def _figures(report: Report) -> str:
             figure = report.figures[name]
             others = " | ".join(figure_text(report.reference[other].get(name)) for other in beside)
             spread = f"{figure_text(figure)} ± {rounded(figure['std'])}"
-            lines.append(f"| {plain(name)} | {spread} | {interval_text(figure)} | {others} |")
+            lines.append(f"| {figure_words(name)} | {spread} | {interval_text(figure)} | {others} |")
     if (why := why_no_interval(report.figures[name] for name in SHOWN if name in report.figures)) is not None:
         lines += ["", f"95% interval: {why}."]
-    lines += ["", "On the other tabs: telling episodes by the MSE of single steps, the worst first."]
+    lines += ["", "On the other tabs: the worst, the middle and the best episode by the MSE of single steps."]
     return "\n".join(lines)
 
 
@@ -163,4 +164,4 @@ def figure_text(figure: FigureJson | None) -> str:
 
 def interval_text(figure: FigureJson) -> str:
     """A figure's interval as text."""
-    return "" if figure["low"] is None else f"{rounded(figure['low'])} ... {rounded(figure['high'])}"
+    return "" if figure["low"] is None else f"{rounded(figure['low'])} to {rounded(figure['high'])}"

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import TypeVar
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from dmotion_bench.errors import ViewerError
+from dmotion_bench.errors import DmbenchError, ViewerError
 from dmotion_bench.viewing.scene import FRAME
 from dmotion_bench.viewing.viewer import headless
 
@@ -153,10 +154,13 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=1600)
     parser.add_argument("--height", type=int, default=900)
     given = parser.parse_args()
-    with camera(given.rrd, given.width, given.height) as taken:
-        if given.tab is not None:
-            taken.tab(given.tab)
-        taken.take(given.picture, frame=given.frame)
+    try:
+        with camera(given.rrd, given.width, given.height) as taken:
+            if given.tab is not None:
+                taken.tab(given.tab)
+            taken.take(given.picture, frame=given.frame)
+    except DmbenchError as error:
+        sys.exit(f"dmbench: {error}")
 
 
 if __name__ == "__main__":

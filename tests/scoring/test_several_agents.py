@@ -10,7 +10,7 @@ import torch
 from known_model import Known, NoConfig
 from torch import Tensor
 
-from dmotion_bench.cli.report_table import _words
+from dmotion_bench.figure_words import figure_words
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.scoring.identification import identify
@@ -179,8 +179,8 @@ def _of_one(grid: Dataset) -> SeesOne:
 
 
 def test_the_figures_have_words() -> None:
-    assert _words("agent_iou[1]") == "agent IoU, agent 1"
-    assert _words("motion_within_over_between[0]") == "motion within/between, agent 0"
+    assert figure_words("agent_iou[1]") == "agent IoU, agent 1"
+    assert figure_words("motion_within_over_between[0]") == "motion within/between, agent 0"
 
 
 def test_the_papers_figures_are_of_one_agent() -> None:

@@ -88,7 +88,7 @@ def test_a_view_of_each_prediction_and_each_error(written: Path) -> None:
 def test_the_episodes_that_tell_most_of_all_models(scored: list[Path]) -> None:
     assert contrasting_episodes(scored) == {
         4: "worst, mean MSE 51.0",
-        5: "best, mean MSE 2",
+        5: "best, mean MSE 2.00",
         6: "differ most, mean MSE 4.55",
     }
     (scored[1] / "report" / "samples.parquet").write_bytes(b"")

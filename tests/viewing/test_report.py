@@ -31,7 +31,7 @@ def scored(run: Run) -> Iterator[Path]:
 
 
 def test_worst_middle_and_best_by_the_mean_of_an_episodes_steps(scored: Path) -> None:
-    assert telling_episodes(scored) == {4: "worst, MSE 50.0", 1: "middle, MSE 20.0", 5: "best, MSE 2"}
+    assert telling_episodes(scored) == {4: "worst, MSE 50.0", 1: "middle, MSE 20.0", 5: "best, MSE 2.00"}
 
 
 @pytest.mark.parametrize(
@@ -56,11 +56,11 @@ def test_where_actions_are_not_known_it_is_the_error_with_the_true_motion(
 ) -> None:
     folder = write_made_up(run, MSE, "mse_true_motion")
     try:
-        assert telling_episodes(run.path) == {4: "worst, MSE 50.0", 1: "middle, MSE 20.0", 5: "best, MSE 2"}
+        assert telling_episodes(run.path) == {4: "worst, MSE 50.0", 1: "middle, MSE 20.0", 5: "best, MSE 2.00"}
         write_scene(run_scene(run, dataset, []), rrd)
     finally:
         shutil.rmtree(folder)
-    assert "| mse true motion | 24.0 ± 2 |" in static(rrd, "/report/figures", "TextDocument:text")[0]
+    assert "| MSE with the true motion | 24.0 ± 2.00 |" in static(rrd, "/report/figures", "TextDocument:text")[0]
 
 
 def test_a_report_on_validation_episodes_is_shown_in_place_of_the_plain_one(
@@ -73,7 +73,7 @@ def test_a_report_on_validation_episodes_is_shown_in_place_of_the_plain_one(
     target = Target("report", run.path, report=folder)
     write_scene(scene_of_targets([target], [], None, None, Workspace(run.path.parent.parent)), rrd)
     assert tabs_of(rrd)[0] == "Episode 4 (worst, MSE 50.0)"
-    assert "| mse | 24.0 ± 2 |" in static(rrd, "/report/figures", "TextDocument:text")[0]
+    assert "| MSE | 24.0 ± 2.00 |" in static(rrd, "/report/figures", "TextDocument:text")[0]
 
 
 def test_rerun_takes_the_name_as_it_is() -> None:
@@ -95,7 +95,7 @@ def test_the_report_has_a_page_of_its_own(scored: Path, run: Run, dataset: Datas
     write_scene(run_scene(run, dataset, [4], {4: "worst, MSE 50"}), rrd)
     assert tabs_of(rrd) == ["Episode 4 (worst, MSE 50)", "Report", "Training"]
     (text,) = static(rrd, "/report/figures", "TextDocument:text")
-    assert "| mse | 24.0 ± 2 | 23.0 ... 25.0 | 99.0 |" in text
+    assert "| MSE | 24.0 ± 2.00 | 23.0 to 25.0 | 99.0 |" in text
     (line,) = static(rrd, "/report/rollout/dmotion", "LineStrips2D:strips")
     heights = [height for _, height in line]
     assert heights[0] - heights[1] == pytest.approx(heights[1] - heights[2])  # ten times each, logarithmic

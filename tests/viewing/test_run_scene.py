@@ -197,7 +197,7 @@ def test_a_run_is_shown_on_another_data_set_with_the_report_on_it(run: Run, tmp_
         write_scene(scene_of(target, [], None, other.path), rrd)
     finally:
         shutil.rmtree(made_up)
-    told = ["Episode 4 (worst, MSE 90.0)", "Episode 1 (middle, MSE 10.0)", "Episode 5 (best, MSE 1)"]
+    told = ["Episode 4 (worst, MSE 90.0)", "Episode 1 (middle, MSE 10.0)", "Episode 5 (best, MSE 1.00)"]
     assert tabs_of(rrd) == [*told, "Report", "Training"]
     (text,) = static(rrd, "/episode_4/about", "TextDocument:text")
     assert "trained on *squares-tiny*, shown on *others*" in text

@@ -26,6 +26,7 @@ from dmotion_bench.viewing.file_server import FileServer, serving
 from dmotion_bench.viewing.live import recording_to
 from dmotion_bench.viewing.scene import write_scene
 from dmotion_bench.viewing.screenshot import BAR, camera, has_vulkan
+from dmotion_bench.viewing.screenshot import main as take_picture
 from dmotion_bench.viewing.viewer import WebViewer, open_live, require_display, serve_web
 
 
@@ -178,6 +179,12 @@ def test_a_program_that_does_not_start_says_why(scene: Path, monkeypatch: pytest
 
 
 @pytest.mark.slow
+def test_a_picture_that_cannot_be_taken_costs_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["screenshot", "missing.rrd", "picture.png"])
+    with pytest.raises(SystemExit, match=r"^dmbench: no file 'missing\.rrd' to take a picture of\.$"):
+        take_picture()
+
+
 @pytest.mark.skipif(not has_vulkan(), reason="no Vulkan driver: 'apt-get install mesa-vulkan-drivers'")
 def test_rerun_draws_the_scene(scene: Path, tmp_path: Path) -> None:
     """The red and the blue square of the first page are seen in their own colours."""

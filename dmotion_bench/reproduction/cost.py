@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.planning.choices import make_solver
+from dmotion_bench.planning.columns import HEADLINE
 from dmotion_bench.planning.solvers.base import Solver
 from dmotion_bench.reproduction.plan import Plan, Recording, Scoring, Training, epochs_of
 from dmotion_bench.reproduction.settled import State, state_of
@@ -33,8 +34,8 @@ ENTRY_S: Final = 2.0
 ASSUMPTIONS: Final = (
     "Trainings see all training triplets of a data set (81% of its episodes) in each epoch, whatever the label budget.",
     "A predicted frame takes a third of the time of a trained triplet.",
-    "A model's control step is timed with the planner of the column 'generic' on a made-up scene. Another planner "
-    "takes longer by as much as it tries more actions; differences between objectives are not counted.",
+    f"A model's control step is timed with the planner of the column {HEADLINE.name!r} on a made-up scene. Another "
+    "planner takes longer by as much as it tries more actions; differences between objectives are not counted.",
     "The oracle's control step is timed on the first 2 steps of a task; later ones take less.",
     "An entry on a page takes 2 s. Validation, checkpoints and starting processes are not counted.",
     "A training or a scoring that was begun counts as a whole.",

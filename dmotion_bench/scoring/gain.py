@@ -47,7 +47,14 @@ from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import GAIN, SampleRows, action_column
 from dmotion_bench.specs import IMPORTED, SplitName, delay_of
 from dmotion_bench.storage.readable import ReadableDataset
-from dmotion_bench.storage.tasks import Candidate, ControlTask, candidates, choose_tasks
+from dmotion_bench.storage.tasks import (
+    FEWEST_INTERACTIONS,
+    GOAL_DISTANCE,
+    Candidate,
+    ControlTask,
+    candidates,
+    choose_tasks,
+)
 from dmotion_bench.values import require_bounds
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import cache_folder
@@ -166,7 +173,10 @@ def reason_against(dataset: ReadableDataset, split: SplitName, scoring: GainScor
     if judge_of(env) is Judge.PICTURES:
         return "the environment does not tell how far it is from a goal"
     if not _stretches(dataset, split, scoring.moments):
-        return f"nothing is moved in the {split} episodes"
+        return (
+            f"no {split} episode has a stretch of up to {GOAL_DISTANCE} steps in which objects are moved in "
+            f"{FEWEST_INTERACTIONS} steps and none is lost"
+        )
     return None
 
 

@@ -139,7 +139,7 @@ def test_compare_says_better_only_where_the_interval_does(run: Callable[..., Res
 
     (mse,) = (line.split() for line in lines if line.startswith("MSE ") and "ahead" not in line)
     (position,) = (line.split() for line in lines if line.startswith("position error"))
-    assert mse == ["MSE", "10.0", "12.0", "-2", "-3", "to", "-1", "first"]
+    assert mse == ["MSE", "10.0", "12.0", "-2.00", "-3.00", "to", "-1.00", "first"]
     assert position[-1] == "tied"
     (ssim,) = (line for line in lines if line.startswith("SSIM"))
     assert ssim.endswith("unknown: 2 episodes")

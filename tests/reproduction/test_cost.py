@@ -26,8 +26,9 @@ def test_hours_are_amounts_over_speeds(tmp_path: Path) -> None:
     scored = tested * (3 / (3 * 50) + 2 / (3 * 20))
     assert lines["score", "prediction"].core_hours == pytest.approx(scored / 3600)
 
-    control = Plan(CONTROL, "own", Workspace(tmp_path))
-    lines = {(line.kind, line.what): line for line in cost_of(control, Known()).lines}
+    cost = cost_of(Plan(CONTROL, "own", Workspace(tmp_path)), Known())
+    assert any("with the planner of the column 'generic-risk'" in said for said in cost.assumptions)
+    lines = {(line.kind, line.what): line for line in cost.lines}
     steps = 2 * 4  # tasks, and steps of each
     assert lines["oracle", "first"].core_hours == pytest.approx(steps / 4 / 3600)
     planned = 3 * 2 / 1000  # of the actions that the timed planner tries

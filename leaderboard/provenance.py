@@ -36,13 +36,16 @@ def provenance(board: Board) -> Markup | None:
         element("h3", "Where the numbers come from"),
         element(
             "p",
-            "Each entry is a JSON file beside this page, with every figure and how it was made. Its command scores it "
-            "again, where its run and its data set are in the workspace or are fetched with ",
+            "Each entry is a JSON file beside this page, with every figure and how it was made. The command of an entry "
+            "scores it again and says whether its figures hold. This takes its run and its data set, in the workspace or "
+            "fetched with ",
             element("code", "--from PLACE"),
-            ", and says whether its figures hold.",
+            ".",
             class_="note",
         ),
-        _list(usual, element("summary", "What holds of each of them unless it says otherwise")) if usual else None,
+        _list(usual, element("summary", "What these entries have in common, where an entry does not say otherwise"))
+        if usual
+        else None,
         joined(sections),
     )
 
@@ -70,7 +73,7 @@ def facts_of(entry: Entry) -> Facts:
         "training": content["training"],
         "versions": content["versions"],
     }
-    facts |= {name: {"": text} for name, text in content["remarks"].items() if name not in facts}
+    facts |= {name.replace("_", " "): {"": text} for name, text in content["remarks"].items() if name not in facts}
     told = {
         about: {name.replace("_", " "): _said(value) for name, value in ones.items() if value not in (None, "", [], {})}
         for about, ones in facts.items()

@@ -17,7 +17,7 @@ from dmotion_bench.viewing.labels import log_labels, log_legend, places_known, w
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import log_images
 
-_APART = "kept apart (of the actions a training gets only those that its budget pays for, of the rest nothing)"
+_APART = "kept apart (a training gets as many actions as its label budget allows, and nothing else)"
 _KEYS = ("", "*Space* plays and pauses; drag a view to pan it, scroll to zoom, double-click to reset.")
 
 

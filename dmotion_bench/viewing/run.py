@@ -254,10 +254,10 @@ def _of_episode(run: Run, dataset: ReadableDataset, episode: int, seen: Imaginat
     if seen.maps is not None:
         lines += [
             "",
-            "**Feature maps**: |m| of each, in its own unit, the same before and after. Map 0 should show the agent "
-            "alone; moved, it is where the agent is next.",
+            "**Feature maps**: the absolute values of each map, on one scale before and after the motion. Map 0 should "
+            "show the agent alone, and after the motion where the agent is next.",
         ]
-    lines += ["", f"*frame before* repeats the last frame: the least that one can do. `{dataset.spec.id}`."]
+    lines += ["", f"*frame before* repeats the last frame; a model should do better. `{dataset.spec.id}`."]
     return "\n".join(lines)
 
 
@@ -278,8 +278,8 @@ def _means(seen: Imagination) -> list[str]:
 
 
 _ABOUT_SAMPLES: Final = (
-    "Below it, a few transitions whose action the run was given: the frame before, the true next frame, and what was "
-    "predicted then.",
+    "Below it are a few transitions that the run has labels of: the frame before, the true next frame, and what was "
+    "predicted at that time.",
     "",
 )
 
@@ -300,7 +300,7 @@ def _of_training(run: Run) -> str:
     lines += [f"| {name} | {value} |" for name, value in facts.items()]
     lines += [
         "",
-        "The chart shows every loss, dimmed: in training, bright: in validation.",
+        "The chart shows every loss, dimmed in training and bright in validation.",
         "",
         *_ABOUT_SAMPLES * bool(samples_of(run.path)),
         "The plots on the tabs above can be read off and zoomed. They run over another timeline and are empty until "

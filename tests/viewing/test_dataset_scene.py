@@ -47,7 +47,7 @@ def test_only_the_episodes_asked_for(written: Path) -> None:
 
 def test_what_a_training_is_given_of_the_labels_is_told(written: Path) -> None:
     (text,) = static(written, f"/episode_{EPISODE}/about", "TextDocument:text")
-    assert "of the actions a training gets only those that its budget pays for" in text
+    assert "a training gets as many actions as its label budget allows, and nothing else" in text
 
 
 def test_masks_and_their_legend_have_the_objects_own_colours(dataset: Dataset, written: Path) -> None:

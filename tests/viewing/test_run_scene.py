@@ -154,7 +154,7 @@ def test_pictures_of_a_training_are_told_of_only_where_there_are_some(
 ) -> None:
     for samples in ({}, {1: run.path / "1.png"}):
         monkeypatch.setattr("dmotion_bench.viewing.run.samples_of", lambda path, samples=samples: samples)
-        assert ("whose action the run was given" in _of_training(run)) == bool(samples)
+        assert ("that the run has labels of" in _of_training(run)) == bool(samples)
 
 
 def test_pages(written: Path, episode: int) -> None:

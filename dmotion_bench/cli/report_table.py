@@ -157,7 +157,7 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
 def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
     """How much higher each run's MSE is than the first run's on the same triplets; empty if a run has no samples."""
     from dmotion_bench.api.scoring import read_report_samples
-    from dmotion_bench.pairing import behind
+    from dmotion_bench.pairing import behind, standing_words
 
     samples = {
         path: found
@@ -171,7 +171,7 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
         difference = behind(samples[path], samples[paths[0]]) if path in samples else None
         if difference is not None:
             above, between = f"+{rounded(difference.mean)}", _interval(difference.to_json())
-            told[path] = standingfigure_words(difference, above, between)
+            told[path] = standing_words(difference, above, between)
     return told
 
 

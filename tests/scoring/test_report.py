@@ -18,7 +18,7 @@ import pytest
 from killed_writes import Killed, each_kill, killed_at
 
 from dmotion_bench.actions import Continuous
-from dmotion_bench.cli.report_table import show_report
+from dmotion_bench.cli.report_table import show_overview, show_report
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing, StorageFull
 from dmotion_bench.learning.run import Run
 from dmotion_bench.pairing import compare_runs
@@ -131,6 +131,18 @@ def test_figures_that_are_kept_say_by_which_versions_they_were_made(
     show_report(read_report(run.path / "report"), run.path)
     assert "scored earlier, with other versions: torch (prediction) 1.0" in capsys.readouterr().out
     assert score("3.0", "prediction") == {"dmbench": "0.2", "torch": "3.0"}
+
+
+def test_many_reports_are_shown_with_the_paired_difference_to_the_best(
+    make_run: MakeRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [make_run(tmp_path / name).path for name in ("one", "two")]
+    show_overview({path: score_run(path, metrics=("prediction",), settings=QUICK) for path in paths})
+    lines = capsys.readouterr().out.splitlines()
+    assert any("MSE above the best, 95%" in line for line in lines)
+    (first, second) = (line.split() for line in lines if line.lstrip().startswith(("one ", "two ")))
+    assert "best" in first
+    assert "unknown:" in second  # two episodes have no interval
 
 
 def test_the_same_run_gives_the_same_bytes(make_run: MakeRun, tmp_path: Path) -> None:

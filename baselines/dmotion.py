@@ -36,7 +36,7 @@ from baselines import dmotion_compact, dmotion_paper
 from baselines.dominant_shift import dominant_shift
 from baselines.layers import squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift, theta_of_shift
-from baselines.own_frames import OwnFrames
+from baselines.own_frames import OwnFrames, Step
 from baselines.patches import rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
@@ -344,10 +344,12 @@ class DMotion(TwoFrameModel[DMotionConfig]):
     def _frames(self, previous: Tensor, current: Tensor) -> list[Tensor]:
         return [previous, current] if self.config.second_frame else [current]
 
-    def _followed(self, previous: Tensor, current: Tensor, now: Tensor, after: Tensor) -> Float[Tensor, "b p hp wp"]:
-        """x''_{t+1}, packed, under the motions that are seen between two frames."""
+    def _followed(self, previous: Tensor, current: Tensor, step: Step) -> Float[Tensor, "b p hp wp"]:
+        """x''_{t+1}, packed, under the motions that are seen in a step."""
         count = self.config.agents
-        agents = self.transform(self.image_encoder(current, count), self.motion_encoder(now, after)[:, :count])
+        agents = self.transform(
+            self.image_encoder(current, count), self.motion_encoder(step.now, step.after)[:, :count]
+        )
         return self._interact(previous, current, agents)
 
     @property

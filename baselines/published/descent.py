@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from dmotion_bench.learning.model import ForwardModel, Phase, TripletBatch
-from dmotion_bench.learning.optimization import autocast, has_bf16
+from dmotion_bench.learning.precision import autocast, has_bf16
 
 
 def descend(

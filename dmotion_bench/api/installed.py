@@ -9,7 +9,7 @@ import torch
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.model import ModelInputs
-from dmotion_bench.learning.optimization import has_bf16
+from dmotion_bench.learning.precision import has_bf16
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Supervision
 

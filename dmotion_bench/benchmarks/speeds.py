@@ -25,7 +25,7 @@ from dmotion_bench.benchmarks.rounds import measure_in_rounds
 from dmotion_bench.benchmarks.scene import SIZE, scene_dataset, scene_facts, scene_frames
 from dmotion_bench.benchmarks.training_step import TrainingStep
 from dmotion_bench.errors import DmbenchError, UnknownName
-from dmotion_bench.learning.optimization import has_bf16
+from dmotion_bench.learning.precision import has_bf16
 from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
 from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.positions import PositionFinder

@@ -22,8 +22,7 @@ from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.labels import HELD_BACK
 from dmotion_bench.learning.model import ForwardModel, TrainingConfig
-from dmotion_bench.learning.optimization import autocast
-from dmotion_bench.learning.precision import Precision
+from dmotion_bench.learning.precision import Precision, autocast
 from dmotion_bench.learning.triplets import BatchOrder
 
 CHECKS: Final = 10

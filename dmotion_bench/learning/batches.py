@@ -89,7 +89,7 @@ class TripletBatches:
         frames: Where the batches are to be, with the frames that lie there.
 
     Attributes:
-        earlier: So many frames before each triplet come along.
+        earlier: So many frames before each triplet come along, and the actions taken there where they were paid for.
     """
 
     def __init__(
@@ -103,6 +103,7 @@ class TripletBatches:
         self._actions = None if actions is None else as_tensor(actions, self.device)
         self._resident = frames.of(triplets.cache)
         self._first = torch.from_numpy(triplets.first_frame).to(self.device)
+        self._preceding: Int[np.ndarray, " n"] | None = None
 
     def __len__(self) -> int:
         return len(self.triplets)
@@ -117,6 +118,8 @@ class TripletBatches:
         """The same batches, with so many frames before each triplet; what is on the device is shared."""
         batches = copy.copy(self)
         batches.earlier = earlier
+        if self._actions is not None and earlier:
+            batches._preceding = self.triplets.preceding()
         return batches
 
     def __call__(self, index: Int[np.ndarray, " b"]) -> TripletBatch:
@@ -128,13 +131,27 @@ class TripletBatches:
             first = self._first[rows]
             stored = self._resident[first[:, None] + torch.arange(3, device=self.device)]
         previous, current, following = (to_model(frames) for frames in rearrange(stored, "b s h w c -> s b h w c"))
-        return TripletBatch(
+        batch = TripletBatch(
             previous=previous,
             current=current,
             next=following,
             action=None if self._actions is None else self._actions[rows],
             episode=self._episodes[rows],
-            earlier=self._earlier(index) if self.earlier else None,
+        )
+        return self._with_earlier(batch, index) if self.earlier else batch
+
+    def _with_earlier(self, batch: TripletBatch, index: Int[np.ndarray, " b"]) -> TripletBatch:
+        """A batch with what came before its triplets."""
+        history = np.minimum(self.triplets.step[index] - 1, self.earlier)
+        action = None
+        if self._actions is not None and self._preceding is not None:
+            rows, history = _traced_back(self._preceding, index, self.earlier)
+            action = self._actions[uploaded(rows, self.device)]
+        return replace(
+            batch,
+            earlier=self._earlier(index),
+            earlier_action=action,
+            history=uploaded(history, self.device),
         )
 
     def _earlier(self, index: Int[np.ndarray, " b"]) -> Float[Tensor, "b k c h w"]:
@@ -145,6 +162,19 @@ class TripletBatches:
         else:
             stored = self._resident[uploaded(places, self.device)]
         return to_model(stored)
+
+
+def _traced_back(
+    preceding: Int[np.ndarray, " n"], index: Int[np.ndarray, " b"], count: int
+) -> tuple[Int[np.ndarray, "b k"], Int[np.ndarray, " b"]]:
+    """The triplets before some triplets, the latest last, and how many there are; the earliest one is repeated."""
+    rows, history, traced = index, np.zeros(len(index), np.int64), list[np.ndarray]()
+    for _ in range(count):
+        before = preceding[rows]
+        rows = np.where(before >= 0, before, rows)
+        history += before >= 0
+        traced.append(rows)
+    return np.stack(traced[::-1], axis=1), history
 
 
 class DemonstrationBatches:

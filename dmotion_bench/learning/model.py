@@ -50,7 +50,10 @@ class TripletBatch:
     recording, for losses that compare moments; it is no label. The training loop always gives it. ``labelled`` are the
     few labelled transitions that stand beside a batch of video in a phase that asks for them (``Phase.with_labels``);
     in validation there are none. ``earlier`` are the frames before ``previous``, in a phase that asks for them
-    (``Phase.earlier``); where an episode has none, its first frame is repeated.
+    (``Phase.earlier``); where an episode has none, its first frame is repeated. ``history`` says how many are not
+    repeated. In a phase that needs actions, ``earlier_action`` are the actions taken at ``earlier[:, 1:]`` and
+    ``previous``; of these the last ``history`` were paid for, the others repeat the first of them or, where there is
+    none, ``action``.
     """
 
     previous: Float[Tensor, "b c h w"]
@@ -60,6 +63,8 @@ class TripletBatch:
     episode: Int[Tensor, " b"] | None = None
     labelled: Demonstrations | None = None
     earlier: Float[Tensor, "b k c h w"] | None = None
+    earlier_action: Int[Tensor, "b k"] | Float[Tensor, "b k a"] | None = None
+    history: Int[Tensor, " b"] | None = None
 
     def contiguous(self) -> TripletBatch:
         """The same triplets, their images contiguous in memory."""
@@ -101,7 +106,8 @@ class Phase:
         batch_size: Triplets a step, where a phase wants another number than the training's.
         together: So many triplets of one episode, any of its moments, stand side by side in a batch.
         earlier: So many frames before each triplet come along (``TripletBatch.earlier``), for models that train on
-            several steps; with triplets out of demonstrations, and in validation, there are none.
+            several steps, in a phase that needs actions with theirs; with triplets out of demonstrations, and in
+            validation, there are none.
     """
 
     name: str = "train"

@@ -84,6 +84,10 @@ class ModelTrial:
             episode=torch.arange(count) // 2,
             labelled=self.demonstrations(each=1) if labelled else None,
             earlier=torch.stack([self.images(count, 7 + place) for place in range(earlier)], 1) if earlier else None,
+            earlier_action=torch.stack([self.actions(count, place) for place in range(earlier)], 1)
+            if earlier and actions
+            else None,
+            history=torch.arange(count) % (earlier + 1) if earlier else None,
         )
 
     def demonstrations(self, each: int, shift: int = 0) -> Demonstrations:

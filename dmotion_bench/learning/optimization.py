@@ -1,4 +1,4 @@
-"""The optimiser, the learning rate's schedule, the averaged weights, and the precision that the hardware has."""
+"""The optimiser, the learning rate's schedule, and the averaged weights."""
 
 from __future__ import annotations
 
@@ -11,24 +11,9 @@ from torch import Tensor, nn
 
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.muon import Muon
+from dmotion_bench.learning.precision import has_bf16
 
 WARM_UP = 0.1  # share of a one-cycle schedule in which the rate rises
-
-
-def has_bf16(device: torch.device) -> bool:
-    """Whether the hardware multiplies bfloat16 matrices by itself; emulated, it is slower than float32."""
-    if device.type == "cuda":
-        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    able = torch.cpu.get_capabilities() if device.type == "cpu" and hasattr(torch.cpu, "get_capabilities") else {}
-    return bool(able.get("avx512_bf16") or able.get("amx_bf16"))
-
-
-def autocast(precision: str, device: torch.device) -> contextlib.AbstractContextManager[None]:
-    """bfloat16 for matrix products in ``"bf16"``; where the hardware lacks it, slowly."""
-    if precision == "bf16":
-        context: contextlib.AbstractContextManager[None] = torch.autocast(device.type, torch.bfloat16)
-        return context
-    return contextlib.nullcontext()
 
 
 def learning_rate(config: TrainingConfig, progress: float) -> float:

@@ -1,4 +1,4 @@
-"""In which precision a training multiplies matrices: bf16 or float32, whichever is faster here.
+"""In which precision a training multiplies matrices: bf16 or float32, whichever is faster on the hardware at hand.
 
 bf16 is the faster one on most processors that have it, but not on all of them. So a training that is not told which
 one to take measures it: a copy of its model takes some steps in each precision, in turn, before the first real step.
@@ -8,11 +8,10 @@ the precision had been named. What was chosen and measured stands in ``run.json`
 
 from __future__ import annotations
 
+import contextlib
 from typing import Final, Literal, get_args
 
 import torch
-
-from dmotion_bench.learning.optimization import has_bf16
 
 Precision = Literal["bf16", "float32"]
 AUTO: Final = "auto"
@@ -34,3 +33,19 @@ def settled(asked: str, steps: int, device: torch.device) -> Precision | None:
     if asked == "float32" or not has_bf16(device):
         return "float32"
     return "bf16" if asked == "bf16" or steps < FEWEST_STEPS else None
+
+
+def has_bf16(device: torch.device) -> bool:
+    """Whether the hardware multiplies bfloat16 matrices by itself; emulated, it is slower than float32."""
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    able = torch.cpu.get_capabilities() if device.type == "cpu" and hasattr(torch.cpu, "get_capabilities") else {}
+    return bool(able.get("avx512_bf16") or able.get("amx_bf16"))
+
+
+def autocast(precision: str, device: torch.device) -> contextlib.AbstractContextManager[None]:
+    """bfloat16 for matrix products in ``"bf16"``; where the hardware lacks it, slowly."""
+    if precision == "bf16":
+        context: contextlib.AbstractContextManager[None] = torch.autocast(device.type, torch.bfloat16)
+        return context
+    return contextlib.nullcontext()

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from dmotion_bench.learning.figures import StepFigures
 from dmotion_bench.learning.model import ForwardModel, Losses, TripletBatch
-from dmotion_bench.learning.optimization import autocast
-from dmotion_bench.learning.precision import Precision
+from dmotion_bench.learning.precision import Precision, autocast
 from dmotion_bench.learning.randomness import seeded
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -155,7 +155,7 @@ class StreamedBatches:
         order: The order in which they are asked for.
         actions: Reads the actions of an episode; None where they were not paid for.
         device: Where the batches are to be.
-        earlier: So many frames before each triplet come along.
+        earlier: So many frames before each triplet come along, and the actions taken there where they were paid for.
     """
 
     def __init__(
@@ -201,26 +201,34 @@ class StreamedBatches:
         episodes, steps = self.triplets.places(index)
         stored = uploaded(self.gather(index), self.device)
         previous, current, following = (to_model(frames) for frames in rearrange(stored, "b s h w c -> s b h w c"))
-        action = None
-        if self._actions is not None:
-            pairs = zip(episodes.tolist(), steps.tolist(), strict=True)
-            taken = [_actions_of(self._ahead[episode])[step] for episode, step in pairs]
-            action = as_tensor(np.stack(taken), self.device)
-        return TripletBatch(
+        batch = TripletBatch(
             previous=previous,
             current=current,
             next=following,
-            action=action,
+            action=self._taken(episodes, steps),
             episode=uploaded(episodes, self.device),
-            earlier=self._earlier(episodes, steps) if self.earlier else None,
+        )
+        if not self.earlier:
+            return batch
+        back = np.arange(-self.earlier, 0)
+        return replace(
+            batch,
+            earlier=self._frames(episodes, np.maximum(steps[:, None] - 1 + back, 0)),
+            earlier_action=self._taken(episodes, np.maximum(steps[:, None] + back, 1)),
+            history=uploaded(np.minimum(steps - 1, self.earlier), self.device),
         )
 
-    def _earlier(self, episodes: Int[np.ndarray, " b"], steps: Int[np.ndarray, " b"]) -> Float[Tensor, "b k c h w"]:
-        """The frames before some triplets; an episode's first one is repeated."""
-        places = np.maximum(steps[:, None] - 1 + np.arange(-self.earlier, 0), 0)
+    def _frames(self, episodes: Int[np.ndarray, " b"], places: Int[np.ndarray, "b k"]) -> Float[Tensor, "b k c h w"]:
+        """Some frames of each of some episodes."""
         pairs = zip(episodes.tolist(), places, strict=True)
-        stored = uploaded(np.stack([self._ahead[episode].frames[row] for episode, row in pairs]), self.device)
-        return to_model(stored)
+        return to_model(uploaded(np.stack([self._ahead[episode].frames[row] for episode, row in pairs]), self.device))
+
+    def _taken(self, episodes: Int[np.ndarray, " b"], steps: Int[np.ndarray, "b ..."]) -> Tensor | None:
+        """The actions taken at one or several steps of each of some episodes; None where they were not paid for."""
+        if self._actions is None:
+            return None
+        pairs = zip(episodes.tolist(), steps, strict=True)
+        return as_tensor(np.stack([_actions_of(self._ahead[episode])[row] for episode, row in pairs]), self.device)
 
     def close(self) -> None:
         """Stop reading."""

@@ -8,7 +8,7 @@ copies: no worker processes, nothing is decoded (decision 008).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, Protocol, runtime_checkable
+from typing import Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -135,6 +135,17 @@ class TripletSet:
             self._first[index, None] + np.arange(-count, 0), self._begins[index, None]
         )
         return earlier
+
+    def preceding(self) -> Int[np.ndarray, " n"]:
+        """The triplet of this set that comes one step before each of them; -1 where it is not in the set."""
+        key = self.episode * _LONGEST + self.step
+        order = np.argsort(key)
+        place = np.searchsorted(key, key - 1, sorter=order)
+        before: Int[np.ndarray, " n"] = order[place]
+        return np.where(key[before] == key - 1, before, -1)
+
+
+_LONGEST: Final = 1 << 40  # more frames than an episode has
 
 
 def steps_of(epochs: float, triplets: int, batch_size: int) -> int:

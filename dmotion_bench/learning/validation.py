@@ -16,8 +16,7 @@ from dmotion_bench.learning.companions import Companions
 from dmotion_bench.learning.curriculum import Part
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.optimization import autocast
-from dmotion_bench.learning.precision import Precision
+from dmotion_bench.learning.precision import Precision, autocast
 from dmotion_bench.learning.randomness import seeded
 from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets
 

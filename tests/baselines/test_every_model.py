@@ -146,14 +146,17 @@ def test_a_killed_run_ends_with_the_same_bits(name, recorded, trained, tmp_path,
     assert _train(name, recorded, tmp_path / "killed").result["weights"] == whole.result["weights"]
 
 
-def test_a_killed_training_on_own_frames_ends_with_the_same_bits(recorded, trained, tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("name", ["dmotion", "ed-cnn"])
+def test_a_killed_training_on_own_frames_ends_with_the_same_bits(
+    name, recorded, trained, tmp_path, monkeypatch
+) -> None:
     monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
     own = ("own_frames=0.9", "own_steps=2")
-    whole = _train("dmotion", recorded, tmp_path / "whole", more=own).result
+    whole = _train(name, recorded, tmp_path / "whole", more=own).result
     with pytest.raises(Stopped):
-        _train("dmotion", recorded, tmp_path / "killed", stop_at=whole["steps"] // 2 + 1, more=own)
-    assert _train("dmotion", recorded, tmp_path / "killed", more=own).result["weights"] == whole["weights"]
-    assert trained("dmotion").result["weights"] != whole["weights"]
+        _train(name, recorded, tmp_path / "killed", stop_at=whole["steps"] // 2 + 1, more=own)
+    assert _train(name, recorded, tmp_path / "killed", more=own).result["weights"] == whole["weights"]
+    assert trained(name).result["weights"] != whole["weights"]
 
 
 @pytest.mark.parametrize("name", sorted({*UNSUPERVISED} - {"dmotion"}))

@@ -79,7 +79,7 @@ def test_a_package_that_prints_when_it_is_imported_does_not_spoil_a_list(tmp_pat
     )
     (tmp_path / "loud.py").write_text(module)
     listing = subprocess.run(
-        [sys.executable, "-c", "from dmotion_bench.cli import main; main()", "list", "models", "--json"],
+        [sys.executable, "-m", "dmotion_bench", "list", "models", "--json"],
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
         capture_output=True,
         text=True,

@@ -164,8 +164,8 @@ FAULTS = (
     Fault(
         name="a model's own frames are led by the motions of the step before",
         file="baselines/own_frames.py",
-        right="in pairwise(frames[1:]):",
-        wrong="in pairwise(frames[:-1]):",
+        right="in zip(frames[1:-1], frames[2:], actions",
+        wrong="in zip(frames[:-2], frames[1:-1], actions",
         tests=("tests/baselines/test_own_frames.py",),
     ),
     Fault(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -119,8 +121,30 @@ def test_a_phase_is_given_the_frames_before_its_triplets_and_an_episodes_first_o
         assert torch.equal(batch.previous[row], frames[step - 1])
         for image, back in zip(batch.earlier[row], (4, 3, 2), strict=True):
             assert torch.equal(image, frames[max(0, step - back)])
+        assert batch.history[row] == min(step - 1, 3)
+    assert batch.earlier_action is None
     assert near.batches(index).earlier is None
     assert far.validation(np.array([0])).earlier is None
+
+
+@pytest.mark.parametrize("protocol", ["episode", "paper"])
+def test_a_phase_of_labels_is_given_the_actions_before_its_triplets_that_were_paid_for(dataset, protocol) -> None:
+    """The paper's split leaves gaps: what comes before a triplet may be another part's."""
+    train = TripletSet.of_split(dataset, "train", protocol)
+    data = replace(_data(dataset, "100%"), train=train)
+    (part,) = parts_of((Phase(needs_actions=True, earlier=3),), data, CONFIG, 0, CPU)
+    batch = part.batches(np.arange(len(train)))
+    paid = {*zip(*(places.tolist() for places in train.places(np.arange(len(train)))), strict=True)}
+    found = set()
+    for row, (episode, step) in enumerate(zip(*train.places(np.arange(len(train))), strict=True)):
+        actions, known = dataset.states(episode).actions, 0
+        while known < 3 and (episode, step - known - 1) in paid:
+            known += 1
+        assert batch.history[row] == known
+        wanted = [actions[step - min(back, known)] for back in (3, 2, 1)]
+        assert batch.earlier_action[row].tolist() == wanted
+        found.add((known, min(step - 1, 3)))
+    assert len(found) > (4 if protocol == "paper" else 3)
 
 
 def test_all_batches_of_a_training_share_one_copy_of_the_frames(dataset, monkeypatch) -> None:

@@ -181,6 +181,11 @@ def test_batches_are_those_of_the_cache_for_any_number_of_loaders(walks, loaders
     batches = StreamedBatches(triplets, order, lambda episode: walks.states(episode).actions, torch.device("cpu"))
     read = StreamedBatches(triplets, order, None, torch.device("cpu"), earlier=3)
     reaching = TripletBatches(cached, None, FramesOnDevice(torch.device("cpu"))).reaching_back(3)
+    taken = np.array([walks.states(at).actions[step] for at, step in zip(cached.episode, cached.step, strict=True)])
+    labelled = TripletBatches(cached, taken, FramesOnDevice(torch.device("cpu"))).reaching_back(3)
+    told = StreamedBatches(
+        triplets, order, lambda episode: walks.states(episode).actions, torch.device("cpu"), earlier=3
+    )
     for step in range(40):
         index = order.batch(step)
         batches.expect(step, 0, 1)
@@ -195,8 +200,11 @@ def test_batches_are_those_of_the_cache_for_any_number_of_loaders(walks, loaders
         torch.testing.assert_close(read(index).current, batch.current)  # nothing has to be expected
         assert batch.earlier is None
         assert torch.equal(read(index).earlier, reaching(index).earlier)
-    batches.close()
-    read.close()
+        assert read(index).earlier_action is None
+        for name in ("earlier", "earlier_action", "history"):
+            assert torch.equal(getattr(told(index), name), getattr(labelled(index), name))
+    for one in (batches, read, told):
+        one.close()
 
 
 def test_a_damaged_episode_ends_the_training_with_a_sentence(recorded, tmp_path) -> None:

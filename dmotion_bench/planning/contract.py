@@ -1,4 +1,4 @@
-"""What a solver or an objective breaks of its contract is said in a sentence that names its class and method."""
+"""What a solver, an objective or a model breaks of its contract is said in a sentence that names class and method."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from dmotion_bench.errors import DmbenchError, PlannerContractBroken
+from dmotion_bench.errors import DmbenchError, ModelContractBroken, PlannerContractBroken
 
 
 @contextlib.contextmanager
@@ -24,9 +24,31 @@ def calling(part: object, method: str) -> Iterator[None]:
     except (DmbenchError, MemoryError, torch.OutOfMemoryError):
         raise
     except Exception as error:  # somebody else's part may raise anything
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        told = f"raised {type(error).__name__} in line {place.lineno} of {Path(place.filename).name}"
-        raise broken(part, method, f"{told}: {str(error).rstrip('.')}") from error
+        raise broken(part, method, _raised(error)) from error
+
+
+@contextlib.contextmanager
+def predicting(model: object, method: str) -> Iterator[None]:
+    """Turn an error of a model into one that names the model's method, and not the solver that asked for it.
+
+    Raises:
+        ModelContractBroken: The method raised something else than a ``DmbenchError``.
+    """
+    try:
+        yield
+    except (DmbenchError, MemoryError, torch.OutOfMemoryError):
+        raise
+    except Exception as error:
+        raise ModelContractBroken(
+            f"{type(model).__qualname__}.{method} {_raised(error)}. The contract is in docs/your_model.md; "
+            "dmotion_bench.testing.check_model checks it."
+        ) from error
+
+
+def _raised(error: Exception) -> str:
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    told = f"raised {type(error).__name__} in line {place.lineno} of {Path(place.filename).name}"
+    return f"{told}: {str(error).rstrip('.')}"
 
 
 def require(part: object, method: str, holds: bool, sentence: str) -> None:

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import torch
 from planning.test_mpc import SMALL, solve
+from sound_models import Sound, SoundConfig, breaks
 
-from dmotion_bench.errors import (
-    PlannerContractBroken,
-)
-from dmotion_bench.planning.agents import (
-    OracleAgent,
-)
+from dmotion_bench.errors import ModelContractBroken, PlannerContractBroken
+from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.planning.agents import ModelAgent, OracleAgent
 from dmotion_bench.planning.dynamics.simulator import SimulatorDynamics
 from dmotion_bench.planning.objectives.base import Memoryless, StepCost, taught
+from dmotion_bench.planning.objectives.feature import Feature
+from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.tasks import Problem
 from dmotion_bench.storage.dataset import Dataset
@@ -142,3 +142,13 @@ def test_errors_of_a_solver_and_of_what_learns_from_video_name_them(problems: li
         solve(OracleAgent(FACTS, Failing(), GridWorld), problems[:1], steps=1)
     with pytest.raises(PlannerContractBroken, match=r"Failing\.learned raised ValueError"):
         taught(Failing(), dataset)
+
+
+@pytest.mark.parametrize("method", ["begin", "predict", "branch", "frame", "features"])
+def test_errors_of_a_model_name_the_model_and_not_the_solver(problems: list[Problem], method: str) -> None:
+    failing = breaks(Sound, **{"features": lambda _, state: state[0].mean((2, 3)), method: lambda *_: _raising(0)})
+    model = failing(SoundConfig(), ModelInputs(height=FACTS.height, width=FACTS.width, actions=FACTS.actions))
+    objective = Feature() if method == "features" else Pixel()
+    called = "advance" if method == "predict" else method  # a model of pixels advances by its predict
+    with pytest.raises(ModelContractBroken, match=rf"Broken\.{called} raised ValueError in line .* no such luck\. The"):
+        solve(ModelAgent(model, FACTS, SMALL, objective), problems[:1], steps=1)

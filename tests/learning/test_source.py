@@ -238,6 +238,17 @@ def test_training_it_again_says_so(package: Path, tmp_path: Path) -> None:
     assert f"delete {str(run.path)!r} first" in _told(run)
 
 
+def test_an_attempt_that_failed_before_its_first_checkpoint_is_no_training(package: Path, tmp_path: Path) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    run.manifest["result"] = None
+    run.write()
+    run.last.unlink()
+    (package / "parts.py").write_text("WIDTH = 5\n")  # its author mends it
+    assert run.changed_modules
+    assert _told(run) == ""
+    assert not Run.open(run.path).changed_modules
+
+
 def test_a_class_that_a_notebook_defines_again_is_told(package: Path, tmp_path: Path) -> None:
     _defined(NOTEBOOK, known=True)
     register_model("edited", model_class("mine"))

@@ -49,6 +49,7 @@ from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.atomic import is_unused
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_before_training
+from dmotion_bench.testing.declaration import check_class, check_settings
 from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace
 
 if TYPE_CHECKING:
@@ -168,12 +169,32 @@ def begin(
         UsageError: The folder holds something else.
         RunMismatch: It holds another run.
     """
-    folder = out or default_path(request, resolve(request, dataset), workspace)
+    with _explaining_settings(request.model):
+        folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
         raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave out --resume to start one.")
     if not (folder / RUN_MANIFEST).exists() and not is_unused(folder):
         raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
-    return open_run(request, dataset, folder, workspace)
+    with _explaining_settings(request.model):
+        return open_run(request, dataset, folder, workspace)
+
+
+@contextlib.contextmanager
+def _explaining_settings(model: str) -> Iterator[None]:
+    """Say of a request that fails that the model's class declares something wrong, if it does.
+
+    Raises:
+        ModelContractBroken: It does.
+    """
+    try:
+        yield
+    except DmbenchError:
+        raise
+    except Exception:
+        kind = model_class(model)
+        check_class(kind)
+        check_settings(kind)
+        raise
 
 
 def complete(

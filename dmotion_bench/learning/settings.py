@@ -74,8 +74,8 @@ def to_json(config: Any) -> dict[str, Any]:
         plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
     except (TypeError, ValueError) as error:
         raise InvalidSetting(
-            f"a {type(config).__qualname__} cannot be kept in JSON: {error}. A field can be a number, a word, True, "
-            "False, None, a tuple or a config of these."
+            f"the settings of {type(config).__qualname__} cannot be kept in JSON: {error}. A field can be a number, a "
+            "word, True, False, None, a tuple or a config of these."
         ) from None
     return plain
 

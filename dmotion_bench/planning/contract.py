@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +25,7 @@ def calling(part: object, method: str) -> Iterator[None]:
     except (DmbenchError, MemoryError, torch.OutOfMemoryError):
         raise
     except Exception as error:  # somebody else's part may raise anything
-        raise broken(part, method, _raised(error)) from error
+        raise broken(part, method, _raised(part, error)) from error
 
 
 @contextlib.contextmanager
@@ -40,13 +41,16 @@ def predicting(model: object, method: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise ModelContractBroken(
-            f"{type(model).__qualname__}.{method} {_raised(error)}. The contract is in docs/your_model.md; "
+            f"{type(model).__qualname__}.{method} {_raised(model, error)}. The contract is in docs/your_model.md; "
             "dmotion_bench.testing.check_model checks it."
         ) from error
 
 
-def _raised(error: Exception) -> str:
-    place = traceback.extract_tb(error.__traceback__)[-1]
+def _raised(part: object, error: Exception) -> str:
+    """What was raised, and the last line of the part's own file that led to it."""
+    places = traceback.extract_tb(error.__traceback__)
+    own = getattr(sys.modules.get(type(part).__module__), "__file__", None)
+    place = next((one for one in reversed(places) if one.filename == own), places[-1])
     told = f"raised {type(error).__name__} in line {place.lineno} of {Path(place.filename).name}"
     return f"{told}: {str(error).rstrip('.')}"
 

@@ -16,6 +16,7 @@ from dmotion_bench.learning.model import NEITHER, ForwardModel, ModelInputs, Pha
 from dmotion_bench.learning.settings import from_json, to_json
 from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.testing.trial import ModelTrial, differing
+from dmotion_bench.values import is_frozen_dataclass
 from dmotion_bench.wording import shown
 
 _OF_TRAINING: Final = {field.name for field in dataclasses.fields(TrainingConfig)}
@@ -39,7 +40,7 @@ def check_class(kind: type[ForwardModel[Any]]) -> None:
     subject.require(isinstance(paper, str) and bool(paper), "its class variable paper says no authors and title")
     config = getattr(kind, "Config", None)
     subject.require(
-        dataclasses.is_dataclass(config) and config.__dataclass_params__.frozen,  # type: ignore[union-attr]
+        is_frozen_dataclass(config),
         "its class variable Config is no @dataclass(frozen=True, kw_only=True)",
     )
     shared = sorted({field.name for field in dataclasses.fields(config)} & _OF_TRAINING)  # type: ignore[arg-type]

@@ -53,7 +53,9 @@ def test_configs_survive_json() -> None:
 
 def test_what_json_has_no_type_for_is_refused() -> None:
     config = dataclasses.make_dataclass("Own", [("act", Any, dataclasses.field(default=max))], frozen=True)()
-    with pytest.raises(InvalidSetting, match=r"a Own cannot be kept in JSON: .*not JSON serializable. A field can be"):
+    with pytest.raises(
+        InvalidSetting, match=r"the settings of Own cannot be kept in JSON: .*not JSON serializable. A field can be"
+    ):
         to_json(config)
 
 

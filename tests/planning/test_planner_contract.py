@@ -56,6 +56,60 @@ def test_what_a_solver_chooses_is_checked(
         solve(OracleAgent(FACTS, Choosing(samples=3, horizon=2, elites=2), GridWorld), problems[:1], steps=1)
 
 
+@pytest.mark.parametrize("written", [list, torch.as_tensor])
+def test_a_plan_may_hold_lists_and_tensors(
+    problems: list[Problem], written: Callable[[Any], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is = CrossEntropy.plan
+    usual = solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
+
+    def rewritten(*given: Any) -> Any:
+        plan = as_it_is(*given)
+        object.__setattr__(plan, "action", written(plan.action))
+        object.__setattr__(plan, "memory", written(plan.candidates))
+        return plan
+
+    monkeypatch.setattr(CrossEntropy, "plan", rewritten)
+    found = solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
+    np.testing.assert_array_equal(found.actions, usual.actions)
+
+
+@pytest.mark.parametrize(
+    "memory", [{"a": 1}, [[1, 2], [3]], np.zeros((1, 2)), np.zeros((1, 2, 3)), np.zeros((2, 2, 3), int)]
+)
+def test_a_memory_is_sequences_of_actions(
+    problems: list[Problem], memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is = CrossEntropy.plan
+
+    def remembering(*given: Any) -> Any:
+        plan = as_it_is(*given)
+        object.__setattr__(plan, "memory", memory)
+        return plan
+
+    monkeypatch.setattr(CrossEntropy, "plan", remembering)
+    with pytest.raises(
+        PlannerContractBroken, match=r"remembers .*it must be None or an array of .* \(1, sequences, steps"
+    ):
+        solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=1)
+
+
+def test_a_solver_that_writes_into_what_it_sees_does_so_for_itself(
+    problems: list[Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is, seen = CrossEntropy.plan, list[Any]()
+
+    def writing(self: Any, dynamics: Any, evaluator: Any, context: Any) -> Any:
+        for images in (context.observation.previous, context.observation.current, context.observation.goals):
+            seen.append(images.copy())
+            images[:] = 0
+        return as_it_is(self, dynamics, evaluator, context)
+
+    monkeypatch.setattr(CrossEntropy, "plan", writing)
+    solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
+    assert all(images.any() for images in seen)
+
+
 def test_costs_that_are_no_numbers_are_refused(problems: list[Problem], monkeypatch: pytest.MonkeyPatch) -> None:
     as_it_is = SimulatorDynamics.true_costs
     monkeypatch.setattr(SimulatorDynamics, "true_costs", lambda *given: as_it_is(*given) * float("nan"))
@@ -106,6 +160,11 @@ def _cost(count: int, **shapes: tuple[int, ...]) -> Any:
             r"Odd\.reset raised ValueError in line \d+ of test_planner_contract\.py: no such luck\. The contract",
         ),
         ("observe", _raising, r"Odd\.observe raised ValueError"),
+        (
+            "observe",
+            lambda _: np.stack([]),
+            r"Odd\.observe raised ValueError in line \d+ of test_planner_contract\.py: need",
+        ),
         ("begin", _raising, r"Odd\.begin raised ValueError"),
         ("step", _raising, r"Odd\.step raised ValueError"),
         ("reset", lambda _: None, r"Odd\.reset returned None, which has no observe and no begin and no step"),

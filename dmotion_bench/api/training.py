@@ -6,7 +6,7 @@ import contextlib
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsIndex
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.runs import Run
@@ -50,6 +50,7 @@ from dmotion_bench.storage.atomic import is_unused
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_before_training
 from dmotion_bench.testing.declaration import check_class, check_settings
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace
 
 if TYPE_CHECKING:
@@ -73,17 +74,17 @@ def train(
     model: str,
     data: AnyPath | None = None,
     *,
-    labels: str | int | None = None,
+    labels: str | SupportsIndex | None = None,
     preset: Preset | str | None = None,
     arch: str | None = None,
-    seed: int = 0,
+    seed: SupportsIndex = 0,
     settings: Settings = None,
     split: SplitProtocol = "episode",
     out: AnyPath | None = None,
     resume: bool = False,
-    threads: int | None = None,
+    threads: SupportsIndex | None = None,
     stream: bool | None = None,
-    loaders: int | None = None,
+    loaders: SupportsIndex | None = None,
     device: str | torch.device = "auto",
     log: Sequence[str] = (),
     workspace: AnyPath | None = None,
@@ -128,6 +129,11 @@ def train(
         >>> run.result["labels_total"]
         4
     """
+    if not isinstance(model, str):
+        raise UsageError(
+            f"model is {shown(model)}; give a name. A class of your own has one once dm.register_model was called, and "
+            "settings sets the fields of its Config."
+        )
     require_one_of("split", split, SPLIT_PROTOCOLS)
     device = str(device)  # torch's own may be given, too
     require_one_of("device", device, DEVICES)

@@ -9,6 +9,15 @@ A package's whole test of its model::
     def test_my_model_keeps_the_contract() -> None:
         check_model(MyModel)
 
+Its parts, each a file::
+
+    trial.py        builds and calls a model under test
+    declaration.py  what the class declares: class variables, settings, weights, phases
+    losses.py       what is minimised, in training and in validation
+    prediction.py   the next frame, and rollouts
+    trained.py      after a few steps: aligned, kept by its checkpoint, heedful of actions
+    offers.py       what a model may offer besides
+
 Each breach has a message of its own, which says what the model did and what is asked. A model that passes trains,
 scores, plans and ranks with every command. Nothing is learned here but what a few steps on noise teach.
 """

@@ -8,7 +8,6 @@ Nothing is imported until a name is asked for, so listing names costs no torch a
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import difflib
 import functools
 import re
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from dmotion_bench.errors import DmbenchError, UnknownName, UsageError
+from dmotion_bench.values import is_frozen_dataclass
 from dmotion_bench.wording import shown
 
 if TYPE_CHECKING:
@@ -55,7 +55,6 @@ _REGISTERING: Final = {
     SOLVERS: "register_solver",
 }
 """The functions that make a class known in one process."""
-
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -186,7 +185,7 @@ def register_objective(name: str, kind: type[Objective]) -> None:
 
 
 def _add_planner(group: str, many: str, method: str, name: str, kind: object) -> None:
-    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind) and hasattr(kind, method)):
+    if not (is_frozen_dataclass(kind) and hasattr(kind, method)):
         raise UsageError(
             f"{shown(kind)} is no class of {many}; give a frozen dataclass with a method '{method}', as "
             "docs/your_planner.md describes it."

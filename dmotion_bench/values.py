@@ -5,6 +5,7 @@ Only where nobody says the type (``Any``) is it the first that the text can be: 
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import math
 import types
@@ -43,6 +44,13 @@ def require_bounds(
             number = getattr(config, name)
             if not (fits(number) and number < math.inf):
                 raise InvalidSetting(f"{name} is {number}; it {rule}.")
+
+
+def is_frozen_dataclass(kind: object) -> bool:
+    """Whether this is a class of settings that stay as a report says they were."""
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
+        return False
+    return bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
 
 
 def parse_value(key: str, text: str, wanted: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, SupportsIndex
 
 import numpy as np
 import torch
@@ -35,7 +35,7 @@ class Dataset(stored.Dataset):
         """Its name, its episodes and frames, and where they are from."""
         return f"<Dataset {self.name!r}: {len(self)} episodes, {self.lengths.sum()} frames, {self.recipe.environment}>"
 
-    def row(self, episode: int) -> EpisodeRow:
+    def row(self, episode: SupportsIndex) -> EpisodeRow:
         """Where an episode is and how it came about.
 
         Raises:
@@ -47,8 +47,8 @@ class Dataset(stored.Dataset):
         self,
         split: SplitName = "train",
         *,
-        labels: str | int | None = None,
-        seed: int = 0,
+        labels: str | SupportsIndex | None = None,
+        seed: SupportsIndex = 0,
         protocol: SplitProtocol = "episode",
     ) -> TripletDataset:
         """The triplets of consecutive frames of a split, as a ``torch.utils.data.Dataset``.

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex
 
 from dmotion_bench.api.progress import Progress
 from dmotion_bench.api.recording import executor_for, record_recipe
@@ -65,8 +65,8 @@ class Demonstrated:
 def demo(
     out: AnyPath = "demo",
     *,
-    seed: int = 0,
-    workers: int | None = 1,
+    seed: SupportsIndex = 0,
+    workers: SupportsIndex | None = 1,
     say: Callable[[str], None] = lambda _: None,
     note: Callable[[str], None] = lambda _: None,
     progress: Progress = None,

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, SupportsIndex
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import EXECUTORS, require_one_of, whole
@@ -39,21 +39,21 @@ def import_recordings(
     actions: str | None = None,
     action_fields: Sequence[str] = (),
     action_reduce: str = "last",
-    size: int = 128,
+    size: SupportsIndex = 128,
     hz: float = 10.0,
     source_hz: float | None = None,
     fit: str = "crop",
     clock: str = "log",
     max_gap_s: float | None = None,
-    min_frames: int = 3,
-    frames_per_episode: int = 100,
-    seed: int = 0,
+    min_frames: SupportsIndex = 3,
+    frames_per_episode: SupportsIndex = 100,
+    seed: SupportsIndex = 0,
     salvage: bool = False,
     skip_damaged: bool = False,
-    max_chunk_mib: int = 1024,
-    max_memory_mib: int = 1024,
+    max_chunk_mib: SupportsIndex = 1024,
+    max_memory_mib: SupportsIndex = 1024,
     out: AnyPath | None = None,
-    workers: int | None = 1,
+    workers: SupportsIndex | None = 1,
     executor: str = "local",
     workspace: AnyPath | None = None,
     progress: Progress = None,

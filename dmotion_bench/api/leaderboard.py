@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, SupportsIndex
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import EXECUTORS, require_one_of, whole
@@ -126,8 +126,8 @@ def leaderboard_check(
     *,
     quick: bool = False,
     differing: float = 0.0,
-    draw: int | None = None,
-    workers: int | None = 1,
+    draw: SupportsIndex | None = None,
+    workers: SupportsIndex | None = 1,
     executor: str = "local",
     place: AnyPath | None = None,
     workspace: AnyPath | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, SupportsIndex
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -73,14 +73,14 @@ class Planned:
 
 def plan(
     run: AnyPath | None = None,
-    task: int = 0,
+    task: SupportsIndex = 0,
     *,
     planner: str | None = None,
     planner_settings: Settings = None,
     objective: str | None = None,
     objective_settings: Settings = None,
-    steps: int = 100,
-    seed: int = 0,
+    steps: SupportsIndex = 100,
+    seed: SupportsIndex = 0,
     data: AnyPath | None = None,
     save: AnyPath | None = None,
     column: str | None = None,

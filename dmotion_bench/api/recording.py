@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import SupportsIndex
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import LARGEST_SEED, Settings, as_preset, as_texts, whole
@@ -25,18 +26,18 @@ def record(
     environment: str,
     preset: Preset | str = Preset.SMALL,
     *,
-    episodes: int | None = None,
-    frames: int | None = None,
-    tasks: int | None = None,
-    seed: int = 0,
+    episodes: SupportsIndex | None = None,
+    frames: SupportsIndex | None = None,
+    tasks: SupportsIndex | None = None,
+    seed: SupportsIndex = 0,
     vary: Sequence[str] = (),
     ranges: str = USUAL_RANGES,
     policy: str | None = None,
     settings: Settings = None,
-    size: int | None = None,
-    frame_skip: int | None = None,
+    size: SupportsIndex | None = None,
+    frame_skip: SupportsIndex | None = None,
     out: AnyPath | None = None,
-    workers: int = 1,
+    workers: SupportsIndex = 1,
     executor: str = "local",
     workspace: AnyPath | None = None,
     progress: Progress = None,

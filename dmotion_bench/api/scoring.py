@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import SupportsIndex
 
 import torch
 
@@ -50,15 +51,15 @@ def score(
     metrics: Sequence[str] | str | None = None,
     *,
     split: SplitName = "test",
-    horizon: int = 15,
-    tasks: int | None = None,
+    horizon: SupportsIndex = 15,
+    tasks: SupportsIndex | None = None,
     planner: str | None = None,
     planner_settings: Settings = None,
     objective: str | None = None,
     objective_settings: Settings = None,
     column: str | None = None,
     data: AnyPath | None = None,
-    batch_size: int = 64,
+    batch_size: SupportsIndex = 64,
     precision: Precision = "float32",
     device: str | torch.device = "auto",
     renew: bool = True,

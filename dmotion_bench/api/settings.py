@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, overload
+from typing import Any, Final, SupportsIndex, overload
 
 import numpy as np
 
@@ -28,7 +28,7 @@ TRACKERS: Final = ("tensorboard", "wandb")
 
 
 @overload
-def whole(name: str, given: int, least: int | None = ..., most: int | None = ...) -> int: ...
+def whole(name: str, given: SupportsIndex, least: int | None = ..., most: int | None = ...) -> int: ...
 @overload
 def whole(name: str, given: None, least: int | None = ..., most: int | None = ...) -> None: ...
 def whole(name: str, given: Any, least: int | None = None, most: int | None = None) -> int | None:

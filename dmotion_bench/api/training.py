@@ -6,7 +6,7 @@ import contextlib
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsIndex
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.runs import Run
@@ -49,6 +49,8 @@ from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.atomic import is_unused
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_before_training
+from dmotion_bench.testing.declaration import check_class, check_settings
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace
 
 if TYPE_CHECKING:
@@ -72,17 +74,17 @@ def train(
     model: str,
     data: AnyPath | None = None,
     *,
-    labels: str | int | None = None,
+    labels: str | SupportsIndex | None = None,
     preset: Preset | str | None = None,
     arch: str | None = None,
-    seed: int = 0,
+    seed: SupportsIndex = 0,
     settings: Settings = None,
     split: SplitProtocol = "episode",
     out: AnyPath | None = None,
     resume: bool = False,
-    threads: int | None = None,
+    threads: SupportsIndex | None = None,
     stream: bool | None = None,
-    loaders: int | None = None,
+    loaders: SupportsIndex | None = None,
     device: str | torch.device = "auto",
     log: Sequence[str] = (),
     workspace: AnyPath | None = None,
@@ -127,6 +129,11 @@ def train(
         >>> run.result["labels_total"]
         4
     """
+    if not isinstance(model, str):
+        raise UsageError(
+            f"model is {shown(model)}; give a name. A class of your own has one once dm.register_model was called, and "
+            "settings sets the fields of its Config."
+        )
     require_one_of("split", split, SPLIT_PROTOCOLS)
     device = str(device)  # torch's own may be given, too
     require_one_of("device", device, DEVICES)
@@ -168,12 +175,32 @@ def begin(
         UsageError: The folder holds something else.
         RunMismatch: It holds another run.
     """
-    folder = out or default_path(request, resolve(request, dataset), workspace)
+    with _explaining_settings(request.model):
+        folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
         raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave out --resume to start one.")
     if not (folder / RUN_MANIFEST).exists() and not is_unused(folder):
         raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
-    return open_run(request, dataset, folder, workspace)
+    with _explaining_settings(request.model):
+        return open_run(request, dataset, folder, workspace)
+
+
+@contextlib.contextmanager
+def _explaining_settings(model: str) -> Iterator[None]:
+    """Say of a request that fails that the model's class declares something wrong, if it does.
+
+    Raises:
+        ModelContractBroken: It does.
+    """
+    try:
+        yield
+    except DmbenchError:
+        raise
+    except Exception:
+        kind = model_class(model)
+        check_class(kind)
+        check_settings(kind)
+        raise
 
 
 def complete(

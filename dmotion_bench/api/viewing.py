@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Self, SupportsIndex
 
 from dmotion_bench.api.settings import SPLITS, require_one_of, whole
 from dmotion_bench.errors import DmbenchError, UsageError
@@ -98,7 +98,7 @@ def view(
     web: bool = False,
     episodes: Sequence[int] = (),
     split: SplitName | None = None,
-    steps: int | None = None,
+    steps: SupportsIndex | None = None,
     data: AnyPath | None = None,
     workspace: AnyPath | None = None,
 ) -> Path | Served | None:

@@ -10,6 +10,7 @@ from dmotion_bench.learning.run import Run
 from dmotion_bench.learning.shared_pretraining import take_over
 from dmotion_bench.storage.lock import held
 from dmotion_bench.wording import shown
+from dmotion_bench.workspace import RUN_MANIFEST
 
 _MOST_NAMED: Final = 5
 
@@ -19,8 +20,9 @@ def finished_result(
 ) -> dict[str, Any] | None:
     """The result of a run that is trained already; None if it is to be trained.
 
-    A finished run whose weights are damaged begins anew. A run that has not begun takes over the training of another
-    one that differs only in its labels.
+    A finished run whose weights are damaged begins anew, and so does one that failed before its first checkpoint: it is
+    trained by the code as it is now. A run that has not begun takes over the training of another one that differs only
+    in its labels.
 
     Args:
         run: Its folder may be changed.
@@ -47,6 +49,11 @@ def finished_result(
     elif run.last.exists():
         note(f"going on with {run.path}.")
         tell_changes(run, warn)
+    elif (run.path / RUN_MANIFEST).exists():
+        with held(run.path):
+            run.read_again()
+            if run.result is None and not run.last.exists():  # nothing is left of an attempt that failed but run.json
+                run.begin_anew()
     return None
 
 

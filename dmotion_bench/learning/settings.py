@@ -18,8 +18,23 @@ from dmotion_bench.values import parse_value
 ConfigT = TypeVar("ConfigT")
 
 
+def _types(kind: type) -> dict[str, Any]:
+    """The type of each field of a config.
+
+    Raises:
+        InvalidSetting: One is not known where the config is defined.
+    """
+    try:
+        return typing.get_type_hints(kind)
+    except NameError as error:
+        raise InvalidSetting(
+            f"the types of the fields of {kind.__qualname__} cannot be read: {error}; import it, or define it, at the "
+            "top of the module."
+        ) from None
+
+
 def _fields(config: Any) -> dict[str, Any]:
-    hints = typing.get_type_hints(type(config))
+    hints = _types(type(config))
     return {field.name: hints[field.name] for field in dataclasses.fields(config) if field.init}
 
 
@@ -50,8 +65,18 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
 
 
 def to_json(config: Any) -> dict[str, Any]:
-    """A config as JSON's types, to be read again by ``from_json``."""
-    plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+    """A config as JSON's types, to be read again by ``from_json``.
+
+    Raises:
+        InvalidSetting: A field has a value that JSON has no type for.
+    """
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+    except (TypeError, ValueError) as error:
+        raise InvalidSetting(
+            f"the settings of {type(config).__qualname__} cannot be kept in JSON: {error}. A field can be a number, a "
+            "word, True, False, None, a tuple or a config of these."
+        ) from None
     return plain
 
 
@@ -61,7 +86,7 @@ def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
     Raises:
         InvalidSetting: A field is unknown, of another type, or missing without a default.
     """
-    hints = typing.get_type_hints(kind)
+    hints = _types(kind)
     names = {field.name for field in dataclasses.fields(typing.cast(Any, kind))}
     if unknown := sorted(set(stored) - names):
         raise InvalidSetting(f"{kind.__name__} has no field {', '.join(unknown)}; it was written by another version.")

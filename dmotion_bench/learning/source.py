@@ -1,8 +1,9 @@
 """The code of a model: hashes by which a run notices that it is no longer the one that was trained.
 
 A run holds the hash of every module that its class is made of: those of the class and of its bases, and what they
-import at their top from their own packages. The core is not among them; its version stands in the run. Comments,
-docstrings and layout do not count; of a script that is run, only its classes and functions do. Files are read when a
+import at their top from their own packages and from files and packages beside them, unless that is where packages are
+installed. The core is not among them; its version stands in the run. Comments, docstrings and layout do not count; of a
+script that is run, only its classes and functions do. Files are read when a
 run begins: a change between the import of a module and that moment is taken for what was trained.
 
 A class that is written in a notebook or at the prompt has no file, and one of a script may be defined again while the
@@ -29,6 +30,7 @@ from dmotion_bench.registry import model_class
 MOST_MODULES: Final = 200
 """Of a model; further ones are not looked at."""
 _CORE: Final = __name__.partition(".")[0]
+_INSTALLED: Final = ("site-packages", "dist-packages")
 _NOT_THE_MODELS: Final = {_CORE, "torch", "builtins", "abc", "typing"}
 
 
@@ -55,7 +57,7 @@ def code_of(model: str) -> dict[str, str]:
             found[name], imported = _read(Path(file).read_bytes(), name, module.__package__)
         except (OSError, SyntaxError, ValueError, ImportError, RecursionError, MemoryError):
             continue  # compiled, or just being edited
-        waiting += imported
+        waiting += [one for one in imported if _is_own(one, name)]
     return dict(sorted(found.items()))
 
 
@@ -71,16 +73,34 @@ def _package(module: str) -> str:
     return module.partition(".")[0]
 
 
+def _is_own(module: str, importing: str) -> bool:
+    """Whether somebody who wrote a module wrote one that it imports, too: one of its package, or beside it."""
+    if _package(module) in _NOT_THE_MODELS:
+        return False
+    folder = _folder(module)
+    same = folder is not None and folder == _folder(importing) and folder.name not in _INSTALLED
+    return same or _package(module) == _package(importing)
+
+
+def _folder(module: str) -> Path | None:
+    """Where the file of a module, or the folder of its package, lies."""
+    file = getattr(sys.modules.get(_package(module)), "__file__", None)
+    if file is None:
+        return None
+    path = Path(file).resolve()
+    return path.parent.parent if path.stem == "__init__" else path.parent
+
+
 @lru_cache(maxsize=5 * MOST_MODULES)
 def _read(source: bytes, name: str, package: str | None) -> tuple[str, tuple[str, ...]]:
-    """The hash of a module, and what it imports from its own package: modules, and perhaps names that are none."""
+    """The hash of a module, and what it imports: modules, and perhaps names that are none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # whoever imports the module is told of them
         tree = ast.parse(source)
-    imported = [one for one in _imported(tree, package) if _package(one) == _package(name)]
+    imported = tuple(_imported(tree, package))
     if name == "__main__":
         tree.body = [one for one in tree.body if isinstance(one, ast.ClassDef | ast.FunctionDef)]
-    return hash_of(tree), tuple(imported)
+    return hash_of(tree), imported
 
 
 def _imported(tree: ast.Module, package: str | None) -> Iterator[str]:

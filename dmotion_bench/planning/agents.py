@@ -18,9 +18,8 @@ from jaxtyping import Bool, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import Environment, HasScript, Script
-from dmotion_bench.errors import InvalidSetting, ModelContractBroken, PlannerContractBroken, UnknownName
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken, UnknownName
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.contract import calling
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.dynamics.simulator import Simulation, SimulatorDynamics
@@ -28,9 +27,9 @@ from dmotion_bench.planning.objectives.base import Evaluator, Objective, Taken
 from dmotion_bench.planning.objectives.checked import checked_reset
 from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
+from dmotion_bench.planning.solvers.checked import checked_plan
 from dmotion_bench.planning.tasks import World
 from dmotion_bench.specs import EnvSpec
-from dmotion_bench.wording import shown
 
 NO_ACTION = -1
 REFERENCES = ("idle", "random", "oracle", "scripted")
@@ -110,34 +109,13 @@ class PlanningAgent(Agent):
         """The first action of the best plan, in the units of the environment.
 
         Raises:
-            PlannerContractBroken: The solver raises an error, returns no plan, or no action for each task.
+            PlannerContractBroken: As ``checked_plan``.
         """
         assert self._evaluator is not None, "reset comes first"
-        with calling(self._solver, "plan"):
-            plan = self._solver.plan(dynamics, self._evaluator, context)
+        plan = checked_plan(self._solver, dynamics, self._evaluator, context)
         spec = dynamics.actions
-        if not isinstance(plan, Plan):
-            raise PlannerContractBroken(f"the solver returns {shown(type(plan).__name__)}; it must return a Plan.")
-        action = _checked_action(plan.action, spec, len(context.generators))
+        action: Any = plan.action
         return Decision(action=spec.denormalise(action) if isinstance(spec, Continuous) else action, plan=plan)
-
-
-def _checked_action(action: Any, spec: ActionSpec, tasks: int) -> Any:
-    """The actions of a plan, one for each task: a number of a discrete one, or normalised numbers."""
-    found = np.asarray(action)
-    if isinstance(spec, Discrete):
-        fits = found.shape == (tasks,) and np.issubdtype(found.dtype, np.integer)
-        fits = fits and bool(((found >= 0) & (found < len(spec))).all())
-        wanted = f"{tasks} whole numbers from 0 to {len(spec) - 1}"
-    else:
-        fits = found.shape == (tasks, spec.width) and np.issubdtype(found.dtype, np.floating)
-        fits = fits and bool(np.isfinite(found).all())
-        wanted = f"{tasks} times {spec.width} finite numbers"
-    if not fits:
-        raise PlannerContractBroken(
-            f"the solver chooses the actions {shown(str(found.tolist()))}; it must be {wanted}."
-        )
-    return action
 
 
 class ModelAgent(PlanningAgent):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import is_dataclass
 from types import MappingProxyType, ModuleType
 from typing import Any, Final
 
@@ -16,6 +15,7 @@ from dmotion_bench.planning.objectives.base import Objective
 from dmotion_bench.planning.solvers.base import Solver
 from dmotion_bench.registry import environment_class, objective_class, solver_class
 from dmotion_bench.specs import EnvSpec
+from dmotion_bench.values import is_frozen_dataclass
 
 DEFAULT_SOLVER: Final = "cem"
 
@@ -55,9 +55,10 @@ def present_name(objective: str) -> str:
 
 
 def _made(kind: type[Any], name: str, settings: Sequence[str], option: str) -> Any:
-    if not is_dataclass(kind):
+    if not is_frozen_dataclass(kind):
         raise DmbenchError(
-            f"{name!r} is registered as {kind.__qualname__}, which is no dataclass; make it a frozen one."
+            f"{name!r} is registered as {kind.__qualname__}, which is no frozen dataclass; write "
+            "@dataclass(frozen=True, kw_only=True) above it."
         )
     try:
         made = kind()

@@ -1,15 +1,16 @@
-"""What a solver or an objective breaks of its contract is said in a sentence that names its class and method."""
+"""What a solver, an objective or a model breaks of its contract is said in a sentence that names class and method."""
 
 from __future__ import annotations
 
 import contextlib
+import sys
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
 import torch
 
-from dmotion_bench.errors import DmbenchError, PlannerContractBroken
+from dmotion_bench.errors import DmbenchError, ModelContractBroken, PlannerContractBroken
 
 
 @contextlib.contextmanager
@@ -24,9 +25,34 @@ def calling(part: object, method: str) -> Iterator[None]:
     except (DmbenchError, MemoryError, torch.OutOfMemoryError):
         raise
     except Exception as error:  # somebody else's part may raise anything
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        told = f"raised {type(error).__name__} in line {place.lineno} of {Path(place.filename).name}"
-        raise broken(part, method, f"{told}: {str(error).rstrip('.')}") from error
+        raise broken(part, method, _raised(part, error)) from error
+
+
+@contextlib.contextmanager
+def predicting(model: object, method: str) -> Iterator[None]:
+    """Turn an error of a model into one that names the model's method, and not the solver that asked for it.
+
+    Raises:
+        ModelContractBroken: The method raised something else than a ``DmbenchError``.
+    """
+    try:
+        yield
+    except (DmbenchError, MemoryError, torch.OutOfMemoryError):
+        raise
+    except Exception as error:
+        raise ModelContractBroken(
+            f"{type(model).__qualname__}.{method} {_raised(model, error)}. The contract is in docs/your_model.md; "
+            "dmotion_bench.testing.check_model checks it."
+        ) from error
+
+
+def _raised(part: object, error: Exception) -> str:
+    """What was raised, and the last line of the part's own file that led to it."""
+    places = traceback.extract_tb(error.__traceback__)
+    own = getattr(sys.modules.get(type(part).__module__), "__file__", None)
+    place = next((one for one in reversed(places) if one.filename == own), places[-1])
+    told = f"raised {type(error).__name__} in line {place.lineno} of {Path(place.filename).name}"
+    return f"{told}: {str(error).rstrip('.')}"
 
 
 def require(part: object, method: str, holds: bool, sentence: str) -> None:

@@ -240,12 +240,13 @@ class _Group:
         count = len(loop.actions) if isinstance(loop.actions, Discrete) else 0
         self.blocked: Bool[np.ndarray, "b a"] = np.zeros((len(problems), count), np.bool_)
         self.experience = Experience(self._current, count)
-        self._agent.reset(self._current, self._goals)
+        self._agent.reset(self._current.copy(), self._goals.copy())
         self._show()
 
     def observation(self, step: int) -> Observation:
-        """What an agent is given after ``step`` actions."""
-        return Observation(previous=self._previous, current=self._current, goals=self._goals, step=step)
+        """What an agent is given after ``step`` actions: images of its own, whatever it does with them."""
+        previous, current, goals = (images.copy() for images in (self._previous, self._current, self._goals))
+        return Observation(previous=previous, current=current, goals=goals, step=step)
 
     def decide(self, context: PlanContext) -> Decision:
         """Ask the agent for its actions; only references that declare it are given the simulators."""
@@ -268,7 +269,7 @@ class _Group:
         self.experience.took(actions, frames)
         self._previous = np.where(changed[:, None, None, None], self._current, self._previous)
         self._current = frames
-        self._agent.observe(actions, frames)
+        self._agent.observe(actions, frames.copy())
         self._show()
 
     def _show(self) -> None:

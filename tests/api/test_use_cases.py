@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import urllib.request
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -414,6 +414,8 @@ def test_a_model_of_a_notebook_is_trained_and_scored_by_its_name(
             dm.register_model(name, kind)
     with pytest.raises(UsageError, match="no class of models"):
         dm.register_model("other", object)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"model is <class .*; give a name.* once dm\.register_model was called"):
+        dm.train(kind)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="no class of environments"):
         dm.register_environment("other", kind)  # type: ignore[arg-type]
 
@@ -454,7 +456,8 @@ def test_a_planner_of_a_notebook_plans_and_scores_by_its_name(workspace: Path) -
         (dm.register_solver, "solvers", "plan"),
         (dm.register_objective, "objectives", "reset"),
     ):
-        for wrong in (object, _Indifferent, Always(), dm.JobProgress):
+        thawed = make_dataclass("Thawed", [("number", int, 1)], namespace={method: getattr(Always, method)})
+        for wrong in (object, _Indifferent, Always(), dm.JobProgress, thawed):
             with pytest.raises(UsageError, match=f"is no class of {many}; give a frozen dataclass .* '{method}'"):
                 register("other", wrong)  # type: ignore[arg-type]
         with pytest.raises(UsageError, match="cannot be a name here"):

@@ -51,6 +51,14 @@ def test_configs_survive_json() -> None:
     assert from_json(DMotionConfig, to_json(config)) == config
 
 
+def test_what_json_has_no_type_for_is_refused() -> None:
+    config = dataclasses.make_dataclass("Own", [("act", Any, dataclasses.field(default=max))], frozen=True)()
+    with pytest.raises(
+        InvalidSetting, match=r"the settings of Own cannot be kept in JSON: .*not JSON serializable. A field can be"
+    ):
+        to_json(config)
+
+
 def test_a_field_of_another_version_is_refused() -> None:
     with pytest.raises(InvalidSetting, match="another version"):
         from_json(DMotionConfig, {**to_json(DMotionConfig()), "rotations": 4})

@@ -87,6 +87,25 @@ def test_what_counts_as_a_change(package: Path, file: str, before: str, after: s
     assert changed_modules(recorded, "edited") == changed
 
 
+@pytest.mark.parametrize(("folder", "changed"), [("mine", ["layers_beside"]), ("site-packages", [])])
+def test_files_beside_a_models_own_count_unless_they_are_installed_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, changed: list[str]
+) -> None:
+    (place := tmp_path / folder).mkdir()
+    (place / "layers_beside.py").write_text("WIDTH = 3\n")
+    (place / "model_beside.py").write_text(
+        "from baselines.lapo import Lapo\nfrom layers_beside import WIDTH\nclass Mine(Lapo): width = WIDTH\n"
+    )
+    monkeypatch.syspath_prepend(place)
+    monkeypatch.setattr(registry, "_ADDED", {})
+    for name in ("layers_beside", "model_beside"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    register_model("edited", importlib.import_module("model_beside").Mine)
+    recorded = code_of("edited")
+    (place / "layers_beside.py").write_text("WIDTH = 4\n")
+    assert changed_modules(recorded, "edited") == changed
+
+
 def test_of_a_script_its_classes_and_functions_count(
     package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,6 +255,17 @@ def test_training_it_again_says_so(package: Path, tmp_path: Path) -> None:
     (package / "parts.py").write_text("WIDTH = 5\n")
     assert "was changed since that training began (edited_models.parts); to train the model as it is" in _told(run)
     assert f"delete {str(run.path)!r} first" in _told(run)
+
+
+def test_an_attempt_that_failed_before_its_first_checkpoint_is_no_training(package: Path, tmp_path: Path) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    run.manifest["result"] = None
+    run.write()
+    run.last.unlink()
+    (package / "parts.py").write_text("WIDTH = 5\n")  # its author mends it
+    assert run.changed_modules
+    assert _told(run) == ""
+    assert not Run.open(run.path).changed_modules
 
 
 def test_a_class_that_a_notebook_defines_again_is_told(package: Path, tmp_path: Path) -> None:

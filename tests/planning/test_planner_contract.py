@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import torch
 from planning.test_mpc import SMALL, solve
+from sound_models import Sound, SoundConfig, breaks
 
-from dmotion_bench.errors import (
-    PlannerContractBroken,
-)
-from dmotion_bench.planning.agents import (
-    OracleAgent,
-)
+from dmotion_bench.errors import ModelContractBroken, PlannerContractBroken
+from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.planning.agents import ModelAgent, OracleAgent
 from dmotion_bench.planning.dynamics.simulator import SimulatorDynamics
 from dmotion_bench.planning.objectives.base import Memoryless, StepCost, taught
+from dmotion_bench.planning.objectives.feature import Feature
+from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.tasks import Problem
 from dmotion_bench.storage.dataset import Dataset
@@ -54,6 +54,60 @@ def test_what_a_solver_chooses_is_checked(
     monkeypatch.setattr(Choosing, "chosen", chosen)
     with pytest.raises(PlannerContractBroken, match=said):
         solve(OracleAgent(FACTS, Choosing(samples=3, horizon=2, elites=2), GridWorld), problems[:1], steps=1)
+
+
+@pytest.mark.parametrize("written", [list, torch.as_tensor])
+def test_a_plan_may_hold_lists_and_tensors(
+    problems: list[Problem], written: Callable[[Any], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is = CrossEntropy.plan
+    usual = solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
+
+    def rewritten(*given: Any) -> Any:
+        plan = as_it_is(*given)
+        object.__setattr__(plan, "action", written(plan.action))
+        object.__setattr__(plan, "memory", written(plan.candidates))
+        return plan
+
+    monkeypatch.setattr(CrossEntropy, "plan", rewritten)
+    found = solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
+    np.testing.assert_array_equal(found.actions, usual.actions)
+
+
+@pytest.mark.parametrize(
+    "memory", [{"a": 1}, [[1, 2], [3]], np.zeros((1, 2)), np.zeros((1, 2, 3)), np.zeros((2, 2, 3), int)]
+)
+def test_a_memory_is_sequences_of_actions(
+    problems: list[Problem], memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is = CrossEntropy.plan
+
+    def remembering(*given: Any) -> Any:
+        plan = as_it_is(*given)
+        object.__setattr__(plan, "memory", memory)
+        return plan
+
+    monkeypatch.setattr(CrossEntropy, "plan", remembering)
+    with pytest.raises(
+        PlannerContractBroken, match=r"remembers .*it must be None or an array of .* \(1, sequences, steps"
+    ):
+        solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=1)
+
+
+def test_a_solver_that_writes_into_what_it_sees_does_so_for_itself(
+    problems: list[Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is, seen = CrossEntropy.plan, list[Any]()
+
+    def writing(self: Any, dynamics: Any, evaluator: Any, context: Any) -> Any:
+        for images in (context.observation.previous, context.observation.current, context.observation.goals):
+            seen.append(images.copy())
+            images[:] = 0
+        return as_it_is(self, dynamics, evaluator, context)
+
+    monkeypatch.setattr(CrossEntropy, "plan", writing)
+    solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
+    assert all(images.any() for images in seen)
 
 
 def test_costs_that_are_no_numbers_are_refused(problems: list[Problem], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,6 +160,11 @@ def _cost(count: int, **shapes: tuple[int, ...]) -> Any:
             r"Odd\.reset raised ValueError in line \d+ of test_planner_contract\.py: no such luck\. The contract",
         ),
         ("observe", _raising, r"Odd\.observe raised ValueError"),
+        (
+            "observe",
+            lambda _: np.stack([]),
+            r"Odd\.observe raised ValueError in line \d+ of test_planner_contract\.py: need",
+        ),
         ("begin", _raising, r"Odd\.begin raised ValueError"),
         ("step", _raising, r"Odd\.step raised ValueError"),
         ("reset", lambda _: None, r"Odd\.reset returned None, which has no observe and no begin and no step"),
@@ -142,3 +201,13 @@ def test_errors_of_a_solver_and_of_what_learns_from_video_name_them(problems: li
         solve(OracleAgent(FACTS, Failing(), GridWorld), problems[:1], steps=1)
     with pytest.raises(PlannerContractBroken, match=r"Failing\.learned raised ValueError"):
         taught(Failing(), dataset)
+
+
+@pytest.mark.parametrize("method", ["begin", "predict", "branch", "frame", "features"])
+def test_errors_of_a_model_name_the_model_and_not_the_solver(problems: list[Problem], method: str) -> None:
+    failing = breaks(Sound, **{"features": lambda _, state: state[0].mean((2, 3)), method: lambda *_: _raising(0)})
+    model = failing(SoundConfig(), ModelInputs(height=FACTS.height, width=FACTS.width, actions=FACTS.actions))
+    objective = Feature() if method == "features" else Pixel()
+    called = "advance" if method == "predict" else method  # a model of pixels advances by its predict
+    with pytest.raises(ModelContractBroken, match=rf"Broken\.{called} raised ValueError in line .* no such luck\. The"):
+        solve(ModelAgent(model, FACTS, SMALL, objective), problems[:1], steps=1)

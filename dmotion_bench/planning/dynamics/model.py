@@ -15,6 +15,7 @@ from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.precision import has_bf16
+from dmotion_bench.planning.contract import predicting
 from dmotion_bench.planning.dynamics.base import Actions, Observation, State
 
 FRAMES_AT_ONCE = {"cpu": 32, "cuda": 1024}
@@ -88,33 +89,40 @@ class ModelDynamics:
     def start(self, observation: Observation) -> State:
         """The model's state after the last two images of each task."""
         images = (torch.from_numpy(one).to(self.device) for one in (observation.previous, observation.current))
-        return as_tuple(self._model.begin(*map(to_model, images)))
+        with predicting(self._model, "begin"):
+            return as_tuple(self._model.begin(*map(to_model, images)))
 
     def step(self, state: State, action: Actions) -> State:
         """The states that the model predicts."""
-        return as_tuple(self._model.advance(state, in_units(self.actions, action.to(self.device))))
+        with predicting(self._model, "advance"):
+            return as_tuple(self._model.advance(state, in_units(self.actions, action.to(self.device))))
 
     def branch(self, state: State, parent: Int[Tensor, " n"], action: Actions) -> State:
         """The states that the model predicts; what they have in common is computed once, if the model can do so."""
         parent, taken = parent.to(self.device), in_units(self.actions, action.to(self.device))
         if isinstance(self._model, BranchingModel):
-            return as_tuple(self._model.branch(state, parent, taken))
-        return as_tuple(self._model.advance(tuple(part[parent] for part in state), taken))
+            with predicting(self._model, "branch"):
+                return as_tuple(self._model.branch(state, parent, taken))
+        with predicting(self._model, "advance"):
+            return as_tuple(self._model.advance(tuple(part[parent] for part in state), taken))
 
     def frames(self, state: State) -> Float[Tensor, "n c h w"]:
         """The frames that the model draws of the states."""
-        return self._model.frame(state)
+        with predicting(self._model, "frame"):
+            return self._model.frame(state)
 
     def pixels(self, state: State) -> UInt8[Tensor, "n h w 3"]:
         """The same frames as whole pixel values, in the memory order that costs the model least."""
         if isinstance(self._model, PixelModel):
-            return self._model.pixels(state)
-        return to_pixels(self._model.frame(state))
+            with predicting(self._model, "pixels"):
+                return self._model.pixels(state)
+        return to_pixels(self.frames(state))
 
     def features(self, state: State) -> Float[Tensor, "n d"]:
         """The model's features; a model without any has its states compared number by number."""
         if isinstance(self._model, FeatureModel):
-            return self._model.features(state).float()
+            with predicting(self._model, "features"):
+                return self._model.features(state).float()
         return torch.cat([part.flatten(1).float() for part in state], dim=1)
 
 

@@ -3,6 +3,7 @@
 ::
 
     base.py             the contract: what a solver is given, and the plan it returns
+    checked.py          a solver whose plans are checked as they are made
     cem.py              the paper's cross-entropy method
     icem.py             iCEM, with coloured noise and kept elites; also with what was seen in the task (icem-recall)
     random_shooting.py  the best of many sequences

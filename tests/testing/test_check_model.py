@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 import torch
 from older_network import OlderNetwork
+from sound_models import Sound, SoundConfig, SoundVideo, breaks
 from torch import nn
 
 from dmotion_bench.actions import Discrete
@@ -17,65 +18,6 @@ from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig
 from dmotion_bench.specs import Supervision
 from dmotion_bench.testing import check_before_training, check_model
-
-
-@dataclass(frozen=True, kw_only=True)
-class SoundConfig:
-    width: int = 4
-
-
-class Sound(ForwardModel[SoundConfig]):
-    """A supervised model of one convolution."""
-
-    supervision: ClassVar[Supervision] = Supervision.ACTIONS
-    paper: ClassVar[str] = "Nobody: Nothing, 2026"
-    Config: ClassVar[type] = SoundConfig
-
-    def __init__(self, config, inputs) -> None:
-        super().__init__(config, inputs)
-        self.layer = nn.Conv2d(6 + len(inputs.actions), 3, 3, padding=1)
-
-    def losses(self, batch):
-        error = (self._next(batch.previous, batch.current, batch.action) - batch.next).square().mean((1, 2, 3))
-        return Losses(total=error.mean(), terms={"error": error.mean().detach()}, per_triplet=error.detach())
-
-    def predict(self, previous, current, action):
-        return self._next(previous, current, action)
-
-    def _next(self, previous, current, action):
-        chosen = nn.functional.one_hot(action, len(self.inputs.actions)).float()[..., None, None]
-        return self.layer(torch.cat([previous, current, chosen.expand(-1, -1, *current.shape[2:])], dim=1)).float()
-
-
-class SoundVideo(Sound):
-    """A model of video alone, aligned by a table."""
-
-    supervision = Supervision.NONE
-
-    def __init__(self, config, inputs) -> None:
-        super().__init__(config, inputs)
-        self.register_buffer("table", torch.zeros(len(inputs.actions), 3))
-        self.code = nn.Linear(3, len(inputs.actions))
-
-    def losses(self, batch):
-        error = self._coded(batch.previous, batch.current, self._code(batch.current, batch.next)) - batch.next
-        return Losses(total=error.square().mean())
-
-    def align(self, demonstrations):
-        for action, code in zip(
-            demonstrations.action, self._code(demonstrations.current, demonstrations.next), strict=True
-        ):
-            self.table[action] = code
-
-    def predict(self, previous, current, action):
-        return self._coded(previous, current, self.table[action])
-
-    def _code(self, current, following):
-        return (following - current).mean((2, 3))
-
-    def _coded(self, previous, current, code):
-        tiled = self.code(code)[..., None, None].expand(-1, -1, *current.shape[2:])
-        return self.layer(torch.cat([previous, current, tiled], dim=1)).float()
 
 
 @pytest.mark.parametrize("kind", [Sound, SoundVideo])
@@ -148,14 +90,10 @@ def test_a_size_that_a_model_refuses_is_said() -> None:
 
 def test_channels_last_is_tried_where_the_training_asks_for_it() -> None:
     packed = classmethod(lambda kind, preset, arch: TrainingConfig(epochs=1, channels_last=True))
-    check_model(_breaks(Sound, training_defaults=packed), size=16)
+    check_model(breaks(Sound, training_defaults=packed), size=16)
     said = r"on channels-last images, which its training_defaults ask for .*: losses\(batch\) raised RuntimeError: view"
     with pytest.raises(ModelContractBroken, match=said):
-        check_model(_breaks(OlderNetwork, training_defaults=packed), size=16)
-
-
-def _breaks(base: type, **changes: Any) -> type:
-    return type("Broken", (base,), changes)
+        check_model(breaks(OlderNetwork, training_defaults=packed), size=16)
 
 
 def _raises(self: Any, *_: Any) -> None:
@@ -193,80 +131,80 @@ BREACHES: dict[str, tuple[Any, str]] = {
     "no class": (Sound.losses, r"is no subclass of .*ForwardModel"),
     "another class": (nn.Linear, r"is no subclass of .*ForwardModel"),
     "abstract": (type("Broken", (ForwardModel,), {}), r"does not define losses"),
-    "no supervision": (_breaks(Sound, supervision="none"), r"supervision is 'none'; it can be"),
-    "no paper": (_breaks(Sound, paper=""), r"paper says no authors"),
-    "thawed config": (_breaks(Sound, Config=dataclass(type("Loose", (), {}))), r"Config is no @dataclass\(frozen"),
-    "architectures": (_breaks(Sound, architectures="compact"), r"architectures is 'compact', not a tuple"),
+    "no supervision": (breaks(Sound, supervision="none"), r"supervision is 'none'; it can be"),
+    "no paper": (breaks(Sound, paper=""), r"paper says no authors"),
+    "thawed config": (breaks(Sound, Config=dataclass(type("Loose", (), {}))), r"Config is no @dataclass\(frozen"),
+    "architectures": (breaks(Sound, architectures="compact"), r"architectures is 'compact', not a tuple"),
     "no prediction": (
-        _breaks(ForwardModel, supervision=Supervision.NONE, paper="x", Config=SoundConfig, losses=Sound.losses),
+        breaks(ForwardModel, supervision=Supervision.NONE, paper="x", Config=SoundConfig, losses=Sound.losses),
         r"neither predict nor all of begin, advance and frame",
     ),
     "other config": (
-        _breaks(Sound, configure=classmethod(lambda kind, arch: SimpleNamespace(width=1))),
+        breaks(Sound, configure=classmethod(lambda kind, arch: SimpleNamespace(width=1))),
         r"configure\('compact'\) gave a SimpleNamespace, not its Config",
     ),
     "no training config": (
-        _breaks(Sound, training_defaults=classmethod(lambda kind, preset, arch: {"epochs": 1})),
+        breaks(Sound, training_defaults=classmethod(lambda kind, preset, arch: {"epochs": 1})),
         r"training_defaults\('tiny', 'compact'\) gave a dict",
     ),
     "wrong training config": (
-        _breaks(Sound, training_defaults=classmethod(lambda kind, preset, arch: TrainingConfig(epochs=0))),
+        breaks(Sound, training_defaults=classmethod(lambda kind, preset, arch: TrainingConfig(epochs=0))),
         r"training_defaults\('tiny', 'compact'\) raised InvalidSetting: epochs is 0",
     ),
-    "constructor": (_breaks(Sound, __init__=_raises), r"__init__\(config, inputs\) raised ZeroDivisionError: by hand"),
+    "constructor": (breaks(Sound, __init__=_raises), r"__init__\(config, inputs\) raised ZeroDivisionError: by hand"),
     "no super": (
-        _breaks(Sound, __init__=lambda self, config, inputs: nn.Module.__init__(self)),
+        breaks(Sound, __init__=lambda self, config, inputs: nn.Module.__init__(self)),
         r"__init__ does not call super\(\).__init__",
     ),
-    "no parameters": (_breaks(Sound, __init__=ForwardModel.__init__), r"it has no parameters"),
-    "shared memory": (_breaks(Sound, __init__=_init(_share)), ""),  # a checkpoint keeps it under both names
+    "no parameters": (breaks(Sound, __init__=ForwardModel.__init__), r"it has no parameters"),
+    "shared memory": (breaks(Sound, __init__=_init(_share)), ""),  # a checkpoint keeps it under both names
     "own randomness": (
-        _breaks(
+        breaks(
             Sound, __init__=_init(lambda self: self.layer.bias.data.copy_(torch.rand(3, generator=torch.Generator())))
         ),
         "",  # a generator with a fixed seed is sound
     ),
     "unseeded": (
-        _breaks(
+        breaks(
             Sound,
             __init__=_init(lambda self: self.layer.bias.data.copy_(torch.rand(3, generator=_restless()))),
         ),
         r"two models built after the same torch.manual_seed differ in layer.bias",
     ),
-    "no phase": (_breaks(Sound, phases=lambda self: ()), r"phases\(\) gave \(\), not a tuple of one Phase"),
+    "no phase": (breaks(Sound, phases=lambda self: ()), r"phases\(\) gave \(\), not a tuple of one Phase"),
     "same phase": (
-        _breaks(Sound, phases=lambda self: (Phase(fraction=0.5), Phase(fraction=0.5))),
+        breaks(Sound, phases=lambda self: (Phase(fraction=0.5), Phase(fraction=0.5))),
         r"two phases have one name",
     ),
-    "fractions": (_breaks(Sound, phases=lambda self: (Phase(fraction=0.9),)), r"fractions of its phases sum to 0.9"),
+    "fractions": (breaks(Sound, phases=lambda self: (Phase(fraction=0.9),)), r"fractions of its phases sum to 0.9"),
     "greedy": (
-        _breaks(SoundVideo, phases=lambda self: (Phase(needs_actions=True),)),
+        breaks(SoundVideo, phases=lambda self: (Phase(needs_actions=True),)),
         r"supervision is NONE but the phase \['train'\] needs actions",
     ),
-    "modest": (_breaks(Sound, phases=lambda self: (Phase(),)), r"supervision is ACTIONS but no phase needs actions"),
-    "enter": (_breaks(Sound, enter=_raises), r"enter\('train'\) raised ZeroDivisionError"),
-    "progress": (_breaks(Sound, progress=_raises), r"progress\(0.0\) raised ZeroDivisionError"),
-    "losses": (_breaks(Sound, losses=_raises), r"losses\(batch\) raised ZeroDivisionError"),
+    "modest": (breaks(Sound, phases=lambda self: (Phase(),)), r"supervision is ACTIONS but no phase needs actions"),
+    "enter": (breaks(Sound, enter=_raises), r"enter\('train'\) raised ZeroDivisionError"),
+    "progress": (breaks(Sound, progress=_raises), r"progress\(0.0\) raised ZeroDivisionError"),
+    "losses": (breaks(Sound, losses=_raises), r"losses\(batch\) raised ZeroDivisionError"),
     "bare tensor": (
-        _breaks(Sound, losses=_losses(lambda s, b, given: given.total)),
+        breaks(Sound, losses=_losses(lambda s, b, given: given.total)),
         r"losses\(batch\) gave a Tensor, not Losses",
     ),
     "vector": (
-        _breaks(Sound, losses=_losses(lambda s, b, given: _holding(given, total=given.total[None]))),
+        breaks(Sound, losses=_losses(lambda s, b, given: _holding(given, total=given.total[None]))),
         r"total has the shape \(1,\); it is to be one number",
     ),
-    "nan": (_breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total * torch.nan))), r"total is nan"),
+    "nan": (breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total * torch.nan))), r"total is nan"),
     "attached term": (
-        _breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total, terms={"a": given.total}))),
+        breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total, terms={"a": given.total}))),
         r"the term 'a' of its losses is no detached number",
     ),
     "hardness": (
-        _breaks(Sound, losses=_losses(lambda s, b, given: _holding(given, per_triplet=given.total.detach()))),
+        breaks(Sound, losses=_losses(lambda s, b, given: _holding(given, per_triplet=given.total.detach()))),
         r"per_triplet has the shape \(\); it is one detached number per triplet",
     ),
     **{
         f"hardness {value}": (
-            _breaks(
+            breaks(
                 Sound,
                 losses=_losses(
                     lambda s, b, given, value=value: _holding(given, per_triplet=given.per_triplet * 0 + value)
@@ -277,23 +215,23 @@ BREACHES: dict[str, tuple[Any, str]] = {
         for value in (-1.0, float("inf"), float("nan"))
     },
     "spoilt batch": (
-        _breaks(Sound, losses=lambda self, batch: (Sound.losses(self, batch), _spoil(batch))[0]),
+        breaks(Sound, losses=lambda self, batch: (Sound.losses(self, batch), _spoil(batch))[0]),
         r"losses\(batch\) changes the batch in place",
     ),
     "no gradient": (
-        _breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total.detach()))),
+        breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total.detach()))),
         r"total has no gradient in the phase 'train'",
     ),
     "gradient of nothing": (
-        _breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total * 0))),
+        breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=given.total * 0))),
         r"no parameter gets a gradient in the phase 'train'",
     ),
     "infinite gradient": (
-        _breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=(s.layer.bias * 0).abs().sqrt().sum()))),
+        breaks(Sound, losses=_losses(lambda s, b, given: Losses(total=(s.layer.bias * 0).abs().sqrt().sum()))),
         r"a gradient is not finite",
     ),
     "peeping": (
-        _breaks(
+        breaks(
             SoundVideo,
             losses=_losses(
                 lambda s, b, given: Losses(total=given.total if b.action is None else given.total * 2), base=SoundVideo
@@ -302,79 +240,79 @@ BREACHES: dict[str, tuple[Any, str]] = {
         r"supervision is NONE but losses\(batch\) depends on batch.action",
     ),
     "restless validation": (
-        _breaks(
+        breaks(
             Sound, losses=_losses(lambda s, b, given: Losses(total=given.total + torch.rand((), generator=_restless())))
         ),
         r"in evaluation mode differ from one call to the next",
     ),
     "validation that trains": (
-        _breaks(Sound, losses=_losses(lambda s, b, given: given if s.training else _moved(s, given))),
+        breaks(Sound, losses=_losses(lambda s, b, given: given if s.training else _moved(s, given))),
         r"losses\(batch\) changes table in evaluation mode",
     ),
-    "align": (_breaks(SoundVideo, align=_raises), r"align\(demonstrations\) raised ZeroDivisionError"),
+    "align": (breaks(SoundVideo, align=_raises), r"align\(demonstrations\) raised ZeroDivisionError"),
     "align does nothing": (
-        _breaks(SoundVideo, align=lambda self, demonstrations: None),
+        breaks(SoundVideo, align=lambda self, demonstrations: None),
         r"align\(demonstrations\) leaves the same state whichever actions are shown",
     ),
     "align forgets": (
-        _breaks(
+        breaks(
             SoundVideo,
             align=lambda self, shown: (SoundVideo.align(self, shown), setattr(self, "scale", 2.0))[0],
             predict=lambda self, *given: SoundVideo.predict(self, *given) * getattr(self, "scale", 1.0),
         ),
         r"what align\(demonstrations\) learned is lost when the weights are saved",
     ),
-    "predict": (_breaks(Sound, predict=_raises), r"predict\(previous, current, action\) raised ZeroDivisionError"),
+    "predict": (breaks(Sound, predict=_raises), r"predict\(previous, current, action\) raised ZeroDivisionError"),
     "shape": (
-        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a)[..., :8]),
+        breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a)[..., :8]),
         r"gave the shape \(3, 3, 16, 8\), not frames of the shape \(3, 3, 16, 16\)",
     ),
     "half": (
-        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a).bfloat16()),
+        breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a).bfloat16()),
         r"gave torch.bfloat16, not torch.float32",
     ),
     "infinite": (
-        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a) / 0),
+        breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a) / 0),
         r"gave frames that are not finite",
     ),
     "in place": (
-        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c.mul_(0.5), a)),
+        breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c.mul_(0.5), a)),
         r"predict changes its arguments in place",
     ),
     "noisy": (
-        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a) + torch.randn(1)),
+        breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a) + torch.randn(1)),
         r"predict differs from one call to the next",
     ),
     "nothing": (
-        _breaks(SoundVideo, predict=lambda self, *given: None),
+        breaks(SoundVideo, predict=lambda self, *given: None),
         r"predict\(previous, current, action\) gave a NoneType, not frames of the shape",
     ),
     "in place, of video": (
-        _breaks(SoundVideo, predict=lambda self, p, c, a: SoundVideo.predict(self, p, c.mul_(0.5), a)),
+        breaks(SoundVideo, predict=lambda self, p, c, a: SoundVideo.predict(self, p, c.mul_(0.5), a)),
         r"predict changes its arguments in place",
     ),
     "noisy, of video": (
-        _breaks(SoundVideo, predict=lambda self, *given: SoundVideo.predict(self, *given) + torch.randn(1)),
+        breaks(SoundVideo, predict=lambda self, *given: SoundVideo.predict(self, *given) + torch.randn(1)),
         r"predict differs from one call to the next",
     ),
     "batch": (
-        _breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c - c.mean(0), a)),
+        breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c - c.mean(0), a)),
         r"depends on the other frames of the batch",
     ),
     "state": (
-        _breaks(
+        breaks(
             Sound,
             begin=lambda self, p, c: (p, c, 0),
             advance=lambda self, s, a: (s[1], self.predict(s[0], s[1], a), s[2] + 1),
         ),
-        r"a state is no tensor or tuple of tensors",
+        r"a state is no tuple of tensors whose first axis is the batch",
     ),
     "rollout": (
-        _breaks(Sound, rollout=lambda self, p, c, a: ForwardModel.rollout(self, p, c, a) * 0.5),
+        breaks(Sound, rollout=lambda self, p, c, a: ForwardModel.rollout(self, p, c, a) * 0.5),
         r"rollout differs from begin, advance and frame",
     ),
     "first frame": (
-        _breaks(Sound, advance=lambda self, s, a: (s[1], self.predict(s[0], s[1], a) * 0.5)),
+        breaks(Sound, advance=lambda self, s, a: (s[1], self.predict(s[0], s[1], a) * 0.5)),
         r"the first frame of rollout differs from predict",
     ),
 }
@@ -406,7 +344,7 @@ def test_every_breach_is_said(name: str) -> None:
 
 @pytest.mark.parametrize("kind", [Sound, SoundVideo])
 def test_predictions_that_no_action_changes_are_a_warning(kind: type) -> None:
-    still = _breaks(kind, predict=lambda self, p, c, a: kind.predict(self, p, c, torch.zeros_like(a)))
+    still = breaks(kind, predict=lambda self, p, c, a: kind.predict(self, p, c, torch.zeros_like(a)))
     with pytest.warns(UserWarning, match="after 3 steps of training predict gives the same frames whatever the action"):
         check_model(still, size=16)
 
@@ -418,7 +356,7 @@ def test_of_one_action_no_prediction_can_depend() -> None:
 def test_a_model_that_predicts_in_no_way_is_told_so() -> None:
     image = torch.zeros(1, 3, 16, 16)
     for methods in ({}, {"begin": lambda self, previous, current: (current, current)}):
-        kind = _breaks(ForwardModel, losses=Sound.losses, **methods)
+        kind = breaks(ForwardModel, losses=Sound.losses, **methods)
         model = kind(SoundConfig(), ModelInputs(height=16, width=16, actions=Discrete.numbered(2)))
         with pytest.raises(ModelContractBroken, match="defines neither predict nor all of begin, advance and frame"):
             model.predict(image, image, 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +16,8 @@ from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_encoding import Actions, as_tensor
 from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInputs, TripletBatch
 
+BATCH: Final = 3
+"""Images that a model is tried on at once."""
 GOLDEN: Final = (5**0.5 - 1) / 2  # its multiples are spread evenly over the unit interval
 
 
@@ -46,10 +48,10 @@ class ModelTrial:
         self._spec = inputs.actions
         self.name = kind.__qualname__ + (asked if channels_last else "")
 
-    def build(self) -> ForwardModel[Any]:
+    def build(self, *, seed: int = 0) -> ForwardModel[Any]:
         """A new model, the same each time."""
         with torch.random.fork_rng(), self.calling("__init__(config, inputs)"):
-            torch.manual_seed(0)
+            torch.manual_seed(seed)
             config = self.kind.configure(self.arch) if self.config is None else self.config
             model = self.kind(config, self.inputs)
             return model.laid_out(channels_last=True) if self.channels_last else model
@@ -118,3 +120,20 @@ class ModelTrial:
     def broken(self, sentence: str) -> ModelContractBroken:
         """The error for a breach."""
         return ModelContractBroken(f"{self.name}: {sentence}. The contract is in dmotion_bench/learning/model.py.")
+
+
+def described(value: Any) -> str:
+    """What was given in the place of what was asked for."""
+    return f"the shape {tuple(value.shape)}" if isinstance(value, Tensor) else f"a {type(value).__name__}"
+
+
+def differing(state: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> str:
+    """The names of the tensors in which two states differ; one that is no number is equal to another such one."""
+    return ", ".join(name for name in state if not same(state[name], other[name]))
+
+
+def same(one: Tensor, other: Tensor) -> bool:
+    """Whether two tensors hold the same bits, or NaN in the same places."""
+    if one.shape != other.shape or one.dtype != other.dtype:
+        return False
+    return bool(((one == other) | ((one != one) & (other != other))).all())

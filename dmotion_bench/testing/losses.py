@@ -1,0 +1,154 @@
+"""What a model's ``losses`` gives in training and in validation."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from dmotion_bench.learning.model import PER_TRIPLET, ForwardModel, Losses, Phase, TripletBatch
+from dmotion_bench.specs import Supervision
+from dmotion_bench.testing.trial import BATCH, ModelTrial, differing, same
+from dmotion_bench.wording import shown
+
+
+def entered(subject: ModelTrial, phase: Phase, *, training: bool) -> ForwardModel[Any]:
+    """A new model that has entered a phase."""
+    model = subject.build().train(training)
+    with subject.calling(f"enter({phase.name!r})"):
+        model.enter(phase)
+    return model
+
+
+def batch_of(subject: ModelTrial, phase: Phase) -> TripletBatch:
+    """A batch as the training of a phase has it."""
+    shown = phase.needs_actions and subject.kind.supervision is Supervision.FEW  # demonstrations, with nothing before
+    earlier = 0 if shown else phase.earlier
+    return subject.batch(BATCH, actions=phase.needs_actions, labelled=phase.with_labels, earlier=earlier)
+
+
+def losses_of(
+    subject: ModelTrial,
+    model: ForwardModel[Any],
+    batch: TripletBatch,
+    *,
+    seed: int = 0,
+    of: str = "before any training",
+) -> Losses:
+    """The losses of a batch, each in the form that a training reads.
+
+    Args:
+        subject: Whose model it is.
+        model, batch: The model and the batch.
+        seed: Of the random numbers that it may draw.
+        of: What an error says of the batch.
+    """
+    with torch.random.fork_rng(), subject.calling("losses(batch)"):
+        torch.manual_seed(seed)
+        losses = model.losses(batch)
+    subject.require(isinstance(losses, Losses), f"losses(batch) gave a {type(losses).__name__}, not Losses")
+    total, terms = losses.total, losses.terms
+    _require_tensor(subject, "total", total)
+    subject.require(
+        total.shape == (), f"losses(batch).total has the shape {tuple(total.shape)}; it is to be one number"
+    )
+    subject.require(bool(total.isfinite()), f"losses(batch).total is {float(total.detach())} {of}")
+    subject.require(isinstance(terms, Mapping), f"losses(batch).terms is a {type(terms).__name__}, not a dictionary")
+    for name, term in terms.items():
+        _require_tensor(subject, f"terms[{name!r}]", term)
+        subject.require(
+            term.shape == () and not term.requires_grad, f"the term {name!r} of its losses is no detached number"
+        )
+    subject.require(
+        "loss" not in terms or same(terms["loss"], total.detach()),
+        "one of the terms of its losses is named 'loss', which is the name of losses(batch).total in the curves and in "
+        "the choice of the best weights; name it otherwise",
+    )
+    each = losses.per_triplet
+    if each is not None:
+        _require_tensor(subject, "per_triplet", each)
+        subject.require(
+            each.shape == (len(batch.current),) and not each.requires_grad,
+            f"losses(batch).per_triplet has the shape {tuple(each.shape)}; it is one detached number per triplet",
+        )
+        subject.require(
+            bool((each.isfinite() & (each >= 0)).all()),
+            f"losses(batch).per_triplet is {shown(each.tolist())} for some images; {PER_TRIPLET}",
+        )
+    return losses
+
+
+def _require_tensor(subject: ModelTrial, name: str, value: Any) -> None:
+    subject.require(isinstance(value, Tensor), f"losses(batch).{name} is a {type(value).__name__}, not a tensor")
+
+
+def check_losses(subject: ModelTrial, phase: Phase) -> None:
+    """Check losses in training: finite, differentiable, also in bfloat16, and independent of unpaid labels."""
+    batch = batch_of(subject, phase)
+    model = entered(subject, phase, training=True)
+    for share in (0.0, 0.5, 0.999):
+        with subject.calling(f"progress({share})"):
+            model.progress(share)
+    before = [tensor.clone() for tensor in (batch.previous, batch.current, batch.next)]
+    losses = losses_of(subject, model, batch)
+    subject.require(
+        all(map(torch.equal, before, (batch.previous, batch.current, batch.next))),
+        "losses(batch) changes the batch in place",
+    )
+    subject.require(losses.total.requires_grad, f"losses(batch).total has no gradient in the phase {phase.name!r}")
+    gradients = _gradients(subject, model, losses)
+    subject.require(
+        any(bool(gradient.any()) for gradient in gradients),
+        f"no parameter gets a gradient in the phase {phase.name!r}",
+    )
+    subject.require(
+        all(bool(gradient.isfinite().all()) for gradient in gradients),
+        f"a gradient is not finite in the phase {phase.name!r}",
+    )
+    _check_still(subject, phase, batch)
+    if subject.kind.supervision is Supervision.NONE:
+        told = subject.batch(BATCH, actions=True, earlier=phase.earlier)
+        blind = losses_of(subject, entered(subject, phase, training=True), batch)
+        seeing = losses_of(subject, entered(subject, phase, training=True), told)
+        subject.require(
+            torch.equal(blind.total, seeing.total), "its supervision is NONE but losses(batch) depends on batch.action"
+        )
+    halved = entered(subject, phase, training=True)
+    with torch.autocast("cpu", torch.bfloat16):
+        _gradients(subject, halved, losses_of(subject, halved, batch, of="in bfloat16"))
+
+
+def _check_still(subject: ModelTrial, phase: Phase, batch: TripletBatch) -> None:
+    """Check the losses of triplets in which nothing moves: every recording has some, and one spoils all weights."""
+    still = dataclasses.replace(batch, previous=batch.current.clone(), next=batch.current.clone())
+    model = entered(subject, phase, training=True)
+    where = f"in the phase {phase.name!r} for triplets in which nothing moves, where the three frames are the same"
+    losses = losses_of(subject, model, still, of=where)
+    if not losses.total.requires_grad:
+        return
+    subject.require(
+        all(bool(gradient.isfinite().all()) for gradient in _gradients(subject, model, losses)),
+        f"a gradient is not finite {where}; at zero, the gradient of a square root or of a division by a norm is not",
+    )
+
+
+def _gradients(subject: ModelTrial, model: ForwardModel[Any], losses: Losses) -> list[Tensor]:
+    with subject.calling("losses(batch).total.backward()"):
+        losses.total.backward()  # type: ignore[no-untyped-call]
+    return [parameter.grad for parameter in model.parameters() if parameter.grad is not None]
+
+
+def check_validation(subject: ModelTrial, phase: Phase) -> None:
+    """Check losses in evaluation: repeatable, for any batch, and without side effects."""
+    model = entered(subject, phase, training=False).eval()
+    state = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+    batch = subject.batch(BATCH, actions=phase.needs_actions)
+    with torch.no_grad():
+        first, second = (losses_of(subject, model, batch).total for _ in range(2))
+        subject.require(torch.equal(first, second), "losses(batch) in evaluation mode differ from one call to the next")
+        changed = differing(state, model.state_dict())
+        subject.require(not changed, f"losses(batch) changes {changed} in evaluation mode")
+        losses_of(subject, model, subject.batch(1, actions=phase.needs_actions))

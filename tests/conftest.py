@@ -1,11 +1,12 @@
 """Shape annotations are checked while the tests run, and only then; Ctrl-C reaches the commands that tests start.
 
-Commands write no lines of progress, whose number depends on how busy the machine is.
+Commands write no lines of progress, whose number depends on how busy the machine is. Nothing waits for the disk.
 """
 
 from __future__ import annotations
 
 import gc
+import multiprocessing.forkserver
 import os
 import signal
 import sys
@@ -17,6 +18,9 @@ import pytest
 import shape_check
 
 from dmotion_bench.cli import bound_waiting
+
+SHARED_BY_WORKERS = ("lightning_fabric", "dmotion_bench.api.reproducing", "dmotion_bench.scoring.score")
+"""What the server that worker processes are forked off loads for them once, whichever test has it started first."""
 
 bound_waiting()  # before torch loads: a thread that waits leaves its core to the tests beside
 
@@ -30,6 +34,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's backgro
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # as under nohup
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+os.fsync = lambda handle: None  # no test pulls the plug: what it writes need not reach the disk
+
+_preload = multiprocessing.forkserver.set_forkserver_preload
+multiprocessing.forkserver.set_forkserver_preload = lambda names: _preload([*names, *SHARED_BY_WORKERS])
 
 jaxtyping.jaxtyped = shape_check.sparingly  # what the hook decorates with
 _hook = jaxtyping.install_import_hook(

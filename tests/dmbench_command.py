@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import resource
 import signal
@@ -15,11 +16,14 @@ from pathlib import Path
 
 import psutil
 import pytest
+import typer.main
 
 from dmotion_bench.cli import main
 from dmotion_bench.interrupts import INTERRUPTED
 
 _MAIN = "from dmotion_bench.cli import main; main()"
+_parser = functools.cache(typer.main.get_command)
+"""Typer makes the parser of all commands anew for each call, which takes most of a short command's time."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,7 @@ class Outcome:
 def dmbench(words: Sequence[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Outcome:
     """In this process: quick."""
     monkeypatch.setattr(sys, "argv", ["dmbench", *words])
+    monkeypatch.setattr(typer.main, "get_command", _parser)
     capsys.readouterr()
     with pytest.raises(SystemExit) as left:
         main()

@@ -1,8 +1,8 @@
 """Every command of the README and the docs, run from top to bottom of its page as a reader types it, only shorter.
 
-What makes it short: recordings of 13 short episodes, trainings of a step or two, one row of the table of all models, a
-planner of two candidates, gains of four sequences at two moments, pictures written to files where the command would
-open a window. Nothing else of a command is changed (``_shortened``).
+What makes it short: recordings of 13 short episodes, trainings of a step or two, no runs but those that the page names,
+one row of the table of all models, a planner of two candidates, gains of four sequences at two moments, pictures
+written to files where the command would open a window. Nothing else of a command is changed (``_shortened``).
 
 A tutorial is followed from its first line in an empty folder: its files are saved, its Python is run, its commands are
 typed, and what they print is compared with what the page shows (``walk.py``).
@@ -29,6 +29,7 @@ from storage.foreign import foxglove_file, steady, video
 from test_documentation import MODELS, PAGES, ROOT, _commands, _is_example
 from walk import BLOCK, assert_printed, run_python, save, steps
 
+from baselines import dmotion_paper
 from dmotion_bench import registry
 from dmotion_bench.api import demonstration
 from dmotion_bench.api import planning as api_planning
@@ -48,7 +49,8 @@ from dmotion_bench.workspace import Workspace
 
 pytestmark = pytest.mark.slow
 
-EPISODES, FRAMES = 13, 14  # the docs name episode 12
+EPISODES = 13  # the docs name episode 12
+FRAMES, GRID_FRAMES = 8, 14  # of a grid world two agents do every pair of actions, and there are four tasks
 PLANNED_IN_FULL = {"own_environment"}
 """Tutorials whose Python says what planning reaches; it takes a second there."""
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
@@ -113,6 +115,7 @@ def _shorter_training(settings: Any, config: Any, training: Any) -> Any:
 
 
 _with_settings = start.with_settings
+_conv = dmotion_paper._conv
 
 
 def _tested_elsewhere(command: str) -> str | None:
@@ -139,7 +142,8 @@ def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
     patch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
     patch.setattr("dmotion_bench.planning.columns.TEST_TASKS", {})  # a shorter recording has other tasks
     patch.setattr("dmotion_bench.scoring.score.gain_tables", _few_gains)
-    patch.setattr("baselines.dmotion_paper.MAP_SIZE", 16)  # of 64: its layers are most of what a scoring computes
+    patch.setattr(dmotion_paper, "MAP_SIZE", 8)  # of 64: the layers are most of what a scoring computes
+    patch.setattr(dmotion_paper, "_conv", lambda before, after, kernel=5, stride=1: _conv(before, after, 3, stride))
     patch.setattr(demonstration, "EPISODES", 12)
     patch.setattr(demonstration, "EPOCHS", 0.01)
     patch.delenv("DMBENCH_WORKSPACE", raising=False)
@@ -158,7 +162,7 @@ def _shortened(command: str) -> list[str]:
     words = shlex.split(f"{command} {COMPLETED.get(command, '')}")[1:]
     match words:
         case ["record", *_] if "tiny" not in words:
-            words += ["--episodes", str(EPISODES), "--frames", str(FRAMES), "--tasks", "4"]
+            words += ["--episodes", str(EPISODES), "--frames", str(_frames(words[1])), "--tasks", "4"]
         case ["score", *_]:
             words += ["--tasks", "1"] if {"control", "--column"} & set(words) else ["--horizon", "4"]
             words += ["--workers", "1"] if "--all" in words else []  # others do not know the shortened planner
@@ -173,6 +177,10 @@ def _shortened(command: str) -> list[str]:
     return words
 
 
+def _frames(environment: str) -> int:
+    return GRID_FRAMES if environment == "grid_world" else FRAMES
+
+
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a reader has who comes to a page: the data sets and runs that it names, and recordings of a robot."""
@@ -182,7 +190,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
         _shorten(patch)
         patch.chdir(root)
         for environment, preset in RECORDED:
-            recipe = recipe_for(environment, Preset(preset), episodes=EPISODES, frames=FRAMES, tasks=4)
+            recipe = recipe_for(environment, Preset(preset), episodes=EPISODES, frames=_frames(environment), tasks=4)
             record_dataset(workspace.data / f"{environment}-{preset}", recipe)
         for model, name in TRAINED:
             labels = "100%" if model == "ed-cnn" else "one-shot"
@@ -211,7 +219,12 @@ def test_every_command_of_a_page_runs(
     _shorten(monkeypatch)
     shutil.copytree(template, tmp_path / "reader")
     monkeypatch.chdir(tmp_path / "reader")
-    for command in dict.fromkeys(filter(_is_example, _commands(page))):
+    commands = [*dict.fromkeys(filter(_is_example, _commands(page)))]
+    named = {word for command in commands for word in shlex.split(f"{command} {COMPLETED.get(command, '')}")}
+    for run in Path("runs").iterdir():
+        if run.name not in {*named, "dmotion-grid_world-small-s0"}:  # else commands on all runs would take minutes
+            shutil.rmtree(run)
+    for command in commands:
         if own := _tested_elsewhere(command):
             assert (ROOT / own).is_file()
         elif command not in MENTIONED:

@@ -156,7 +156,7 @@ def _until(part: str, at: float, root: Path, table: Table = TABLE, workers: int 
 
 @pytest.mark.slow
 def test_one_that_is_killed_three_times_ends_with_the_same_bytes(whole: Path, tmp_path: Path) -> None:
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
     for part, at in (("training", 0), ("training", 2), ("scoring prediction", 1)):
         process = context.Process(target=_until, args=(part, at, tmp_path))
         process.start()
@@ -203,7 +203,7 @@ def test_frozen_columns_stand_on_one_page_although_killed_between_them(tmp_path:
     (page,) = (line for line in told.lines if line.kind == "page")
     assert page.amount == "6 entries"
 
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
     process = context.Process(target=_until, args=("scoring paper", 0, tmp_path, FROZEN, 1))
     process.start()
     process.join(180)

@@ -112,13 +112,14 @@ def test_who_has_lost_another_process_does_not_wait_for_the_end_of_python() -> N
     assert done.stderr.startswith("dmbench: process 1 of this training ends because another one has ended.")
 
 
-def test_others_read_what_the_first_has_finished(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_others_read_what_the_first_has_finished(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Process 1 opens the checkpoint of the last sitting before the first one writes, and later no file at all."""
     (tmp_path / "hooks").mkdir()
     (tmp_path / "hooks" / "sitecustomize.py").write_text(LISTENS)
     words = ("train", *QUICK, *SHORT, "--out", str(tmp_path / "run"), "--devices", "2", "--json")
-    stopped = start_dmbench((*words[:-3], "--set", "validations=2"), tmp_path)
-    finish(stopped)
+    assert dmbench((*words[:-3], "--set", "validations=2"), capsys, monkeypatch).code == 0
     manifest = json.loads((tmp_path / "run" / "run.json").read_text())
     (tmp_path / "run" / "run.json").write_text(json.dumps({**manifest, "result": None}))
     for cache in tmp_path.rglob("frames-*.arrow"):

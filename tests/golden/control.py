@@ -9,6 +9,7 @@ Write the file anew with ``cd tests && python -m golden.control``, after raising
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -148,7 +149,7 @@ def trace(
     make_env = WORLDS[case.environment].make_env
     result = control(
         agent(case, solver or small(case.planner), objective),
-        problems(make_env, tasks),
+        _problems(case.environment, json.dumps(tasks)),
         make_env,
         ControlSettings(steps=STEPS, group=2),
     )
@@ -157,6 +158,12 @@ def trace(
         "distance": [[float(f"{one:.9g}") for one in own] for own in result.distance.tolist()],
         "lost": result.lost.tolist(),
     }
+
+
+@functools.cache
+def _problems(environment: str, tasks: str) -> list[Problem]:
+    """Those of tasks in JSON, made once for all cases: drawing them takes as long as many a case."""
+    return problems(WORLDS[environment].make_env, json.loads(tasks))
 
 
 def problems(make_env: Callable[[], Environment], tasks: list[dict[str, Any]]) -> list[Problem]:

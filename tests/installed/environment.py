@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import subprocess
 import sys
-from importlib.metadata import Distribution, PackageNotFoundError, distribution
+import zipfile
+from importlib.metadata import Distribution, PackageNotFoundError, PathDistribution, distribution
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -33,7 +35,7 @@ def from_the_index(folder: Path, wheel: Path, python: str, *, without_torch: boo
     made = _empty(folder, python)
     limits = ("--constraint", str(ROOT / "constraints.txt"))
     if without_torch:
-        needed = [str(one) for one in _needs(_of_the_wheel(folder, wheel, made), made) if one.name not in LEFT_TO_TORCH]
+        needed = [str(one) for one in _needs(_of_the_wheel(wheel), made) if one.name not in LEFT_TO_TORCH]
         subprocess.run([made, *PIP, *limits, *needed], check=True)
         subprocess.run([made, *PIP, "--no-deps", str(wheel)], check=True)
     else:
@@ -50,33 +52,32 @@ def from_here(folder: Path, wheel: Path) -> Path:
     Returns:
         Its interpreter.
     """
-    made = _empty(folder, sys.executable)
+    made = _empty(folder, sys.executable, "--without-pip")
     (site,) = (folder / "lib").glob("python*/site-packages")
-    for package in _closure(wheel, folder, made):
+    for package in _closure(wheel, made):
         for file in package.files or ():
             top = file.parts[0]
             if top not in ("..", "__pycache__") and not top.endswith(".pth") and not os.path.lexists(site / top):
                 (site / top).symlink_to(Path(str(package.locate_file(top))))
-    subprocess.run([made, *PIP, "--no-index", str(wheel)], check=True, capture_output=True, text=True)
+    of_this = [sys.executable, "-m", "pip", "--python", str(made), *PIP[2:]]
+    subprocess.run([*of_this, "--no-index", str(wheel)], check=True, capture_output=True, text=True)
     return made
 
 
-def _empty(folder: Path, python: str) -> Path:
-    subprocess.run([python, "-m", "venv", str(folder)], check=True, capture_output=True)
+def _empty(folder: Path, python: str, *options: str) -> Path:
+    subprocess.run([python, "-m", "venv", *options, str(folder)], check=True, capture_output=True)
     return folder / "bin" / "python"
 
 
-def _of_the_wheel(folder: Path, wheel: Path, python: Path) -> Distribution:
+def _of_the_wheel(wheel: Path) -> Distribution:
     """What the wheel says of itself."""
-    place = folder / "wheel"
-    subprocess.run([python, *PIP, "--no-index", "--no-deps", "--target", str(place), str(wheel)], check=True)
-    (said,) = place.glob("dmbench-*.dist-info")
-    return Distribution.at(said)
+    (said,) = (path for path in zipfile.Path(wheel).iterdir() if path.name.endswith(".dist-info"))
+    return PathDistribution(said)
 
 
-def _closure(wheel: Path, folder: Path, python: Path) -> list[Distribution]:
+def _closure(wheel: Path, python: Path) -> list[Distribution]:
     """Every distribution that the wheel needs, by way of others as well, without extras that nobody asked for."""
-    waiting = _needs(_of_the_wheel(folder, wheel, python), python)
+    waiting = _needs(_of_the_wheel(wheel), python)
     met: set[tuple[str, frozenset[str]]] = set()
     found: dict[str, Distribution] = {}
     while waiting:
@@ -95,8 +96,12 @@ def _closure(wheel: Path, folder: Path, python: Path) -> list[Distribution]:
 
 def _needs(package: Distribution, python: Path, extras: frozenset[str] = frozenset()) -> list[Requirement]:
     """What a distribution requires on this system, in an interpreter of this version."""
-    asked = [str(python), "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
-    version = subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
-    worlds = [{"python_version": version, "extra": extra} for extra in {"", *extras}]
+    worlds = [{"python_version": _version(python), "extra": extra} for extra in {"", *extras}]
     requirements = [Requirement(text) for text in package.requires or ()]
     return [one for one in requirements if one.marker is None or any(one.marker.evaluate(world) for world in worlds)]
+
+
+@functools.cache
+def _version(python: Path) -> str:
+    asked = [str(python), "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
+    return subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()

@@ -28,6 +28,20 @@ WITH_TORCH = (
 KEYS = b"\x1b[A\x1b[Cq"
 """Up, right, and leave: what is typed to 'play'."""
 
+TYPED_IN_ONE_PROCESS = """
+import ast, sys
+from dmotion_bench.cli import main
+
+for words in ast.literal_eval(sys.argv[1]):
+    sys.argv = ["dmbench", *words]
+    try:
+        main()
+    except SystemExit as end:
+        if end.code:
+            raise
+"""
+"""Runs commands of dmbench that load torch, which takes longer than what they do."""
+
 IMPORT_EVERYTHING = """
 import importlib, pkgutil, sys
 import dmotion_bench
@@ -49,8 +63,10 @@ def follow(python: Path, folder: Path, *, without_torch: bool = False) -> None:
         folder: An empty folder.
         without_torch: Leave out what needs torch.
     """
-    for words in WITHOUT_TORCH if without_torch else (*WITHOUT_TORCH, *WITH_TORCH):
+    for words in WITHOUT_TORCH:
         dmbench(python, folder, *words)
+    if not without_torch:
+        run([str(python), "-c", TYPED_IN_ONE_PROCESS, repr(WITH_TORCH)], folder)
 
 
 def dmbench(python: Path, folder: Path, *words: str) -> str:

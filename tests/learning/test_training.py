@@ -38,6 +38,8 @@ from dmotion_bench.storage.lock import held
 from dmotion_bench.workspace import Workspace
 
 SETTINGS = ("batch_size=4", "epochs=0.4", "validations=3", "ema=0.9")
+NARROW = ("latent=32", "hidden=32")
+"""Settings of WM-AE: with its wide layers, most of such a training would be to write their weights."""
 
 
 class Stopped(Exception):
@@ -134,7 +136,7 @@ def test_a_kill_between_two_checkpoints_loses_neither(recorded, tmp_path, monkey
     save, written = checkpoint.save, []
 
     def world(folder: str) -> Run:
-        request = TrainingRequest(model="wm-ae", labels="100%", settings=("epochs=0.4", "validations=2"))
+        request = TrainingRequest(model="wm-ae", labels="100%", settings=("epochs=0.4", "validations=2", *NARROW))
         return open_run(request, Dataset.open(recorded), tmp_path / folder, Workspace(tmp_path))
 
     def stop_before(place: int | None) -> None:
@@ -207,7 +209,9 @@ def test_patience_begins_anew_with_each_phase_and_a_kill_changes_nothing(recorde
     losses = {2: 3.0, 4: 2.0, 6: 4.0, 8: 1.0, 10: 9.0, 12: 8.0, 14: 9.0, 16: 1.0}
 
     def world(folder: str, stop_at: int | None = None) -> Run:
-        return _patient("wm-ae", recorded, tmp_path / folder, losses, "epochs=3", "patience=1", stop_at=stop_at)
+        return _patient(
+            "wm-ae", recorded, tmp_path / folder, losses, "epochs=3", "patience=1", *NARROW, stop_at=stop_at
+        )
 
     whole = world("whole")
     assert whole.result["ended"] == {"autoencoder": 6, "transition": 14}
@@ -226,7 +230,7 @@ def test_a_phase_goes_on_from_the_best_weights_of_the_one_before(recorded, tmp_p
     losses = {2: 3.0, 4: 2.0, 6: 4.0, 8: 5.0, 10: 9.0, 12: 8.0, 14: 7.0, 16: 6.0}
 
     def world(stop_at: int | None = None) -> Run:
-        return _patient("wm-ae", recorded, tmp_path / "run", losses, "epochs=3", f"ema={ema}", stop_at=stop_at)
+        return _patient("wm-ae", recorded, tmp_path / "run", losses, "epochs=3", f"ema={ema}", *NARROW, stop_at=stop_at)
 
     with pytest.raises(Stopped):
         world(stop_at=9)
@@ -242,7 +246,7 @@ def test_a_phase_goes_on_from_the_best_weights_of_the_one_before(recorded, tmp_p
 def test_no_row_of_the_log_is_of_two_phases(recorded, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("dmotion_bench.learning.training.LOG_ROWS", 3)
     run = open_run(
-        TrainingRequest(model="wm-ae", labels="100%", settings=("batch_size=16", "epochs=3", "validations=1")),
+        TrainingRequest(model="wm-ae", labels="100%", settings=("batch_size=16", "epochs=3", "validations=1", *NARROW)),
         Dataset.open(recorded),
         tmp_path / "run",
         Workspace(tmp_path),
@@ -257,7 +261,7 @@ def test_no_row_of_the_log_is_of_two_phases(recorded, tmp_path, monkeypatch) -> 
 
 def test_a_checkpoint_that_says_where_no_phase_can_have_ended_is_refused(recorded, tmp_path) -> None:
     losses = dict.fromkeys(range(17), 4.0) | {2: 3.0, 10: 3.0}
-    words = ("wm-ae", recorded, tmp_path / "run", losses, "epochs=3", "patience=1")
+    words = ("wm-ae", recorded, tmp_path / "run", losses, "epochs=3", "patience=1", *NARROW)
     with pytest.raises(Stopped):
         _patient(*words, stop_at=11)
     run = Run.open(tmp_path / "run")
@@ -351,10 +355,14 @@ def test_settings_are_compared_with_what_another_command_has_begun_meanwhile(rec
     assert _bytes_of(run) == before
 
 
-def test_conditions_are_those_that_another_command_has_begun_with(recorded, trained, tmp_path) -> None:
-    run = _run(recorded, tmp_path / "run")
+def test_conditions_are_those_that_another_command_has_begun_with(recorded, tmp_path) -> None:
+    def asked(**request: int) -> Run:
+        short = TrainingRequest(model="ed-cnn", labels="100%", settings=("epochs=0.1", "validations=1"), **request)
+        return open_run(short, Dataset.open(recorded), tmp_path / "run", Workspace(tmp_path))
+
+    run = asked()
     with pytest.raises(Stopped):
-        _train(_run(recorded, run.path, threads=3), recorded, stop_at=1)
+        _train(asked(threads=3), recorded, stop_at=1)
     _train(run, recorded)
     assert Run.open(run.path).conditions.threads == run.result["threads"] == 3
 

@@ -48,11 +48,6 @@ class ByAction(Known):
         return current + 0.1 * (1 + action.to(current)).reshape(-1, 1, 1, 1)
 
 
-@pytest.fixture(autouse=True)
-def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.fsync", lambda handle: None)
-
-
 @pytest.fixture
 def run(make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     made = make_run(tmp_path / "run")

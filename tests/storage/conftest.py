@@ -1,18 +1,12 @@
-"""No test here pulls the plug: waiting for the disk is left out, but for the test that watches it."""
+"""Recordings to import."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 from foxglove.mcap import MCAPWriteOptions
 from storage.foreign import foxglove_file, steady, video
-
-
-@pytest.fixture(autouse=True)
-def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
 @pytest.fixture(scope="session")

@@ -48,6 +48,18 @@ def test_what_is_read_there_arrives_here(confinement: Confinement) -> None:
     assert [int(one[0, 0, 0]) for one in opened(confinement, "other").pictures(0, np.array([1]))] == [1]
 
 
+def test_the_process_loads_no_simulators_interface(tmp_path: Path) -> None:
+    """Importing dmbench loads Gymnasium elsewhere, which takes a third of the time in which a reader starts."""
+    told = tmp_path / "loaded.txt"
+    reads = f"import pathlib, sys; pathlib.Path({str(told)!r}).write_text(' '.join(sys.modules))"
+    command = (sys.executable, "-P", "-c", f"import dmotion_bench.storage.imports.sources; {reads}")
+    with Confinement(OPTIONS, command) as confinement, pytest.raises(RecordingImportError, match="code 0"):
+        opened(confinement, "any")
+    loaded = told.read_text().split()
+    assert "dmotion_bench.storage.imports.sources" in loaded
+    assert "gymnasium" not in loaded
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "sentence"),

@@ -25,6 +25,7 @@ from jaxtyping import Int64, UInt8
 import dmotion_bench
 from dmotion_bench.actions import Continuous, actions_from_json, actions_to_json
 from dmotion_bench.errors import RecordingImportError, RecordingTruncated
+from dmotion_bench.gymnasium_ids import CONFINED
 from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
 from dmotion_bench.storage.imports.limits import MIB
@@ -128,13 +129,13 @@ class Confinement:
             )
         source = str(Path(dmotion_bench.__file__).parents[1])  # found there even if it was never installed
         paths = [source, *filter(None, [os.environ.get("PYTHONPATH")])]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "ARROW_DEFAULT_MEMORY_POOL": "system"}
+        own = {"PYTHONPATH": os.pathsep.join(paths), "ARROW_DEFAULT_MEMORY_POOL": "system", CONFINED: "1"}
         process = subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # FFmpeg's and its encoders' chatter
-            env=environment,
+            env=os.environ | own,
         )
         send(_pipe(process.stdin), {"options": dataclasses.asdict(self.options)})
         return process

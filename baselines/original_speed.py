@@ -20,8 +20,8 @@ import torch
 from dmotion_bench.benchmarks.result import Result
 from dmotion_bench.benchmarks.rounds import ROUNDS
 from dmotion_bench.benchmarks.training_step import TrainingStep
+from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.learning.model import TrainingConfig
-from dmotion_bench.learning.precision import has_bf16
 
 MODEL: Final = "dmotion"
 BATCHES: Final = (8, 32)

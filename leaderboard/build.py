@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunError, UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, TRANSFERS, Report
 from dmotion_bench.scoring.transfer import fitting, transfer_folders

@@ -29,8 +29,8 @@ import pyarrow as pa
 from dmotion_bench.errors import DatasetError, DmbenchError, JobsLost, PackageNotInstalled, UnknownName
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.threads import not_allowed, using_threads
+from dmotion_bench.learning.hardware.threads import not_allowed, using_threads
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.prediction import Execution, Progress, silent
 from dmotion_bench.scoring.references import published_results

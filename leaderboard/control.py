@@ -21,7 +21,7 @@ from jaxtyping import UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import HasScript
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import NO_ACTION, Agent, Decision, SimulatorAgent, known_actions
 from dmotion_bench.planning.columns import COLUMNS, TASKS, is_test
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control

@@ -1,4 +1,4 @@
-"""What a run's name says of its settings; ``dmotion_bench.learning.start.default_path`` makes such names."""
+"""What a run's name says of its settings; ``dmotion_bench.learning.runs.start.default_path`` makes such names."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from typing import Final
 from dmotion_bench.actions import kind_of
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetError, DmbenchError, RunMismatch
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.label_use import label_use

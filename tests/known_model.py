@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
-from dmotion_bench.learning.run import Run, RunSpec
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
 

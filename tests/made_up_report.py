@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, write_report
 from dmotion_bench.scoring.samples import SampleRows
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import torch
 
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.hardware.devices import launch
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training.loop import Report, train
 from dmotion_bench.storage import object_store
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace

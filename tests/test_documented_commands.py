@@ -34,8 +34,9 @@ from dmotion_bench import registry
 from dmotion_bench.api import demonstration
 from dmotion_bench.api import planning as api_planning
 from dmotion_bench.api import scoring as api_scoring
-from dmotion_bench.learning import checkpoint, start, table
-from dmotion_bench.learning.start import TrainingRequest, open_run
+from dmotion_bench.learning.runs import checkpoint, start
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run
+from dmotion_bench.learning.training import table
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset

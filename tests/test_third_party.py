@@ -24,7 +24,7 @@ COMMAND = "from dmotion_bench.cli import main; main()"
 ASK = """
 import sys, torch
 from pathlib import Path
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 
 model = Run.open(Path(sys.argv[1])).model
 frames = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0)) * 2 - 1

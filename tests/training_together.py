@@ -21,7 +21,7 @@ from dmotion_bench.learning.action_encoding import ActionEncoding
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TripletBatch
 from dmotion_bench.specs import Supervision
 
-LOADED = ["dmotion_bench.learning.training", "dmotion_bench.learning.start", "baselines.encoder_decoder"]
+LOADED = ["dmotion_bench.learning.training.loop", "dmotion_bench.learning.runs.start", "baselines.encoder_decoder"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +103,9 @@ def train_exact(rank: int, data: Path, folder: Path, settings: tuple[str, ...], 
     import signal
     from unittest import mock
 
-    from dmotion_bench.learning.devices import launch
-    from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-    from dmotion_bench.learning.training import Report, train
+    from dmotion_bench.learning.hardware.devices import launch
+    from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+    from dmotion_bench.learning.training.loop import Report, train
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.workspace import Workspace
 
@@ -114,8 +114,8 @@ def train_exact(rank: int, data: Path, folder: Path, settings: tuple[str, ...], 
             os.kill(os.getpid(), signal.SIGINT)
 
     with (
-        mock.patch("dmotion_bench.learning.run_manifest.model_class", return_value=Exact),
-        mock.patch("dmotion_bench.learning.start.model_class", return_value=Exact),
+        mock.patch("dmotion_bench.learning.runs.manifest.model_class", return_value=Exact),
+        mock.patch("dmotion_bench.learning.runs.start.model_class", return_value=Exact),
     ):
         dataset = Dataset.open(data)
         asked = TrainingRequest(model="ed-cnn", labels="100%", settings=settings, threads=1)
@@ -129,8 +129,8 @@ def train_exact(rank: int, data: Path, folder: Path, settings: tuple[str, ...], 
 
 def talk(rank: int, folder: Path) -> None:
     """What processes say to each other; each writes what it understood."""
-    from dmotion_bench.learning.companions import Companions
-    from dmotion_bench.learning.devices import launch
+    from dmotion_bench.learning.hardware.devices import launch
+    from dmotion_bench.learning.training.companions import Companions
 
     companions = Companions(launch("cpu"))
     told = [
@@ -156,8 +156,8 @@ def talk(rank: int, folder: Path) -> None:
 
 def lose(rank: int, folder: Path) -> None:
     """The last process ends without a word; the others notice."""
-    from dmotion_bench.learning.companions import Companions
-    from dmotion_bench.learning.devices import launch
+    from dmotion_bench.learning.hardware.devices import launch
+    from dmotion_bench.learning.training.companions import Companions
 
     companions = Companions(launch("cpu"))
     companions.any(False)

@@ -39,8 +39,8 @@ from baselines.cswm import ContrastiveConfig, ContrastiveWorldModel, GraphTransi
 from baselines.published.descent import train
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.action_encoding import Actions
+from dmotion_bench.learning.hardware.memory import keep_freed_memory
 from dmotion_bench.learning.images import to_pixels
-from dmotion_bench.learning.memory import keep_freed_memory
 from dmotion_bench.learning.model import ModelInputs, TripletBatch
 from dmotion_bench.scoring.latent_ranking import ranks
 

@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from dmotion_bench.learning.hardware.precision import autocast, has_bf16
 from dmotion_bench.learning.model import ForwardModel, Phase, TripletBatch
-from dmotion_bench.learning.precision import autocast, has_bf16
 
 
 def descend(

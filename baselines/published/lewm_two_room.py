@@ -40,8 +40,8 @@ from torch import Tensor
 from baselines.jepa import JepaConfig, LatentWorldModel
 from baselines.published.descent import train
 from dmotion_bench.actions import Continuous
+from dmotion_bench.learning.hardware.memory import keep_freed_memory
 from dmotion_bench.learning.images import to_pixels
-from dmotion_bench.learning.memory import keep_freed_memory
 from dmotion_bench.learning.model import ModelInputs, TripletBatch
 from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.planning.dynamics.model import ModelDynamics

@@ -12,9 +12,9 @@ from jaxtyping import Float, Int
 from dmotion_bench.api.settings import whole
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.action_encoding import as_tensor
+from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.learning.labels import LabelBudget, LabelRequest
-from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage import dataset as stored
 from dmotion_bench.storage.shard import EpisodeRow

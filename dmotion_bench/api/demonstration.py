@@ -14,7 +14,7 @@ from dmotion_bench.api.scoring import score_runs
 from dmotion_bench.api.settings import LARGEST_SEED, whole
 from dmotion_bench.api.training import begin, complete
 from dmotion_bench.api.viewing import scene_of
-from dmotion_bench.learning.start import TrainingRequest
+from dmotion_bench.learning.runs.start import TrainingRequest
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.settings import ScoreSettings

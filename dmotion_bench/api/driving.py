@@ -17,7 +17,7 @@ from dmotion_bench.actions import ActionSpec, ActionTaken, Continuous
 from dmotion_bench.environment import Environment
 from dmotion_bench.errors import DmbenchError, LabelsNotAvailable
 from dmotion_bench.learning.driving import Drive
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.tasks import take, task_environment
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.dataset import Dataset

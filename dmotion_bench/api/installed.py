@@ -8,8 +8,8 @@ from typing import Final
 import torch
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.learning.model import ModelInputs
-from dmotion_bench.learning.precision import has_bf16
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Supervision
 

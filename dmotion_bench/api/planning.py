@@ -19,7 +19,7 @@ from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.driving import predicted
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES, Agent, known_actions, was_taken
 from dmotion_bench.planning.choices import make_solver
 from dmotion_bench.planning.dynamics.model import in_units

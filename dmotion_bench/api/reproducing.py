@@ -18,7 +18,7 @@ from dmotion_bench.errors import DmbenchError, JobsLost
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile, jobs_folder, watching
-from dmotion_bench.learning.table import Outcome, TableJob, train_jobs
+from dmotion_bench.learning.training.table import Outcome, TableJob, train_jobs
 from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.registry import table as table_named

@@ -12,8 +12,8 @@ from torch import Tensor
 from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.api.datasets import Dataset
 from dmotion_bench.errors import DatasetMissing, RunMismatch, RunMissing, UnknownName, UsageError
-from dmotion_bench.learning import run as runs
 from dmotion_bench.learning.images import to_pixels
+from dmotion_bench.learning.runs import run as runs
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report
 from dmotion_bench.wording import command
 from dmotion_bench.workspace import AnyPath, Workspace
@@ -28,8 +28,8 @@ _FARTHEST: Final = 10.0
 class Run(runs.Run):
     """A training run on disk; ``load_run`` opens one, and ``train`` returns one.
 
-    It has what ``dmotion_bench.learning.run.Run`` has, such as ``result`` and ``model``, and the methods below. They
-    take frames as they are stored (uint8, RGB, 0-255, channels last) and return such frames; or images of a
+    It has what ``dmotion_bench.learning.runs.run.Run`` has, such as ``result`` and ``model``, and the methods below.
+    They take frames as they are stored (uint8, RGB, 0-255, channels last) and return such frames; or images of a
     ``DataLoader``'s batch (Float[b c h w] in [-1, 1]) and return such images. One frame without an axis for the batch
     is a batch of one, and so is what comes back.
     """

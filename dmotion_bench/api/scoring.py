@@ -14,8 +14,8 @@ from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_
 from dmotion_bench.errors import DmbenchError, RunMismatch, StorageFull, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.threads import scoring_shortage
+from dmotion_bench.learning.hardware.threads import scoring_shortage
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.choices import DEFAULT_SOLVER
 from dmotion_bench.planning.mpc import GROUP, STEPS, ControlProgress
 from dmotion_bench.scoring.control import ControlScoring, control_samples

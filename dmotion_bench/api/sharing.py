@@ -11,7 +11,7 @@ from typing import Final
 from dmotion_bench.api.progress import Progress, Tell, telling
 from dmotion_bench.errors import DatasetMissing, DmbenchError, RunMissing, ShareMissing, UnknownName, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.report import REPORT_FOLDER, SAMPLES_FILE
 from dmotion_bench.sharing.contents import Shared, contents, find
 from dmotion_bench.sharing.place import open_place

@@ -16,11 +16,11 @@ from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
 from dmotion_bench.execution.local_executor import available_workers
-from dmotion_bench.learning.beginning import tell_changes
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest
-from dmotion_bench.learning.table import Outcome, Row, rows, train_side_by_side, train_table
-from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.learning.hardware.threads import using_threads
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest
+from dmotion_bench.learning.training.beginning import tell_changes
+from dmotion_bench.learning.training.table import Outcome, Row, rows, train_side_by_side, train_table
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.score import scored_report
 from dmotion_bench.scoring.settings import Metric, ScoreSettings

@@ -25,13 +25,12 @@ from dmotion_bench.errors import DmbenchError, ModelContractBroken, RunMissing, 
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.execution.processes import place
-from dmotion_bench.learning import run as runs
-from dmotion_bench.learning.beginning import finished_result
-from dmotion_bench.learning.companions import Companions
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.labels import first_budget
-from dmotion_bench.learning.settings import from_json
-from dmotion_bench.learning.start import (
+from dmotion_bench.learning.data.labels import first_budget
+from dmotion_bench.learning.data.triplets import SplitProtocol
+from dmotion_bench.learning.hardware.devices import launch
+from dmotion_bench.learning.hardware.threads import shortage
+from dmotion_bench.learning.runs import run as runs
+from dmotion_bench.learning.runs.start import (
     TrainingRequest,
     default_path,
     open_run,
@@ -39,11 +38,12 @@ from dmotion_bench.learning.start import (
     resolve,
     training_data,
 )
-from dmotion_bench.learning.threads import shortage
-from dmotion_bench.learning.tracking import require_trackers
-from dmotion_bench.learning.training import Report
-from dmotion_bench.learning.training import train as train_steps
-from dmotion_bench.learning.triplets import SplitProtocol
+from dmotion_bench.learning.settings import from_json
+from dmotion_bench.learning.training.beginning import finished_result
+from dmotion_bench.learning.training.companions import Companions
+from dmotion_bench.learning.training.loop import Report
+from dmotion_bench.learning.training.loop import train as train_steps
+from dmotion_bench.learning.training.tracking import require_trackers
 from dmotion_bench.registry import MODELS, is_built_in, model_class
 from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.atomic import is_unused

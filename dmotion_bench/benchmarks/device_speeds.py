@@ -21,9 +21,9 @@ from dmotion_bench.benchmarks.result import Result
 from dmotion_bench.benchmarks.rounds import Yardstick, measure_in_rounds
 from dmotion_bench.benchmarks.scene import SIZE, scene_facts, scene_frames
 from dmotion_bench.benchmarks.training_step import TrainingStep
-from dmotion_bench.learning.batches import FramesOnDevice, TripletBatches
-from dmotion_bench.learning.precision import has_bf16
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.data.batches import FramesOnDevice, TripletBatches
+from dmotion_bench.learning.data.triplets import TripletSet
+from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
 
 _EPISODES, _FRAMES = 100, 30  # of the cache that is loaded from

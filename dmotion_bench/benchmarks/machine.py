@@ -10,7 +10,7 @@ import torch
 import zstandard
 
 from dmotion_bench.benchmarks.rounds import Yardstick
-from dmotion_bench.learning.precision import has_bf16
+from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.wording import sentence
 
 

@@ -25,9 +25,9 @@ from dmotion_bench.benchmarks.rounds import measure_in_rounds
 from dmotion_bench.benchmarks.scene import SIZE, scene_dataset, scene_facts, scene_frames
 from dmotion_bench.benchmarks.training_step import TrainingStep
 from dmotion_bench.errors import DmbenchError, UnknownName
-from dmotion_bench.learning.precision import has_bf16
-from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.data.streamed import StreamedBatches, StreamedTriplets
+from dmotion_bench.learning.data.triplets import TripletSet
+from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset

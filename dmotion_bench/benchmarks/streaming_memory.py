@@ -20,7 +20,7 @@ from typing import Any, Final
 import torch
 
 from dmotion_bench.benchmarks.scene import scene_dataset
-from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
+from dmotion_bench.learning.data.streamed import StreamedBatches, StreamedTriplets
 from dmotion_bench.storage.dataset import Dataset
 
 _BATCH: Final = 32

@@ -10,10 +10,10 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.learning.hardware.precision import Precision, autocast, settled
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig, TripletBatch
-from dmotion_bench.learning.optimization import make_optimizer
-from dmotion_bench.learning.precision import Precision, autocast, settled
+from dmotion_bench.learning.training.optimizer import make_optimizer
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Preset, Supervision
 

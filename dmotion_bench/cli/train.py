@@ -23,9 +23,9 @@ from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.api.side_by_side import Hands
-    from dmotion_bench.learning.run import Conditions, Run
-    from dmotion_bench.learning.start import TrainingRequest
-    from dmotion_bench.learning.table import Outcome
+    from dmotion_bench.learning.runs.run import Conditions, Run
+    from dmotion_bench.learning.runs.start import TrainingRequest
+    from dmotion_bench.learning.training.table import Outcome
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.viewing.follow import Follower
     from dmotion_bench.workspace import Workspace

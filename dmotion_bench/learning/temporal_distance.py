@@ -27,10 +27,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from dmotion_bench.errors import DatasetError, InvalidSetting
-from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.learning.randomness import seeded
-from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.training.randomness import seeded
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.readable import Frames, ReadableDataset
 from dmotion_bench.values import require_bounds

@@ -17,12 +17,12 @@ import torch
 
 from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import DatasetError, DmbenchError, RunError, UsageError
-from dmotion_bench.learning.labels import LabelRequest
+from dmotion_bench.learning.data.labels import LabelRequest
 from dmotion_bench.learning.model import ModelInputs
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, default_path, resolve
 from dmotion_bench.learning.settings import with_settings
-from dmotion_bench.learning.start import TrainingRequest, default_path, resolve
-from dmotion_bench.learning.table import Row
+from dmotion_bench.learning.training.table import Row
 from dmotion_bench.planning.choices import make_objective
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import environment_facts

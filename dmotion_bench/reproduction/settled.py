@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, RunError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.reproduction.plan import Plan, Scoring, Training
 from dmotion_bench.reproduction.table import Column
 from dmotion_bench.scoring.earlier_planning import present_settings

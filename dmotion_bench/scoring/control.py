@@ -25,8 +25,8 @@ import torch
 
 from dmotion_bench.environment import HasScript
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
-from dmotion_bench.learning.checkpoint import weights_hash
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.runs.checkpoint import weights_hash
 from dmotion_bench.planning.agents import REFERENCES, Agent, ModelAgent, known_actions, make_reference
 from dmotion_bench.planning.choices import (
     DEFAULT_SOLVER,

@@ -15,9 +15,9 @@ import pyarrow as pa
 import torch
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
+from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.scoring.identification import LatentActionModel
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.prediction import MODEL, Execution

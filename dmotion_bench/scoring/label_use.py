@@ -6,7 +6,7 @@ from them all along. What differs is in ``labels.use`` of a report and an entry,
 
 from __future__ import annotations
 
-from dmotion_bench.learning.run import RunSpec
+from dmotion_bench.learning.runs.run import RunSpec
 from dmotion_bench.specs import Supervision
 
 

@@ -1,7 +1,7 @@
 """Single steps by latent actions: what a model that learned from video predicts by its own, and what they hold.
 
 None of it depends on the label budget. So runs that share a training share these samples, as they share the training
-(``learning/shared_pretraining.py``); only what their actions predict is their own.
+(``learning/training/shared_pretraining.py``); only what their actions predict is their own.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from dmotion_bench.learning.action_to_latent import ActionToLatent
-from dmotion_bench.learning.checkpoint import weights_hash
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.runs.checkpoint import weights_hash
 from dmotion_bench.scoring.identification import Identification, LatentActionModel, identify
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.prediction import MODEL, Execution

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from dmotion_bench.actions import kind_of
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.columns import column_named
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.figures import Figures

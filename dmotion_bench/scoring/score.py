@@ -11,11 +11,11 @@ import pyarrow as pa
 import torch
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing
-from dmotion_bench.learning.memory import keep_freed_memory
+from dmotion_bench.learning.data.triplets import SplitProtocol
+from dmotion_bench.learning.hardware.memory import keep_freed_memory
+from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.threads import using_threads
-from dmotion_bench.learning.triplets import SplitProtocol
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import TEST, require_fitting_tasks
 from dmotion_bench.planning.dynamics.model import arithmetic_on
@@ -174,7 +174,8 @@ def score_run(
 ) -> Report:
     """Score a run on the held-out episodes of its data set, or of another one, and write its report.
 
-    It computes with as many threads as the training: another number rounds otherwise (``learning/threads.py``).
+    It computes with as many threads as the training: another number rounds otherwise
+    (``learning/hardware/threads.py``).
     Groups of figures that are not asked for stay in the report while they are true: same weights, data, settings and
     version; of control the same solver and objective, too.
 

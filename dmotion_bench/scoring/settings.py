@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.learning.triplets import SplitProtocol
+from dmotion_bench.learning.data.triplets import SplitProtocol
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.prediction import Precision

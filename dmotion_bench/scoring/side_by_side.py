@@ -22,9 +22,9 @@ import torch
 from dmotion_bench.errors import DmbenchError, JobsLost, RunMismatch
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.shared_pretraining import training_of
-from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.learning.hardware.threads import using_threads
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.training.shared_pretraining import training_of
 from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.scoring.control import score_control, share_of
 from dmotion_bench.scoring.prediction import Execution

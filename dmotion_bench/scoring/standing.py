@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from dmotion_bench.errors import UnknownName
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
 from dmotion_bench.scoring.gain import GainScoring

@@ -20,9 +20,9 @@ import torch
 from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from dmotion_bench.errors import LabelsNotAvailable
+from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.scoring.latent_ranking import EmbeddingModel, embedded
 from dmotion_bench.scoring.samples import STATE_PROBED
 from dmotion_bench.scoring.transitions import HeldOut

@@ -27,8 +27,8 @@ from jaxtyping import Int
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import DatasetError, DatasetMissing, RunMismatch
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.run_manifest import stored_actions
+from dmotion_bench.learning.runs.manifest import stored_actions
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.overlap import copied_episodes
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS, read_report, report_place
 from dmotion_bench.specs import IMPORTED, SplitName

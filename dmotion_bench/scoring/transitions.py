@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
-from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
+from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.specs import EnvSpec, EpisodeLabels, SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.messages import StateLabels

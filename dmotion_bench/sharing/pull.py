@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.errors import DatasetError, RunError, ShareMissing, UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.arriving import Files, arriving, refused, settle, take
 from dmotion_bench.sharing.place import DATASETS, HASH, RUNS, Place, damaged
 from dmotion_bench.sharing.push import FILES, Kind, Tell, labels_stand, read_standing, standing_name

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from dmotion_bench.errors import DatasetCorrupt, DatasetError, RunError, ShareCorrupt, UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.place import DATASETS, RUNS, Place, plain_name
 from dmotion_bench.sharing.run_share import share_of
 from dmotion_bench.storage.atomic import write_atomically

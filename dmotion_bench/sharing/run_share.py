@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import RunMissing
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, SAMPLES_FILE, TRANSFERS, settled
 from dmotion_bench.scoring.transfer import transfer_folders

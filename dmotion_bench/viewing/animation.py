@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.captions import captioned, picture_file
 from dmotion_bench.viewing.dataset import labels_if_any, part_of

@@ -12,8 +12,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import UInt8
 
-from dmotion_bench.learning.metrics_log import read_rows
-from dmotion_bench.learning.samples import read_sample
+from dmotion_bench.learning.training.metrics_log import read_rows
+from dmotion_bench.learning.training.samples import read_sample
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, Curve, log_chart
 from dmotion_bench.viewing.labels import ACTION_COLORS
 from dmotion_bench.viewing.scene import Tab, picture_view

@@ -17,8 +17,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dmotion_bench.errors import DatasetMissing
-from dmotion_bench.learning.metrics_log import LARGEST, parse_row
-from dmotion_bench.learning.samples import read_sample, samples_of
+from dmotion_bench.learning.training.metrics_log import LARGEST, parse_row
+from dmotion_bench.learning.training.samples import read_sample, samples_of
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json

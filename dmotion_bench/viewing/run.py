@@ -11,8 +11,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float, UInt8
 
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.samples import samples_of
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.training.samples import samples_of
 from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import EpisodeLabels
 from dmotion_bench.storage.readable import ReadableDataset

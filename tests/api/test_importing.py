@@ -46,7 +46,7 @@ def test_what_opens_and_scores_any_model_loads_no_compiler() -> None:
     told = _in_a_new_process(
         "import sys\n"
         "import dmotion_bench.api.scoring, dmotion_bench.api.viewing, dmotion_bench.api.training\n"
-        "from dmotion_bench.learning.run_manifest import RunSpec\n"
+        "from dmotion_bench.learning.runs.manifest import RunSpec\n"
         "from dmotion_bench.learning.settings import to_json\n"
         "from dmotion_bench.registry import model_class, model_names\n"
         "facts = {'preset': 'tiny', 'labels': 'all', 'seed': 0, 'dataset': 'd', 'fingerprint': ''}\n"

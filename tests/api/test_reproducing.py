@@ -20,8 +20,8 @@ import dmotion_bench as dm
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
 from dmotion_bench.execution.job_progress import JobProgress
-from dmotion_bench.learning import table as learning_table
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.training import table as learning_table
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.recording import session
 from dmotion_bench.reproduction.table import Table

@@ -30,10 +30,10 @@ from dmotion_bench.errors import (
     UsageError,
     ViewerError,
 )
+from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.model import TripletBatch
-from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.planning.objectives.base import Memoryless, StepCost
 from dmotion_bench.planning.solvers.base import Plan
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree

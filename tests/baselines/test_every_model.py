@@ -18,12 +18,12 @@ from noise_world import noise_episode, noise_spec
 from baselines.layers import WIDTHS
 from baselines.unet import UNet
 from dmotion_bench.errors import UsageError
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.shared_pretraining import take_over
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.hardware.devices import launch
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.registry import MODELS, model_class
 from dmotion_bench.specs import DatasetRecipe, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
@@ -108,7 +108,7 @@ def _train(
 
 def saved_at_every_step() -> AbstractContextManager[object]:
     """Within the block a training that is killed has lost nothing."""
-    return mock.patch("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
+    return mock.patch("dmotion_bench.learning.training.loop.CHECKPOINT_SECONDS", 0.0)
 
 
 def test_the_benchmarks_models_are_those_of_its_design() -> None:

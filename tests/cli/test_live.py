@@ -9,7 +9,7 @@ import pytest
 from dmbench_command import dmbench
 from rrd_contents import curve, values
 
-from dmotion_bench.learning.samples import samples_of
+from dmotion_bench.learning.training.samples import samples_of
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import Preset

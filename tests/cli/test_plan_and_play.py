@@ -23,8 +23,8 @@ from dmotion_bench.api.driving import Driven, open_driven
 from dmotion_bench.cli.keys import read_keys, single_keys
 from dmotion_bench.cli.play import bindings, changes, commands, legend, moves, taken_actions
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.start import TrainingRequest, open_run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run
 from dmotion_bench.planning.tasks import load_problems, task_environment
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe, Preset

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from dmotion_bench.cli import score as command
 from dmotion_bench.errors import RunError, RunMismatch, RunMissing, StorageFull, UnknownName, UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.settings import ScoreSettings
 

@@ -17,9 +17,9 @@ from walking_square import record_walks
 
 from dmotion_bench.cli import main
 from dmotion_bench.interrupts import INTERRUPTED
-from dmotion_bench.learning.checkpoint import load
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.runs.checkpoint import load
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.training.loop import Report, train
 
 pytestmark = pytest.mark.slow
 
@@ -263,7 +263,7 @@ def test_a_full_disk_costs_a_sentence_and_no_checkpoint(
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     with monkeypatch.context() as patched:
-        patched.setattr("dmotion_bench.learning.checkpoint.write_atomically", full)
+        patched.setattr("dmotion_bench.learning.runs.checkpoint.write_atomically", full)
         outcome = run("train", "dmotion", *QUICK, "--out", str(tmp_path / "run"))
     assert outcome.code == 1
     assert "no space left on the device" in outcome.sentence()

@@ -15,10 +15,10 @@ from walking_square import record_walks
 
 from dmotion_bench.api import side_by_side, training
 from dmotion_bench.execution.local_executor import SerialExecutor
-from dmotion_bench.learning import table
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import training_data
-from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.learning.hardware.threads import using_threads
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import training_data
+from dmotion_bench.learning.training import table
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.lock import held
 

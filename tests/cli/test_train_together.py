@@ -15,7 +15,7 @@ import pytest
 from dmbench_command import Outcome, dmbench, finish, start_dmbench
 from walking_square import record_walks
 
-from dmotion_bench.learning.checkpoint import load
+from dmotion_bench.learning.runs.checkpoint import load
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,9 @@ LOADED = (
         "dmotion_bench.storage.exports.lerobot",
         "dmotion_bench.storage.check",
     ),
-    *("dmotion_bench.recording.restore", "dmotion_bench.learning.start", "dmotion_bench.learning.shared_pretraining"),
+    "dmotion_bench.recording.restore",
+    "dmotion_bench.learning.runs.start",
+    "dmotion_bench.learning.training.shared_pretraining",
     *(
         "dmotion_bench.api.sharing",
         "dmotion_bench.cli.app",

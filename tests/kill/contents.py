@@ -9,7 +9,7 @@ from typing import Any
 
 import safetensors.torch
 
-from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.runs import checkpoint
 
 TIMES = ("seconds", "triplets_per_s", "planning_seconds")
 """What differs from run to run: how long it took."""

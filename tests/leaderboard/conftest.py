@@ -34,7 +34,7 @@ SETTINGS = ScoreSettings(horizon=3, resamples=200)
 
 @pytest.fixture(autouse=True)
 def _model(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+    monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +48,7 @@ def scored_workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Works
         writer.finish()
     dataset = Dataset.open(workspace.data / "grid_world-tiny")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+        patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
         shared = SharedSamples()
         for name, offset, changes in (
             ("dmotion-grid_world-tiny-s0", 0.0, {}),
@@ -77,7 +77,7 @@ def workspace(scored_workspace: Workspace, tmp_path: Path, monkeypatch: pytest.M
 def sound(scored_workspace: Workspace) -> Entry:
     """The entry of the first run."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+        patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
         return entry_of_run(scored_workspace.runs / "dmotion-grid_world-tiny-s0")
 
 

@@ -16,8 +16,8 @@ import pytest
 import torch
 from known_model import Known
 
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.run import Conditions, Run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Conditions, Run
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import write_report
@@ -397,7 +397,7 @@ def test_a_check_computes_with_the_run_s_number_of_threads(
     entry = entry_of_run(run.path)
     assert entry.content["training"]["threads"] == 2
 
-    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Counting)
+    monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Counting)
     assert check_entry(entry, workspace).holds
     assert set(seen) == {2}
 

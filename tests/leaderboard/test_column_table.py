@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dmotion_bench.errors import UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.score import score_run

@@ -14,7 +14,7 @@ from known_model import Known, write_run
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import EntryInvalid
-from dmotion_bench.learning.run_manifest import stored_actions
+from dmotion_bench.learning.runs.manifest import stored_actions
 from dmotion_bench.planning.agents import known_actions
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, control_samples, score_control, score_reference
@@ -39,7 +39,7 @@ MOVE = Continuous(names=("dx", "dy"), low=(-1.0, -1e300), high=(1.0, 1e300), uni
 
 
 def _known_model(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+    patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
 
 
 @pytest.fixture(autouse=True)

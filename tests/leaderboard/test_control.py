@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from known_model import Known, write_run
 
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.columns import tasks_hash
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, score_reference
@@ -41,7 +41,7 @@ Rows = list[dict[str, Any]]
 
 
 def _known_model(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+    patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
 
 
 @pytest.fixture(autouse=True)

@@ -36,7 +36,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Workspace, Path]
     )
     record_dataset(made.data / "grid", recipe)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+        patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
         run = write_run(made.runs / "known", Dataset.open(made.data / "grid"))
         score_run(run.path, metrics=("gain",), settings=SETTINGS)
     return made, run.path

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image, PngImagePlugin
 
 from dmotion_bench.errors import EntryInvalid
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 from leaderboard.entry import Entry

@@ -13,7 +13,7 @@ from known_model import Known, write_run
 from made_up_import import write_import
 from torch import Tensor
 
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.specs import DatasetRecipe
@@ -41,7 +41,7 @@ OTHER = DatasetRecipe(environment="grid_world", policy="random", seed=9, episode
 
 
 def _model(patch: pytest.MonkeyPatch, kind: type[Known]) -> None:
-    patch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: kind)
+    patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: kind)
 
 
 @pytest.fixture(scope="module")

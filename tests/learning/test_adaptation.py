@@ -9,9 +9,9 @@ import torch
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.action_to_latent import ActionToLatent
-from dmotion_bench.learning.adaptation import finetune
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TrainingConfig
+from dmotion_bench.learning.training.adaptation import finetune
 from dmotion_bench.specs import Supervision
 
 

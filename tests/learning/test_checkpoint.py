@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from dmotion_bench.errors import RunCorrupt, RunMissing
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.optimization import AveragedWeights
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.training.optimizer import AveragedWeights
 
 
 def test_tensors_and_facts_survive(tmp_path) -> None:

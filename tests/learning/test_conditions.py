@@ -11,11 +11,11 @@ import pytest
 import torch
 from walking_square import record_walks
 
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.timing import FEWEST_ROUNDS, MOST_ROUNDS, clearly_faster, timed_in_turn
-from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.hardware.devices import launch
+from dmotion_bench.learning.hardware.timing import FEWEST_ROUNDS, MOST_ROUNDS, clearly_faster, timed_in_turn
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training.loop import Report, train
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -33,7 +33,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def two_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Torch has two threads, and every training is long enough to be measured."""
-    monkeypatch.setattr("dmotion_bench.learning.threads.FEWEST_STEPS", 1)
+    monkeypatch.setattr("dmotion_bench.learning.hardware.threads.FEWEST_STEPS", 1)
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     before = torch.get_num_threads()
     torch.set_num_threads(2)
@@ -62,9 +62,9 @@ def _begun(
         used.append(torch.get_num_threads())
         raise Stopped
 
-    monkeypatch.setattr("dmotion_bench.learning.conditions.timed_in_turn", in_turn)
+    monkeypatch.setattr("dmotion_bench.learning.training.conditions.timed_in_turn", in_turn)
     monkeypatch.setattr(
-        "dmotion_bench.learning.conditions._trial", lambda *_: lambda _: used.append(torch.get_num_threads())
+        "dmotion_bench.learning.training.conditions._trial", lambda *_: lambda _: used.append(torch.get_num_threads())
     )
     asked = TrainingRequest(model="dmotion", settings=("batch_size=4", "epochs=0.1"), **request)
     run = open_run(asked, Dataset.open(data), folder, Workspace(folder))
@@ -142,6 +142,6 @@ def test_another_way_must_win_clearly_and_often(other: tuple[float, ...], wins: 
 def test_few_rounds_are_enough_where_one_way_is_far_ahead(
     other: float, rounds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dmotion_bench.learning.timing._seconds", lambda way, _: way())
+    monkeypatch.setattr("dmotion_bench.learning.hardware.timing._seconds", lambda way, _: way())
     seconds = timed_in_turn({"usual": lambda: 0.1, "other": lambda: other}, CPU)
     assert seconds == {"usual": (0.1,) * rounds, "other": (other,) * rounds}

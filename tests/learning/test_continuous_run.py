@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from dmotion_bench.errors import DmbenchError, InvalidSetting, RunMismatch, UsageError
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run, resolve, training_data
-from dmotion_bench.learning.training import train
+from dmotion_bench.learning.hardware.devices import launch
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, resolve, training_data
+from dmotion_bench.learning.training.loop import train
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.samples import column, read_samples, vectors
@@ -86,7 +86,7 @@ def test_dmotion_is_told_by_64_transitions_and_scored(workspace: Workspace) -> N
 
 
 def test_another_number_of_labels_takes_the_training_over(workspace: Workspace) -> None:
-    from dmotion_bench.learning.shared_pretraining import take_over
+    from dmotion_bench.learning.training.shared_pretraining import take_over
 
     first = _trained(workspace, "dmotion", "64")
     dataset = Dataset.open(first.dataset_path)

@@ -9,13 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from dmotion_bench.learning import curriculum
-from dmotion_bench.learning.batches import FramesOnDevice
-from dmotion_bench.learning.curriculum import TrainingData, demonstrations_of, parts_of, steps_before_labels
+from dmotion_bench.learning.data import curriculum
+from dmotion_bench.learning.data.batches import FramesOnDevice
+from dmotion_bench.learning.data.curriculum import TrainingData, demonstrations_of, parts_of, steps_before_labels
+from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.learning.labels import LabelBudget, LabelRequest
 from dmotion_bench.learning.model import Phase, TrainingConfig
-from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.specs import Supervision
 
 
@@ -157,7 +157,7 @@ def test_all_batches_of_a_training_share_one_copy_of_the_frames(dataset, monkeyp
 
     phases = (Phase(name="video", fraction=0.5, earlier=2), Phase(name="named", fraction=0.5, needs_actions=True))
     expected = parts_of(phases, _data(dataset, "100%"), CONFIG, 0, CPU)
-    monkeypatch.setattr("dmotion_bench.learning.batches._on_device", on_device)
+    monkeypatch.setattr("dmotion_bench.learning.data.batches._on_device", on_device)
     monkeypatch.setattr(FramesOnDevice, "_fits", lambda self, cache: True)
     parts = parts_of(phases, _data(dataset, "100%"), CONFIG, 0, CPU)
     assert len(held) == 1

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from dmotion_bench.learning import demonstrations as module
-from dmotion_bench.learning.labels import LabelBudget, LabelRequest
-from dmotion_bench.learning.stored_demonstrations import StoredDemonstrations, in_memory, shown_to_models
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.stored_demonstrations import StoredDemonstrations, in_memory, shown_to_models
+from dmotion_bench.learning.data.triplets import TripletSet
 
 CPU = torch.device("cpu")
 
@@ -49,5 +49,5 @@ def test_images_are_contiguous_where_a_model_asks_for_it(given) -> None:
 
 def test_few_are_in_memory(given, monkeypatch) -> None:
     assert not isinstance(shown_to_models(given, CPU), StoredDemonstrations)
-    monkeypatch.setattr("dmotion_bench.learning.stored_demonstrations.READ_AT_ONCE", 5)
+    monkeypatch.setattr("dmotion_bench.learning.data.stored_demonstrations.READ_AT_ONCE", 5)
     assert isinstance(shown_to_models(given, CPU), StoredDemonstrations)

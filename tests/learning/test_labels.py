@@ -10,9 +10,9 @@ import pytest
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
-from dmotion_bench.learning.labels import LabelBudget, LabelRequest
-from dmotion_bench.learning.streamed import StreamedTriplets
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.streamed import StreamedTriplets
+from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.messages import StateLabels
 

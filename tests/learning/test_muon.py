@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from dmotion_bench.learning.muon import FEW, ITERATIONS, NEWTON_SCHULZ, Muon, orthogonalised
+from dmotion_bench.learning.training.muon import FEW, ITERATIONS, NEWTON_SCHULZ, Muon, orthogonalised
 
 RATE, MOMENTUM, SECOND = 0.01, 0.9, 0.95
 

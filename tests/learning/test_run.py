@@ -13,12 +13,12 @@ from known_model import result_of, spec_with
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, RunCorrupt, RunMismatch
-from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.model import TrainingConfig
-from dmotion_bench.learning.run import Run, RunSpec
-from dmotion_bench.learning.run_manifest import stored_actions
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.manifest import stored_actions
+from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.learning.settings import to_json
-from dmotion_bench.learning.shared_pretraining import take_over
+from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.registry import model_class
 
 

@@ -10,12 +10,12 @@ import pytest
 import torch
 from walking_square import record_walks
 
-from dmotion_bench.learning.devices import launch
+from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.samples import GAP, read_sample, samples_of
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training import train
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training.loop import train
+from dmotion_bench.learning.training.samples import GAP, read_sample, samples_of
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -68,7 +68,7 @@ def test_they_change_neither_the_weights_nor_the_labels_that_are_paid(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: str, labels: str
 ) -> None:
     with_pictures = trained(recorded, tmp_path / "with", model, labels)
-    monkeypatch.setattr("dmotion_bench.learning.training._Trainer._sample", lambda _: None)
+    monkeypatch.setattr("dmotion_bench.learning.training.loop._Trainer._sample", lambda _: None)
     without = trained(recorded, tmp_path / "without", model, labels)
     assert samples_of(with_pictures.path)
     assert not samples_of(without.path)

@@ -18,12 +18,12 @@ from known_model import result_of, spec_with
 
 from dmotion_bench import registry
 from dmotion_bench.errors import RunCorrupt
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.beginning import finished_result
 from dmotion_bench.learning.model import TrainingConfig
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.source import changed_modules, code_of
 from dmotion_bench.learning.settings import to_json
-from dmotion_bench.learning.source import changed_modules, code_of
+from dmotion_bench.learning.training.beginning import finished_result
 from dmotion_bench.registry import model_class, register_model
 
 MODEL = '''"""A model."""
@@ -211,7 +211,7 @@ Mine = made(1)
 
 
 def test_the_hash_of_a_notebook_s_class_is_the_same_in_every_process(package: Path) -> None:
-    script = f"text = {NOTEBOOK!r}\nexec(text)\nfrom dmotion_bench.learning.source import code_of\n"
+    script = f"text = {NOTEBOOK!r}\nexec(text)\nfrom dmotion_bench.learning.runs.source import code_of\n"
     script += (
         "import dmotion_bench as dm\ndm.register_model('mine', Mine)\nprint(code_of('mine')['classes of __main__'])"
     )

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.learning.figures import StepFigures
 from dmotion_bench.learning.model import Losses, ModelInputs, TripletBatch
-from dmotion_bench.learning.optimization import make_optimizer
-from dmotion_bench.learning.step import Stepper
+from dmotion_bench.learning.training.figures import StepFigures
+from dmotion_bench.learning.training.optimizer import make_optimizer
+from dmotion_bench.learning.training.step import Stepper
 from dmotion_bench.registry import MODELS, model_class
 from dmotion_bench.specs import Preset, Supervision
 

@@ -17,18 +17,19 @@ from training_together import together, train_exact
 from walking_square import record_walks
 
 from dmotion_bench.errors import DatasetCorrupt, UsageError
-from dmotion_bench.learning import checkpoint, conditions
-from dmotion_bench.learning.batches import FramesOnDevice, TripletBatches
-from dmotion_bench.learning.curriculum import parts_of
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.batches import FramesOnDevice, TripletBatches
+from dmotion_bench.learning.data.curriculum import parts_of
+from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.streamed import WINDOW, StreamedBatches, StreamedTriplets
+from dmotion_bench.learning.data.streamed_order import StreamedOrder, Window
+from dmotion_bench.learning.data.triplets import TripletSet
+from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.model import Phase, TrainingConfig
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.streamed import WINDOW, StreamedBatches, StreamedTriplets
-from dmotion_bench.learning.streamed_order import StreamedOrder, Window
-from dmotion_bench.learning.training import Report, train
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training import conditions
+from dmotion_bench.learning.training.loop import Report, train
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -246,7 +247,7 @@ def test_validation_is_that_of_the_cache_and_is_decoded_once(walks, tmp_path, mo
         config = TrainingConfig(epochs=1, batch_size=8, window=window)
         return parts_of((Phase(),), data, config, seed=0, device=torch.device("cpu"))
 
-    monkeypatch.setattr("dmotion_bench.learning.curriculum.VALIDATION_TRIPLETS", 9)
+    monkeypatch.setattr("dmotion_bench.learning.data.curriculum.VALIDATION_TRIPLETS", 9)
     (cached,), (streamed,) = parts(0), parts(24)
     assert len(streamed.validation) == 9
     ours, theirs = (part.validation(np.arange(9)) for part in (streamed, cached))
@@ -280,7 +281,7 @@ def test_a_run_that_is_killed_in_an_epoch_ends_with_the_same_bits(uncached, tmp_
     settings = ("window=24", "hard_share=0.5", "epochs=1.6", "validations=4", "precision=float32")
     whole = _run(uncached, tmp_path / "whole", *settings)
     _train(whole, uncached)
-    monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr("dmotion_bench.learning.training.loop.CHECKPOINT_SECONDS", 0.0)
     for stop_at, loaders in ((5, 1), (33, 3), (61, 2)):
         with pytest.raises(Stopped):
             _train(_run(uncached, tmp_path / "run", *settings), uncached, stop_at, loaders)

@@ -13,11 +13,11 @@ from noise_world import noise_episode, noise_spec
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import RunError, StorageFull
 from dmotion_bench.execution.local_executor import local_executor
-from dmotion_bench.learning import table
-from dmotion_bench.learning.labels import LabelRequest
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest
-from dmotion_bench.learning.table import Row, TableJob, budgets, rows, train_jobs, train_table
+from dmotion_bench.learning.data.labels import LabelRequest
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest
+from dmotion_bench.learning.training import table
+from dmotion_bench.learning.training.table import Row, TableJob, budgets, rows, train_jobs, train_table
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset

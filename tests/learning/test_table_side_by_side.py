@@ -10,8 +10,8 @@ import pytest
 from mortal_workers import Deadly, called_apart, engine
 from walking_square import record_walks
 
-from dmotion_bench.learning.start import TrainingRequest
-from dmotion_bench.learning.table import Row, TableJob, train_jobs, train_rows
+from dmotion_bench.learning.runs.start import TrainingRequest
+from dmotion_bench.learning.training.table import Row, TableJob, train_jobs, train_rows
 from dmotion_bench.specs import Preset
 
 ROWS = (("lapo", ("one-shot", "8")), ("ed-cnn", ("100%",)), ("cswm", ("100%",)))

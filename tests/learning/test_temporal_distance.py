@@ -11,8 +11,8 @@ from jaxtyping import UInt8
 from scipy.stats import spearmanr
 
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.learning import checkpoint
 from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.temporal_distance import (
     TemporalDistance,
     TemporalDistanceConfig,

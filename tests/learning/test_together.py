@@ -15,9 +15,9 @@ from walking_square import record_walks
 
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.processes import INTERRUPTIONS, LOST, Place, _say_why, place
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.randomness import seeded
-from dmotion_bench.learning.triplets import BatchOrder
+from dmotion_bench.learning.data.triplets import BatchOrder
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.training.randomness import seeded
 
 SETTINGS = ("batch_size=7", "epochs=3", "validations=3", "ema=0.9", "hard_share=0.4", "precision=float32")
 TOLERANCE = 1e-9

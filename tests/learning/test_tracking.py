@@ -14,12 +14,12 @@ import pytest
 from walking_square import record_walks
 
 from dmotion_bench.errors import PackageNotInstalled, RunError
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.metrics_log import read_rows
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.tracking import require_trackers
-from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.hardware.devices import launch
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.metrics_log import read_rows
+from dmotion_bench.learning.training.tracking import require_trackers
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -62,7 +62,7 @@ def _curves(run: Run) -> dict[str, list[tuple[int, float]]]:
 def test_tensorboard_reads_the_curves_of_a_run_that_was_killed_and_went_on(data, tmp_path, monkeypatch) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 1000.0)
+    monkeypatch.setattr("dmotion_bench.learning.training.loop.CHECKPOINT_SECONDS", 1000.0)
     with pytest.raises(Stopped):
         _train(data, tmp_path / "run", ("tensorboard",), stop_at=5)
     run = _train(data, tmp_path / "run", ("tensorboard",))

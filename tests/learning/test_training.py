@@ -25,14 +25,14 @@ from dmotion_bench.errors import (
     RunMismatch,
     RunMissing,
 )
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.beginning import finished_result
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.figures import StepFigures
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.shared_pretraining import take_over
-from dmotion_bench.learning.start import TrainingRequest, default_path, open_run, resolve, training_data
-from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.hardware.devices import launch
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
+from dmotion_bench.learning.training.beginning import finished_result
+from dmotion_bench.learning.training.figures import StepFigures
+from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.workspace import Workspace
@@ -118,7 +118,7 @@ def test_a_run_that_was_named_by_such_a_setting_is_found_again(recorded, tmp_pat
 
 @pytest.mark.slow
 def test_a_killed_run_ends_with_the_same_bits(recorded, trained, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr("dmotion_bench.learning.training.loop.CHECKPOINT_SECONDS", 0.0)
     for stop_at in (2, 5, 6):
         with pytest.raises(Stopped):
             _train(_run(recorded, tmp_path / "run"), recorded, stop_at)
@@ -188,8 +188,8 @@ def _patient(
             raise Stopped
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dmotion_bench.learning.training.CHECKPOINT_SECONDS", 0.0)
-        patch.setattr("dmotion_bench.learning.training.validation_losses", lambda *_: {"loss": losses[reached]})
+        patch.setattr("dmotion_bench.learning.training.loop.CHECKPOINT_SECONDS", 0.0)
+        patch.setattr("dmotion_bench.learning.training.loop.validation_losses", lambda *_: {"loss": losses[reached]})
         train(run, training_data(run, Dataset.open(data)), launch("cpu"), on_step)
     return Run.open(folder)
 
@@ -244,7 +244,7 @@ def test_a_phase_goes_on_from_the_best_weights_of_the_one_before(recorded, tmp_p
 
 
 def test_no_row_of_the_log_is_of_two_phases(recorded, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("dmotion_bench.learning.training.LOG_ROWS", 3)
+    monkeypatch.setattr("dmotion_bench.learning.training.loop.LOG_ROWS", 3)
     run = open_run(
         TrainingRequest(model="wm-ae", labels="100%", settings=("batch_size=16", "epochs=3", "validations=1", *NARROW)),
         Dataset.open(recorded),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dmotion_bench.learning.triplets import BatchOrder, TripletSet, drawn_by_loss
+from dmotion_bench.learning.data.triplets import BatchOrder, TripletSet, drawn_by_loss
 
 
 def test_a_triplet_is_three_frames_of_one_episode(dataset) -> None:

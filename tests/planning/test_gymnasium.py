@@ -10,8 +10,8 @@ import strange_worlds
 from known_model import result_of
 
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.start import TrainingRequest, open_run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run
 from dmotion_bench.planning.choices import default_objective, make_objective
 from dmotion_bench.planning.tasks import (
     Judge,

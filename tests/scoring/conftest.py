@@ -15,7 +15,7 @@ from torch import Tensor
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ModelInputs
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
@@ -85,7 +85,7 @@ def without_red(grid: Dataset) -> Oracle:
 @pytest.fixture
 def make_run(grid: Dataset, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Run]:
     """Makes finished runs of a model that predicts the current frame, brightened by ``offset``."""
-    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+    monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
 
     def make(path: Path, **changes: Any) -> Run:
         return write_run(path, grid, **changes)

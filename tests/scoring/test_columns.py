@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dmotion_bench.errors import InvalidSetting, RunMismatch, UnknownName, UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning import columns
 from dmotion_bench.planning.choices import make_objective, make_solver
 from dmotion_bench.planning.columns import COLUMNS, PROTOCOL, TEST, TaskData, tasks_hash

@@ -18,7 +18,7 @@ from known_model import Known
 from torch import Tensor
 
 from dmotion_bench.errors import DatasetError, FolderInUse, UnknownName
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress
 from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.planning.tasks import load_problems
@@ -215,7 +215,7 @@ def test_a_model_that_draws_nothing_is_controlled_by_its_features(run: Run, monk
         def frame(self, state: Any) -> Tensor:
             raise AssertionError("nobody should look")
 
-    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Blind)
+    monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Blind)
     report = score(run, "prediction", "control")
     assert "mse" not in report.figures
     assert report.figures["control_distance[3]"]["n"] == 3

@@ -19,7 +19,7 @@ from planning.worlds import PerfectGridModel
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
 from dmotion_bench.learning.model import ModelInputs
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.pairing import compare_runs
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.figures import figures_of
@@ -213,7 +213,7 @@ def test_other_settings_have_moments_of_their_own(pushed: Dataset, no_simulator:
 
 @pytest.fixture
 def run(pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
-    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+    monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
     return write_run(tmp_path / "first", pushed)
 
 

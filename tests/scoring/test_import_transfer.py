@@ -20,7 +20,7 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DatasetMissing, LabelsNotAvailable, RunMismatch, UsageError
 from dmotion_bench.learning.action_encoding import ActionEncoding
 from dmotion_bench.learning.model import ModelInputs
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring import transfer
 from dmotion_bench.scoring.report import Report, read_report_samples
 from dmotion_bench.scoring.score import score_model, score_run
@@ -51,7 +51,7 @@ class ByAction(Known):
 @pytest.fixture
 def run(make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     made = make_run(tmp_path / "run")
-    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: ByAction)
+    monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: ByAction)
     return made
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from dmotion_bench.learning.model import TrainingConfig
-from dmotion_bench.learning.run import RunSpec
+from dmotion_bench.learning.runs.run import RunSpec
 from dmotion_bench.learning.settings import to_json
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.label_use import label_use

@@ -9,10 +9,10 @@ import pytest
 import torch
 from older_network import OlderNetwork
 
-from dmotion_bench.learning.devices import launch
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training import train
+from dmotion_bench.learning.hardware.devices import launch
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training.loop import train
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.samples import read_samples

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 

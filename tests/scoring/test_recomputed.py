@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.statistics import FEWEST_EPISODES

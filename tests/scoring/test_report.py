@@ -20,7 +20,7 @@ from killed_writes import Killed, each_kill, killed_at
 from dmotion_bench.actions import Continuous
 from dmotion_bench.cli.report_table import show_overview, show_report
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing, StorageFull
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.pairing import compare_runs
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.references import PublishedFigure, PublishedResult, published_for

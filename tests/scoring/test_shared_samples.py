@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import GAIN, SampleRows
 from dmotion_bench.scoring.score import score_run

@@ -14,7 +14,7 @@ from mortal_workers import Losing
 
 from dmotion_bench.execution.job_progress import read_progress
 from dmotion_bench.execution.local_executor import local_executor
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring import side_by_side
 from dmotion_bench.scoring.control import ControlScoring, shares_of
@@ -45,7 +45,7 @@ def tasks(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 @pytest.fixture
 def job(tasks: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MakeJob:
     """Makes the job of a run that does not exist yet."""
-    monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Known)
+    monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
 
     def make(name: str, **changes: Any) -> ScoreJob:
         path = write_run(tmp_path / name, tasks).path if not (tmp_path / name).exists() else tmp_path / name

@@ -17,9 +17,9 @@ from mortal_workers import Deadly, called_apart, engine
 
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import local_executor
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.start import TrainingRequest, open_run
-from dmotion_bench.learning.threads import using_threads
+from dmotion_bench.learning.hardware.threads import using_threads
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring, shares_of
 from dmotion_bench.scoring.report import read_report

@@ -13,8 +13,8 @@ from known_model import Known
 from torch import Tensor
 
 from dmotion_bench.errors import UsageError
-from dmotion_bench.learning.run import Conditions, Run
-from dmotion_bench.learning.threads import scoring_shortage
+from dmotion_bench.learning.hardware.threads import scoring_shortage
+from dmotion_bench.learning.runs.run import Conditions, Run
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
@@ -40,7 +40,7 @@ def trained(make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         run = make_run(tmp_path / f"run-{threads}")
         run.begin(Conditions(threads=threads, precision="float32"))
         run.finish({**(run.result or {}), "threads": threads, "precision": "float32"})
-        monkeypatch.setattr("dmotion_bench.learning.run_manifest.model_class", lambda name: Counting)
+        monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Counting)
         SEEN.clear()
         return run
 

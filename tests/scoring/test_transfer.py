@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dmotion_bench.errors import RunMismatch
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.pairing import compare_runs, scored_on
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.report import read_report, read_report_samples

@@ -23,7 +23,7 @@ from dmotion_bench.errors import (
     UnknownName,
     UsageError,
 )
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing import run_share
 from dmotion_bench.sharing.place import FolderPlace, plain_name
 from dmotion_bench.sharing.run_share import RunShare

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 

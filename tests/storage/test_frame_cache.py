@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from noise_world import write_noise
 
 from dmotion_bench.errors import CacheNotWritable, DatasetCorrupt, StorageFull
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.recording.restore import repair_dataset
 from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.storage.check import check_dataset

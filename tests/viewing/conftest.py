@@ -12,9 +12,9 @@ import torch
 from known_model import result_of
 from pushed_squares import MOVED, write_squares
 
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing import viewer

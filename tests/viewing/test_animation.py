@@ -17,7 +17,7 @@ from PIL import Image, ImageSequence
 from pushed_squares import SPEC
 
 from dmotion_bench.errors import ViewerError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.animation import FRAME_MS, LAST_MS, animate, write_animation

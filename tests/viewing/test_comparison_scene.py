@@ -13,7 +13,7 @@ from rrd_contents import curve, layout_of, static, tabs_of, values
 
 from dmotion_bench.api.viewing import beside
 from dmotion_bench.errors import UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.comparison import comparable, comparison_scene, contrasting_episodes
 from dmotion_bench.viewing.imagination import imagine

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from rrd_contents import curve, layout_of
 
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.comparison import comparison_scene
 from dmotion_bench.viewing.dataset import dataset_scene

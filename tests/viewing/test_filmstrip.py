@@ -14,7 +14,7 @@ from pushed_squares import SPEC
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import NO_ACTION
 from dmotion_bench.planning.dynamics.base import Observation
 from dmotion_bench.storage.dataset import Dataset

@@ -13,7 +13,7 @@ import rerun as rr
 from pushed_squares import SPEC, squares_episode
 from rrd_contents import curve, static, values
 
-from dmotion_bench.learning.samples import write_sample
+from dmotion_bench.learning.training.samples import write_sample
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter

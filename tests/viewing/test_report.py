@@ -11,7 +11,7 @@ from made_up_report import write_made_up
 from rrd_contents import static, tabs_of
 
 from dmotion_bench.api.viewing import scene_of_targets
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.report import REPORT_FOLDER
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.report import report_tab, telling_episodes

@@ -18,7 +18,7 @@ from dmotion_bench.api.viewing import scene_of
 from dmotion_bench.errors import RunMissing
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, Losses, TripletBatch
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset

@@ -13,7 +13,7 @@ from PIL import Image
 from rrd_contents import layout_of
 
 from dmotion_bench.errors import ViewerError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.comparison import comparison_scene
 from dmotion_bench.viewing.dataset import dataset_scene

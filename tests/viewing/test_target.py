@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from dmotion_bench.errors import RunMissing, UnknownName, UsageError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.episodes import choose_episodes
 from dmotion_bench.viewing.target import Target, find_target

@@ -14,7 +14,7 @@ from rrd_contents import curve, lane, layout_of, read, static, tabs_of, values
 
 from dmotion_bench.errors import LabelsNotAvailable
 from dmotion_bench.learning.images import to_model, to_pixels
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.specs import DatasetRecipe, Episode, EpisodeLabels, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.precision import has_bf16
 from dmotion_bench.planning.contract import predicting
 from dmotion_bench.planning.dynamics.base import Actions, Observation, State
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import DmbenchError
-from dmotion_bench.learning.triplets import TripletSet
+from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.storage.dataset import Dataset
 from tests.fuzz.case import Answers, Case, Checksums, Fault, Probe
 from tests.fuzz.command import dmbench

@@ -8,7 +8,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from dmotion_bench.learning import checkpoint
+from dmotion_bench.learning.runs import checkpoint
 from tests.fuzz.targets.dataset import fingerprint_of
 from tests.fuzz.targets.dataset import forge as forge_dataset
 

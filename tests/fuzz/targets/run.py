@@ -16,8 +16,8 @@ import pyarrow as pa
 import torch
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.report import read_report, read_report_samples
 from dmotion_bench.viewing.curves import read_curves
 from dmotion_bench.viewing.report import report_tab, telling_episodes
@@ -257,7 +257,7 @@ class _interrupted:  # noqa: N801 (a context)
         self.steps = steps
 
     def __enter__(self) -> None:
-        from dmotion_bench.learning import training
+        from dmotion_bench.learning.training import loop as training
 
         self.before, count = training.Report, [0]
 
@@ -270,7 +270,7 @@ class _interrupted:  # noqa: N801 (a context)
         training.Report = report  # type: ignore[misc, assignment]
 
     def __exit__(self, *_: object) -> None:
-        from dmotion_bench.learning import training
+        from dmotion_bench.learning.training import loop as training
 
         training.Report = self.before  # type: ignore[misc]
 

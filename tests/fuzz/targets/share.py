@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from dmotion_bench.errors import DmbenchError
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
 from tests.fuzz.case import Answers, Case, Checksums, Fault, Probe

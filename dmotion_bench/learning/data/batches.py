@@ -19,10 +19,10 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.learning.action_encoding import as_tensor
+from dmotion_bench.learning.data.triplets import BatchOrder, TripletSet
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import TripletBatch
-from dmotion_bench.learning.triplets import BatchOrder, TripletSet
 from dmotion_bench.storage.readable import Frames
 
 RESIDENT = 2 << 30  # bytes of frames that may lie on the device: half of what a training beside others has there

@@ -17,7 +17,7 @@ from functools import cached_property
 from types import CellType, CodeType, FunctionType
 from typing import Any
 
-from dmotion_bench.learning.syntax_hash import hash_of
+from dmotion_bench.learning.runs.syntax_hash import hash_of
 
 
 def hash_of_classes(kinds: Sequence[type]) -> str:

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.errors import DmbenchError
-from dmotion_bench.learning.defined_class import hash_of_classes
-from dmotion_bench.learning.syntax_hash import hash_of
+from dmotion_bench.learning.runs.defined_class import hash_of_classes
+from dmotion_bench.learning.runs.syntax_hash import hash_of
 from dmotion_bench.registry import model_class
 
 MOST_MODULES: Final = 200

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dmotion_bench.learning.figures import StepFigures
+from dmotion_bench.learning.hardware.precision import Precision, autocast
 from dmotion_bench.learning.model import ForwardModel, Losses, TripletBatch
-from dmotion_bench.learning.precision import Precision, autocast
-from dmotion_bench.learning.randomness import seeded
+from dmotion_bench.learning.training.figures import StepFigures
+from dmotion_bench.learning.training.randomness import seeded
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from dmotion_bench.learning.action_encoding import as_tensor
+from dmotion_bench.learning.data.labels import DemonstrationFrames
 from dmotion_bench.learning.demonstrations import READ_AT_ONCE, Demonstrations
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.learning.labels import DemonstrationFrames
 
 
 class StoredDemonstrations(Demonstrations):

@@ -20,12 +20,12 @@ from torch.overrides import TorchFunctionMode
 
 from dmotion_bench.actions import MOST_ACTIONS, ActionSpec, Discrete, actions_from_json, actions_to_json
 from dmotion_bench.errors import DmbenchError, InvalidSetting
-from dmotion_bench.learning.checkpoint import Form, forms_of
-from dmotion_bench.learning.labels import LabelRequest
+from dmotion_bench.learning.data.labels import LabelRequest
+from dmotion_bench.learning.data.triplets import SplitProtocol
+from dmotion_bench.learning.hardware.precision import Precision
 from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig
-from dmotion_bench.learning.precision import Precision
+from dmotion_bench.learning.runs.checkpoint import Form, forms_of
 from dmotion_bench.learning.settings import from_json, to_json
-from dmotion_bench.learning.triplets import SplitProtocol
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.json_fields import Fields

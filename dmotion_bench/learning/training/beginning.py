@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from dmotion_bench.errors import RunCorrupt, RunMissing
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.shared_pretraining import take_over
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.storage.lock import held
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST

@@ -29,13 +29,13 @@ from torch import Tensor
 from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunError, RunMismatch, RunMissing
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.labels import first_budget
+from dmotion_bench.learning.data.labels import first_budget
+from dmotion_bench.learning.hardware.precision import AUTO
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.precision import AUTO
-from dmotion_bench.learning.run_manifest import ACTION_NAMES, RUN_FORMAT, Conditions, RunSpec, read_manifest
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.manifest import ACTION_NAMES, RUN_FORMAT, Conditions, RunSpec, read_manifest
+from dmotion_bench.learning.runs.source import changed_modules, code_of
 from dmotion_bench.learning.settings import from_json
-from dmotion_bench.learning.source import changed_modules, code_of
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.remote_copy import copy_folder
 from dmotion_bench.wording import command, shown

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from dmotion_bench.errors import PackageNotInstalled, RunError
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.settings import to_json
 
 _MODE: Final = "WANDB_MODE"

@@ -10,20 +10,20 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from dmotion_bench.learning.batches import (
+from dmotion_bench.learning.data.batches import (
     Batches,
     DemonstrationBatches,
     FramesOnDevice,
     LabelsBeside,
     TripletBatches,
 )
+from dmotion_bench.learning.data.labels import LabelBudget
+from dmotion_bench.learning.data.stored_demonstrations import shown_to_models
+from dmotion_bench.learning.data.streamed import StreamedBatches, StreamedTriplets
+from dmotion_bench.learning.data.streamed_order import StreamedOrder
+from dmotion_bench.learning.data.triplets import BatchOrder, TripletSet, steps_of
 from dmotion_bench.learning.demonstrations import Demonstrations
-from dmotion_bench.learning.labels import LabelBudget
 from dmotion_bench.learning.model import Phase, TrainingConfig
-from dmotion_bench.learning.stored_demonstrations import shown_to_models
-from dmotion_bench.learning.streamed import StreamedBatches, StreamedTriplets
-from dmotion_bench.learning.streamed_order import StreamedOrder
-from dmotion_bench.learning.triplets import BatchOrder, TripletSet, steps_of
 from dmotion_bench.specs import Supervision
 
 VALIDATION_TRIPLETS = 1024

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from dmotion_bench.learning.triplets import drawn_by_loss, steps_of
+from dmotion_bench.learning.data.triplets import drawn_by_loss, steps_of
 
 LANES: Final = 8
 _EPOCHS, _WINDOWS = 2, 3 * LANES  # that are kept: lanes begin their epochs at nearly the same step

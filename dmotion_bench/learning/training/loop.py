@@ -25,25 +25,25 @@ from jaxtyping import Float, Int
 
 from dmotion_bench.errors import ModelContractBroken, RunError, UsageError
 from dmotion_bench.interrupts import stop_between_steps
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.adaptation import finetune
-from dmotion_bench.learning.companions import Companions
-from dmotion_bench.learning.conditions import choose_conditions
-from dmotion_bench.learning.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
-from dmotion_bench.learning.fabric_setup import set_up
-from dmotion_bench.learning.metrics_log import MetricsLog
+from dmotion_bench.learning.data.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
+from dmotion_bench.learning.hardware.fabric_setup import set_up
+from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.model import PER_TRIPLET, TrainingConfig
-from dmotion_bench.learning.optimization import AveragedWeights, learning_rate, make_optimizer, set_learning_rate
-from dmotion_bench.learning.resuming import BestFacts, Checkpoints
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.run_manifest import Conditions, RunResult
-from dmotion_bench.learning.samples import FOLDER as SAMPLES
-from dmotion_bench.learning.samples import write_sample
-from dmotion_bench.learning.step import Stepper
-from dmotion_bench.learning.threads import using_threads
-from dmotion_bench.learning.tracking import tracked
-from dmotion_bench.learning.training_state import TrainingState
-from dmotion_bench.learning.validation import validation_losses, validation_picture
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.manifest import Conditions, RunResult
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.training.adaptation import finetune
+from dmotion_bench.learning.training.companions import Companions
+from dmotion_bench.learning.training.conditions import choose_conditions
+from dmotion_bench.learning.training.metrics_log import MetricsLog
+from dmotion_bench.learning.training.optimizer import AveragedWeights, learning_rate, make_optimizer, set_learning_rate
+from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints
+from dmotion_bench.learning.training.samples import FOLDER as SAMPLES
+from dmotion_bench.learning.training.samples import write_sample
+from dmotion_bench.learning.training.state import TrainingState
+from dmotion_bench.learning.training.step import Stepper
+from dmotion_bench.learning.training.tracking import tracked
+from dmotion_bench.learning.training.validation import validation_losses, validation_picture
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.lock import held

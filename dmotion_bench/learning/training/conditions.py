@@ -14,13 +14,13 @@ from collections.abc import Callable, Sequence
 
 import torch
 
-from dmotion_bench.learning.curriculum import Part
-from dmotion_bench.learning.optimization import learning_rate, make_optimizer, set_learning_rate
-from dmotion_bench.learning.precision import PRECISIONS, Precision, settled
-from dmotion_bench.learning.run_manifest import Conditions, RunSpec
-from dmotion_bench.learning.step import Stepper
-from dmotion_bench.learning.threads import has_choice_of_threads, using_threads
-from dmotion_bench.learning.timing import clearly_faster, timed_in_turn
+from dmotion_bench.learning.data.curriculum import Part
+from dmotion_bench.learning.hardware.precision import PRECISIONS, Precision, settled
+from dmotion_bench.learning.hardware.threads import has_choice_of_threads, using_threads
+from dmotion_bench.learning.hardware.timing import clearly_faster, timed_in_turn
+from dmotion_bench.learning.runs.manifest import Conditions, RunSpec
+from dmotion_bench.learning.training.optimizer import learning_rate, make_optimizer, set_learning_rate
+from dmotion_bench.learning.training.step import Stepper
 
 _log = logging.getLogger(__name__)
 

@@ -32,12 +32,12 @@ from dmotion_bench.errors import (
 )
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
-from dmotion_bench.learning.beginning import finished_result
-from dmotion_bench.learning.devices import launch
+from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.run import Run
-from dmotion_bench.learning.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training import Report, train
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
+from dmotion_bench.learning.training.beginning import finished_result
+from dmotion_bench.learning.training.loop import Report, train
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset

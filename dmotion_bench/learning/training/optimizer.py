@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping
 import torch
 from torch import Tensor, nn
 
+from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.learning.model import TrainingConfig
-from dmotion_bench.learning.muon import Muon
-from dmotion_bench.learning.precision import has_bf16
+from dmotion_bench.learning.training.muon import Muon
 
 WARM_UP = 0.1  # share of a one-cycle schedule in which the rate rises
 

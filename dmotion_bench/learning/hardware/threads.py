@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import torch
 
 from dmotion_bench.errors import UsageError
-from dmotion_bench.learning.precision import FEWEST_STEPS
+from dmotion_bench.learning.hardware.precision import FEWEST_STEPS
 
 
 @contextlib.contextmanager

@@ -19,11 +19,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.data.labels import HELD_BACK
+from dmotion_bench.learning.data.triplets import BatchOrder
 from dmotion_bench.learning.demonstrations import Demonstrations
-from dmotion_bench.learning.labels import HELD_BACK
+from dmotion_bench.learning.hardware.precision import Precision, autocast
 from dmotion_bench.learning.model import ForwardModel, TrainingConfig
-from dmotion_bench.learning.precision import Precision, autocast
-from dmotion_bench.learning.triplets import BatchOrder
 
 CHECKS: Final = 10
 """How often the transitions that are left out are predicted."""

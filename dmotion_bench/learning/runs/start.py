@@ -10,14 +10,14 @@ from pathlib import Path
 
 from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import UnknownName, UsageError
-from dmotion_bench.learning.curriculum import TrainingData, held_for_validation
-from dmotion_bench.learning.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.curriculum import TrainingData, held_for_validation
+from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.streamed import LOADERS, WINDOW, StreamedTriplets
+from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.learning.model import TrainingConfig
-from dmotion_bench.learning.run import Run, RunSpec
-from dmotion_bench.learning.run_manifest import stored_actions
+from dmotion_bench.learning.runs.manifest import stored_actions
+from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.learning.settings import to_json, with_settings
-from dmotion_bench.learning.streamed import LOADERS, WINDOW, StreamedTriplets
-from dmotion_bench.learning.triplets import SplitProtocol, TripletSet
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import IMPORTED, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset

@@ -24,8 +24,8 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete, require_discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
-from dmotion_bench.learning.streamed import StreamedTriplets
-from dmotion_bench.learning.triplets import Triplets, TripletSet
+from dmotion_bench.learning.data.streamed import StreamedTriplets
+from dmotion_bench.learning.data.triplets import Triplets, TripletSet
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.readable import ReadableDataset
 

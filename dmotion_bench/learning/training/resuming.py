@@ -15,12 +15,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.checkpoint import Form, Forms, damaged
 from dmotion_bench.learning.model import ForwardModel, TrainingConfig
-from dmotion_bench.learning.optimization import AveragedWeights, make_optimizer
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.checkpoint import Form, Forms, damaged
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.settings import from_json
+from dmotion_bench.learning.training.optimizer import AveragedWeights, make_optimizer
 
 
 @dataclass(frozen=True, kw_only=True)

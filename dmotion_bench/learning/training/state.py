@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from dmotion_bench.learning.curriculum import Part
-from dmotion_bench.learning.resuming import LastFacts
+from dmotion_bench.learning.data.curriculum import Part
+from dmotion_bench.learning.training.resuming import LastFacts
 
 
 @dataclass

@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from jaxtyping import Int, UInt8
 
-from dmotion_bench.learning.companions import Companions
-from dmotion_bench.learning.curriculum import Part
+from dmotion_bench.learning.data.curriculum import Part
 from dmotion_bench.learning.demonstrations import Demonstrations
+from dmotion_bench.learning.hardware.precision import Precision, autocast
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.precision import Precision, autocast
-from dmotion_bench.learning.randomness import seeded
-from dmotion_bench.learning.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets
+from dmotion_bench.learning.training.companions import Companions
+from dmotion_bench.learning.training.randomness import seeded
+from dmotion_bench.learning.training.samples import COLUMNS, sample_of_demonstrations, sample_of_triplets
 
 
 def validation_losses(

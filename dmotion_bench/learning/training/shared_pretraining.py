@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.errors import InvalidSetting, RunError
-from dmotion_bench.learning import checkpoint
-from dmotion_bench.learning.run import Run
+from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import write_atomically

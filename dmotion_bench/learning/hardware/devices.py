@@ -12,7 +12,7 @@ import torch
 
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.processes import place
-from dmotion_bench.learning.memory import keep_freed_memory
+from dmotion_bench.learning.hardware.memory import keep_freed_memory
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric

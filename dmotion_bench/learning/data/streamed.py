@@ -20,11 +20,11 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.learning.action_encoding import as_tensor
-from dmotion_bench.learning.batches import uploaded
+from dmotion_bench.learning.data.batches import uploaded
+from dmotion_bench.learning.data.streamed_order import StreamedOrder, Window
+from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import TripletBatch
-from dmotion_bench.learning.streamed_order import StreamedOrder, Window
-from dmotion_bench.learning.triplets import TripletSet
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache

@@ -56,6 +56,12 @@ _REGISTERING: Final = {
 }
 """The functions that make a class known in one process."""
 
+
+_ENVIRONMENT_MEMBERS: Final = (
+    *("recording", "policies", "default_policy"),
+    *("reset", "step", "legal_actions", "render", "close"),
+)
+
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 _ADDED: Final[dict[tuple[str, str], object]] = {}
@@ -141,9 +147,23 @@ def register_environment(name: str, kind: type[Environment]) -> None:
         >>> "my-world" in dm.environment_names()
         True
     """
-    if not (isinstance(kind, type) and hasattr(kind, "default_policy") and hasattr(kind, "step")):
+    if not isinstance(kind, type):
         raise UsageError(f"{shown(kind)} is no class of environments; see dmotion_bench.environment.Environment.")
+    _require_whole(name, kind)
     add(ENVIRONMENTS, name, kind)
+
+
+def _require_whole(name: str, kind: type) -> None:
+    """See that a class has what every environment has; ``facts`` may be made by its constructor.
+
+    Raises:
+        UsageError: It has not.
+    """
+    if missing := [member for member in _ENVIRONMENT_MEMBERS if not hasattr(kind, member)]:
+        raise UsageError(
+            f"the class {kind.__name__!r} of the environment {shown(name)} has no {', '.join(map(repr, missing))}; "
+            "see dmotion_bench.environment.Environment."
+        )
 
 
 def register_solver(name: str, kind: type[Solver]) -> None:
@@ -287,6 +307,11 @@ def environment_class(name: str) -> type[Environment]:
     Raises:
         UnknownName: Nothing is registered under this name.
     """
+    if not isinstance(name, str):
+        raise UsageError(
+            f"{shown(name)} is not the name of an environment; give its name or 'gym:ID', and make a class of your own "
+            "known by register_environment."
+        )
     family, colon, member = name.partition(":")
     if colon:
         return environment_family(family).member(member)
@@ -295,6 +320,7 @@ def environment_class(name: str) -> type[Environment]:
         if difflib.get_close_matches(name, members, n=1):  # 'gym:' was left out
             raise UnknownName("environment", name, [*environment_names(), *members], LISTED[ENVIRONMENTS])
     loaded: type[Environment] = _load(ENVIRONMENTS, "environment", name)
+    _require_whole(name, loaded)
     return loaded
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from dmotion_bench.environment import Action, Environment, Policy
 from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed, UnknownName
+from dmotion_bench.recording.failures import said
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.wording import shown
 
@@ -30,21 +31,23 @@ def find_policy(kind: type[Environment], recipe: DatasetRecipe) -> Callable[[], 
         InvalidSetting: The name is of a module or function that is not there.
     """
     if recipe.policy in kind.policies:
-        return kind.policies[recipe.policy]
-    if OWN in recipe.policy:
-        return _own_policy(recipe.policy)
-    raise UnknownName(f"policy of {recipe.environment}", recipe.policy, kind.policies)
+        make = kind.policies[recipe.policy]
+    elif OWN in recipe.policy:
+        make = _own_policy(recipe.policy)
+    else:
+        raise UnknownName(f"policy of {recipe.environment}", recipe.policy, kind.policies)
+    return lambda: _checked(recipe.policy, make())
 
 
-def _own_policy(name: str) -> Callable[[], Policy]:
+def _own_policy(name: str) -> Callable[[], Any]:
     """A function ``(environment, generator) -> action``, or a class whose objects are called so, one an episode."""
     module, _, attribute = name.partition(OWN)
     try:
         found: Any = importlib.import_module(module)
     except Exception as error:  # somebody else's module may raise anything
         raise InvalidSetting(
-            f"the policy {shown(name)} cannot be imported ({type(error).__name__}: {error}); write it as "
-            "MODULE:FUNCTION, with a module that 'python -c \"import MODULE\"' finds."
+            f"the policy {shown(name)} cannot be imported ({said(error)}); write it as MODULE:FUNCTION, with a "
+            "module that is installed or in a folder that PYTHONPATH names: 'PYTHONPATH=. dmbench record ...'."
         ) from error
     policy = getattr(found, attribute, None)
     if not callable(policy):
@@ -53,7 +56,7 @@ def _own_policy(name: str) -> Callable[[], Policy]:
             "FUNCTION(environment, generator) and returns an action."
         )
     make: Callable[[], Any] = policy if inspect.isclass(policy) else lambda: policy
-    return lambda: _checked(name, make())
+    return make
 
 
 def _checked(name: str, policy: Any) -> Policy:
@@ -63,11 +66,11 @@ def _checked(name: str, policy: Any) -> Policy:
         try:
             action: Action = policy(env, generator)
             fault = None if env.facts.actions is None else env.facts.actions.fault(np.asarray([action]), "in step")
-        except DmbenchError:
+        except (DmbenchError, MemoryError):
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise RecordingFailed(
-                f"the policy {shown(name)} raised {type(error).__name__}: {error}; it is called with the environment "
+                f"the policy {shown(name)} raised {said(error)}; it is called with the environment "
                 "and a numpy.random.Generator."
             ) from error
         if fault:

@@ -13,6 +13,7 @@ from dmotion_bench.recording.session import SHARD_EPISODES
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import VERSION, DatasetRecipe, Preset, Scalar
 from dmotion_bench.values import parse_value
+from dmotion_bench.wording import shown
 
 RANGES: Final = "ranges"  # the parameter of an environment that says what varying factors are drawn from
 USUAL_RANGES: Final = "in-distribution"
@@ -55,6 +56,10 @@ def recipe_for(
         InvalidSetting: A parameter cannot have this value.
     """
     kind = environment_class(environment)
+    if not (policy is None or isinstance(policy, str)):
+        raise InvalidSetting(
+            f"policy is {shown(policy)}; name it as 'MODULE:FUNCTION', so that others can record again."
+        )
     if preset not in kind.recording:
         raise UnknownName(f"preset of {environment}", preset.value, [known.value for known in kind.recording])
     usual = kind.recording[preset]

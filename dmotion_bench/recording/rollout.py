@@ -7,6 +7,9 @@ from a stream of the same seed. Environments that are ``EpisodeGenerator`` make 
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
+from copy import copy
+from functools import partial
+from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
@@ -20,9 +23,11 @@ from dmotion_bench.environment import (
     ObjectEnvironment,
     Policy,
 )
-from dmotion_bench.errors import InvalidSetting, RecordingFailed
+from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed
+from dmotion_bench.recording.failures import guarded, said
 from dmotion_bench.recording.policies import find_policy
 from dmotion_bench.specs import (
+    MASK_FIRST_OBJECT,
     DatasetRecipe,
     EnvSpec,
     Episode,
@@ -34,6 +39,11 @@ from dmotion_bench.specs import (
 )
 
 _POLICY_STREAM: Final = 0x70F1  # sets the policy's random numbers apart from the environment's
+_TELLING: Final = "what it tells of its state"
+_STATE_WIDTHS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
+    {"position": (3,), "orientation": (4,), "pixel": (2,), "visible": ()}
+)
+"""The axes of an ``ObjectStates`` behind that of the things."""
 
 
 def policy_generator(seed: int) -> np.random.Generator:
@@ -45,12 +55,17 @@ def make_environment(kind: type[Environment], recipe: DatasetRecipe) -> Environm
     """An environment with the recipe's parameters.
 
     Raises:
-        InvalidSetting: The class does not take them.
+        InvalidSetting: The class does not take them, or has no facts.
     """
     try:
-        return kind(**recipe.parameters)
-    except TypeError as error:
-        raise InvalidSetting(f"{recipe.environment!r} cannot be made: {error}.") from None
+        env = kind(**recipe.parameters)
+    except (DmbenchError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:  # somebody else's constructor may raise anything
+        raise InvalidSetting(f"{recipe.environment!r} cannot be made: {said(error)}.") from error
+    if not isinstance(getattr(env, "facts", None), EnvSpec):
+        raise InvalidSetting(f"{recipe.environment!r} has no 'facts'; set them to a dmotion_bench.specs.EnvSpec.")
+    return env
 
 
 def record_episodes(
@@ -75,19 +90,29 @@ def record_episodes(
 def record_episode(env: Environment, policy: Policy, seed: int, frames: int, vary: Sequence[str] = ()) -> Episode:
     """One episode of at most so many frames, by stepping."""
     generator = policy_generator(seed)
-    frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
+    actions: list[Action] = []
+    guard = partial(
+        guarded,
+        f"the environment {env.facts.id!r}",
+        when=lambda: f"at step {len(actions)} of the episode with seed {seed}",
+    )
+    with guard("'reset'"):
+        frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
     _require_picture(env.facts, frame)
     factors = {name: _plain(value) for name, value in info.get("factors", {}).items()}
-    images, witness = _Film(frame), _Witness(env)
-    actions: list[Action] = []
+    with guard(_TELLING):
+        images, witness = _Film(frame), _Witness(env)
     ended: Literal["truncated", "terminated"] = "truncated"
     while len(actions) < frames - 1:
         action = policy(env, generator)
-        frame, _, terminated, truncated, _ = env.step(action)
+        taken = copy(action)  # a policy may return the same array again, and a step may write into it
+        with guard("'step'"):
+            frame, _, terminated, truncated, _ = env.step(action)
         _require_picture(env.facts, frame)
-        actions.append(action)
+        actions.append(taken)
         images.append(frame)
-        witness.look()
+        with guard(_TELLING):
+            witness.look()
         if terminated:
             ended = "terminated"
         if terminated or truncated:
@@ -116,29 +141,40 @@ class _Witness:
     """Collects what an environment tells beside its frames: nothing, positions, or positions and masks."""
 
     def __init__(self, env: Environment) -> None:
+        self._facts = env.facts
         self._located = env if isinstance(env, ObjectEnvironment) else None
         self._masked = env if isinstance(env, MaskedEnvironment) else None
         self._threshold = env.facts.push_threshold
         self._agents, self._objects = list[ObjectStates](), list[ObjectStates]()
-        self._masks = _Film(self._masked.masks()) if self._masked else None
         self._note_states()
+        self._masks = _Film(self._mask(self._masked)) if self._masked else None
 
     def look(self) -> None:
         """Ask about the present state."""
         self._note_states()
         if self._masked is not None and self._masks is not None:
-            self._masks.append(self._masked.masks())
+            self._masks.append(self._mask(self._masked))
 
     def _note_states(self) -> None:
         if self._located is not None:
-            self._agents.append(self._located.agent())
-            self._objects.append(self._located.objects())
-            told, known = len(self._objects[-1].position), len(self._located.facts.objects)
-            if told != known:
-                name = self._located.facts.id
-                raise RecordingFailed(
-                    f"the environment {name!r} tells where {told} objects are; its facts name {known}."
-                )
+            self._agents.append(_told(self._facts, "agents", self._located.agent(), len(self._facts.agents)))
+            self._objects.append(_told(self._facts, "objects", self._located.objects(), len(self._facts.objects)))
+
+    def _mask(self, env: MaskedEnvironment) -> UInt8[np.ndarray, "h w"]:
+        """The present masks, which hold no other values than the facts have meanings for."""
+        mask, facts = np.asarray(env.masks()), self._facts
+        if mask.dtype.kind not in "bui" or mask.shape != (facts.height, facts.width):
+            raise RecordingFailed(
+                f"the environment {facts.id!r} tells masks that are {mask.dtype} of {mask.shape}; by its facts they "
+                f"are a uint8 array of {(facts.height, facts.width)}."
+            )
+        most = max(MASK_FIRST_OBJECT + len(facts.objects) - 1, *facts.agent_masks)
+        if mask.size and not 0 <= mask.min() <= mask.max() <= most:
+            raise RecordingFailed(
+                f"the environment {facts.id!r} tells masks with values from {mask.min()} to {mask.max()}; by its facts "
+                f"they are 0 to {most}: background, agent, then its objects."
+            )
+        return mask.astype(np.uint8)
 
     def labels(
         self,
@@ -158,6 +194,32 @@ class _Witness:
             masks=np.zeros(shape, np.uint8) if self._masks is None else self._masks.developed(),
             factors=factors,
         )
+
+
+def _told(facts: EnvSpec, what: str, states: object, count: int) -> ObjectStates:
+    """A copy of the states of one moment: an environment may write the next ones into the same arrays.
+
+    Raises:
+        RecordingFailed: They are not those of so many things.
+    """
+    if not isinstance(states, ObjectStates):
+        raise RecordingFailed(
+            f"the environment {facts.id!r} tells a {type(states).__name__} as the states of its {what}; it is to be a "
+            "dmotion_bench.specs.ObjectStates."
+        )
+    copied = {name: np.array(getattr(states, name)) for name in _STATE_WIDTHS}
+    for name, width in _STATE_WIDTHS.items():
+        found, wanted = copied[name].shape, (count, *width)
+        if found[1:] == width and len(found) == len(wanted) and found != wanted:
+            raise RecordingFailed(
+                f"the environment {facts.id!r} tells where {found[0]} {what} are; its facts name {count}."
+            )
+        if found != wanted:
+            raise RecordingFailed(
+                f"the environment {facts.id!r} tells {name!r} of its {what} as an array of {found}; it is to be one "
+                f"of {wanted}."
+            )
+    return ObjectStates(**copied)
 
 
 def _recorded(facts: EnvSpec, actions: Sequence[Action]) -> Int[np.ndarray, " s"] | Float[np.ndarray, "s a"]:
@@ -192,8 +254,7 @@ class _Film:
 
 
 def _stacked(states: Sequence[ObjectStates]) -> ObjectStates:
-    names = ("position", "orientation", "pixel", "visible")
-    return ObjectStates(**{name: np.stack([getattr(one, name) for one in states]) for name in names})
+    return ObjectStates(**{name: np.stack([getattr(one, name) for one in states]) for name in _STATE_WIDTHS})
 
 
 def _pushed(objects: ObjectStates, threshold: float) -> Bool[np.ndarray, "t-1"]:

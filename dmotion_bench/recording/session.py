@@ -10,8 +10,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dmotion_bench.addresses import remote_address
-from dmotion_bench.environment import Packaged, Unproven
-from dmotion_bench.errors import DatasetMissing, PackageNotInstalled, RecordingFailed, UsageError
+from dmotion_bench.environment import Packaged, Unproven, Varied
+from dmotion_bench.errors import (
+    DatasetMissing,
+    InvalidSetting,
+    PackageNotInstalled,
+    RecordingFailed,
+    UnknownName,
+    UsageError,
+)
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.policies import find_policy
@@ -130,10 +137,20 @@ def environment_facts(recipe: DatasetRecipe) -> EnvSpec:
     env = make_environment(kind, recipe)
     try:
         if recipe.vary:
+            _require_factors(kind, recipe)
             env.reset(seed=0, options={"vary": list(recipe.vary)})
         return env.facts
     finally:
         env.close()
+
+
+def _require_factors(kind: object, recipe: DatasetRecipe) -> None:
+    """See that what is to vary can: an environment that knows no factors would take no notice."""
+    if not isinstance(kind, Varied):
+        raise InvalidSetting(f"dmbench varies nothing in {recipe.environment!r}; leave out '--vary', or use '--set'.")
+    for name in recipe.vary:
+        if name not in kind.factors:
+            raise UnknownName("factor of variation", name, kind.factors)
 
 
 def record_dataset(

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 import pytest
 
 from dmotion_bench import registry
+from dmotion_bench.errors import DmbenchError, InvalidSetting, UsageError
+from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.registry import register_environment
 from dmotion_bench.specs import DatasetRecipe
@@ -41,10 +44,31 @@ class Still(GridWorld):
         return self.render(), 0.0, False, False, {}
 
 
+class Unmade(GridWorld):
+    """Cannot be made."""
+
+    def __init__(self) -> None:
+        raise ValueError("no licence")
+
+
+class Factless(GridWorld):
+    """Says nothing of itself."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        del self.facts
+
+
+class Wrong(GridWorld):
+    """Its policy chooses what there is not."""
+
+    policies: ClassVar[Any] = {"random": lambda: lambda env, generator: 9}
+
+
 @pytest.fixture(autouse=True)
 def own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "_ADDED", {})
-    for kind in (Own, Forgetful, Sure, Still):
+    for kind in (Own, Forgetful, Sure, Still, Unmade, Factless, Wrong):
         register_environment(kind.__name__.lower(), kind)
 
 
@@ -71,3 +95,28 @@ def test_its_own_steps_are_recorded(tmp_path: Path) -> None:
     assert replay_of("still", tmp_path / "d") == Replay(episodes=(0, 2, 4), differs="")
     video = Dataset.open(tmp_path / "d").video(0)
     assert np.array_equal(video, np.broadcast_to(video[:1], video.shape))
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ("unmade", "'unmade' cannot be made: ValueError: no licence."),
+        ("factless", "'factless' has no 'facts'"),
+        ("wrong", "the policy 'random' chose action 9; there are 4"),
+        (GridWorld, "is not the name of an environment; .* register_environment"),
+    ],
+)
+def test_what_is_wrong_with_it_is_a_sentence(environment: Any, said: str, tmp_path: Path) -> None:
+    with pytest.raises(DmbenchError, match=said):
+        replay_of(environment, tmp_path / "d")
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_class_that_is_no_environment_is_told_what_it_lacks() -> None:
+    with pytest.raises(UsageError, match="has no 'recording', 'policies', 'default_policy', 'legal_actions'; see"):
+        register_environment("mine", gymnasium.Env)
+
+
+def test_a_policy_is_named_and_not_given() -> None:
+    with pytest.raises(InvalidSetting, match="name it as 'MODULE:FUNCTION'"):
+        recipe_for("own", policy=print)  # type: ignore[arg-type]

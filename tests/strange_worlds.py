@@ -171,6 +171,50 @@ class Speed(Slider):
         return super_step(self, 6 if float(action.sum()) > 0 else 5)
 
 
+class Clamped(Slider):
+    """Takes two numbers, one of which is always the same."""
+
+    def __init__(self, *, render_mode: str | None = None) -> None:
+        super().__init__(render_mode=render_mode)
+        self.action_space = Box(np.array([-1, 0], np.float32), np.array([1, 0], np.float32))
+
+
+class Leaving(Slider):
+    """Ends the whole process, as a simulator without a licence does."""
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        raise SystemExit(3)
+
+
+class Scribbling(Speed):
+    """Doubles the action where it was given; has two rewards, and a rate as a whole number of numpy."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": np.int64(50)}
+
+    def step(self, action: Any) -> Any:
+        self.last = action.copy()
+        action *= 2
+        observed, _, terminated, truncated, info = super_step(self, 6)
+        return observed, np.ones(2), terminated, truncated, info
+
+
+class Named(Slider):
+    """Its actions have names."""
+
+    def get_action_meanings(self) -> list[str]:
+        return ["LEFT", "RIGHT"]
+
+
+class Mirrored(gymnasium.ActionWrapper[Any, Any, Any]):
+    """The actions the other way round."""
+
+    def action(self, action: int) -> int:
+        return 11 - action
+
+    def get_action_meanings(self) -> list[str]:
+        return ["RIGHT", "LEFT"]
+
+
 def super_step(world: Slider, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
     """A step of a ``Slider`` by its number."""
     world.taken.append(action)
@@ -195,6 +239,10 @@ def register() -> None:
         Buttons,
         Boundless,
         Speed,
+        Clamped,
+        Leaving,
+        Scribbling,
+        Named,
     ):
         if (name := f"Strange/{kind.__name__}-v0") not in gymnasium.registry:
             gymnasium.register(id=name, entry_point=kind, max_episode_steps=40)

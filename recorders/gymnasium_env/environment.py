@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from numbers import Real
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
@@ -22,6 +23,7 @@ from jaxtyping import Bool, UInt8
 from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Policy, RecordingPreset
 from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed
+from dmotion_bench.recording.failures import failed
 from dmotion_bench.specs import UNPLACED_AGENT, EnvSpec, Preset, Scalar
 from dmotion_bench.storage.imports.fitting import area_mean
 from dmotion_bench.wording import shown
@@ -36,6 +38,7 @@ RENDER_MODE: Final = "rgb_array"
 _SEEDS: Final = 2**31  # what every simulator takes: some keep a seed in 32 bits
 _SIZES: Final = range(16, 1025)  # [px]
 _USUAL_FPS: Final = 10.0
+_MOST_FPS: Final = 1e6
 
 
 class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
@@ -112,7 +115,8 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             self._inner.close()
             raise
         fps = self._inner.metadata.get("render_fps")
-        fps = float(fps) if isinstance(fps, int | float) and fps > 0 else _USUAL_FPS
+        fps = float(fps) if isinstance(fps, Real) else 0.0
+        fps = fps if 0 < fps <= _MOST_FPS else _USUAL_FPS
         self.facts = EnvSpec(
             id=self.name,
             actions=actions,
@@ -179,8 +183,6 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:
         """Start an episode; nothing varies but by the seed."""
         super().reset(seed=seed)
-        if options and options.get("vary"):
-            raise InvalidSetting(f"dmbench varies nothing in {self.name!r}; leave out '--vary', or use '--set'.")
         self._steps, self._over, self._seed = 0, False, 0 if seed is None else seed % _SEEDS
         if seed is not None:
             if self._fresh and self._used:
@@ -199,11 +201,12 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         if self._over:
             return self.render(), reward, True, False, {"illegal": True}
         with self._guarded("step"):
-            given = for_simulator(self._inner.action_space, action)
             for _ in range(self._repeat):
+                # Made anew each time: a simulator may write into it.
+                given = for_simulator(self._inner.action_space, action)
                 _, gained, self._over, truncated, _ = self._inner.step(given)
                 self._steps += 1
-                reward += float(gained)
+                reward += float(np.asarray(gained, np.float64).sum())  # of several objectives; no data set holds it
                 self._over = bool(self._over)
                 if self._over or truncated:
                     break
@@ -241,7 +244,8 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             )
             raise RecordingFailed(
                 f"{self.name!r} drew {found} in the render mode {RENDER_MODE!r}, not rows and columns of RGB (uint8), "
-                f"{self._when()}."
+                f"{self._when()}; a 'gymnasium.Wrapper' of yours whose 'render' turns it into such is applied with "
+                "'--set wrappers=MODULE:CLASS'."
             )
         if self._drawn is None:
             self._drawn = picture.shape
@@ -262,12 +266,9 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         try:
             with quiet(), self._legacy.lent():
                 yield
-        except DmbenchError:
+        except (DmbenchError, MemoryError):
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if (missing := missing_package(self.name, error)) is not None:  # pygame is imported when it is drawn with
                 raise missing from error
-            raise RecordingFailed(
-                f"{self.name!r} raised {type(error).__name__} in {what!r} {self._when()}: {error}. "
-                "Mend the environment, or give it other settings with '--set'."
-            ) from error
+            raise failed(repr(self.name), repr(what), self._when(), error) from error

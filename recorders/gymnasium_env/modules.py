@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from functools import cache
 from importlib.metadata import distribution, packages_distributions
 from typing import Any
 
@@ -27,6 +28,17 @@ def import_named(module: str, wanted_by: str) -> Any:
         UsageError: It is none that may be imported.
         PackageNotInstalled, InvalidSetting: Its import fails.
     """
+    _require_allowed(module, wanted_by)
+    try:
+        with quiet():
+            return importlib.import_module(module)
+    except Exception as error:  # somebody else's module may raise anything
+        raise unmade(wanted_by, error) from error
+
+
+@cache
+def _require_allowed(module: str, wanted_by: str) -> None:
+    """Refuse a module that may not be imported; once, since it takes a second and every episode asks."""
     top = module.partition(".")[0]
     owners = packages_distributions().get(top, [])
     needed = {_package(one) for owner in owners for one in distribution(owner).requires or []}
@@ -37,11 +49,6 @@ def import_named(module: str, wanted_by: str) -> Any:
             "installed packages that depend on Gymnasium, since the name may come from anybody's data set. Install "
             "yours with 'pip install -e DIR'."
         )
-    try:
-        with quiet():
-            return importlib.import_module(module)
-    except Exception as error:  # somebody else's module may raise anything
-        raise unmade(wanted_by, error) from error
 
 
 def _package(requirement: str) -> str:

@@ -13,6 +13,7 @@ from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.wording import shown
 
 _ALLOWED: Final = "only 'Discrete' and bounded 'Box' spaces can be recorded"
+_WRAP: Final = "a 'gymnasium.ActionWrapper' of yours gives it others with '--set wrappers=MODULE:CLASS'"
 
 
 def action_spec(name: str, env: Any) -> ActionSpec:
@@ -27,23 +28,24 @@ def action_spec(name: str, env: Any) -> ActionSpec:
     """
     space: Space[Any] = env.action_space
     if isinstance(space, DiscreteSpace):
-        return Discrete(_names(env.unwrapped, int(space.n)))
+        return Discrete(_names(env, int(space.n)))
     kind = type(space).__name__
     if not isinstance(space, Box):
-        raise InvalidSetting(
-            f"the actions of {name!r} are a space of the kind {kind!r}, and {_ALLOWED}; wrap the environment in one "
-            "with such actions and register that."
-        )
+        raise InvalidSetting(f"the actions of {name!r} are a space of the kind {kind!r}, and {_ALLOWED}; {_WRAP}.")
     low, high = (np.asarray(bound, np.float64).reshape(-1) for bound in (space.low, space.high))
     if not np.issubdtype(space.dtype, np.floating):
         raise InvalidSetting(
             f"the actions of {name!r} are whole numbers in a 'Box' ({space.dtype}), and {_ALLOWED}, of floating-point "
-            "numbers; give it a 'Discrete' space."
+            f"numbers; {_WRAP}."
         )
-    if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
         raise InvalidSetting(
-            f"the actions of {name!r} have no finite bounds: {shown(str(space))}, and {_ALLOWED}; give it a 'Box' with "
-            "bounds, such as in a 'gymnasium.ActionWrapper' whose 'action_space' is one, and register that."
+            f"the actions of {name!r} have no finite bounds: {shown(str(space))}, and {_ALLOWED}; {_WRAP}."
+        )
+    if len(fixed := np.flatnonzero(low >= high)):
+        raise InvalidSetting(
+            f"number {fixed[0]} of the actions of {name!r} can only be {low[fixed[0]]:g}: {shown(str(space))}; leave "
+            f"such numbers out: {_WRAP}."
         )
     if not 1 <= len(low) <= MOST_NUMBERS:
         raise InvalidSetting(
@@ -54,12 +56,15 @@ def action_spec(name: str, env: Any) -> ActionSpec:
 
 
 def _names(env: Any, count: int) -> tuple[str, ...]:
-    """What the environment calls its actions: Atari's meanings, an enumeration as in MiniGrid, else their numbers."""
+    """What the environment calls its actions: Atari's meanings, an enumeration as in MiniGrid, else their numbers.
+
+    The outermost wrapper that names them is asked, since it may have exchanged them.
+    """
     named: list[str] = []
-    if hasattr(env, "get_action_meanings"):
-        named = [str(name).lower() for name in env.get_action_meanings()]
-    elif hasattr(env, "actions") and hasattr(env.actions, "__members__"):
-        members = {int(one.value): str(one.name) for one in env.actions}
+    if env.has_wrapper_attr("get_action_meanings"):
+        named = [str(name).lower() for name in env.get_wrapper_attr("get_action_meanings")()]
+    elif env.has_wrapper_attr("actions") and hasattr(actions := env.get_wrapper_attr("actions"), "__members__"):
+        members = {int(one.value): str(one.name) for one in actions}
         named = [members.get(number, "") for number in range(count)]
     if len(named) == count and len(set(named)) == count and all(named):
         return tuple(named)

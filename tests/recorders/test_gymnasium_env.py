@@ -9,6 +9,7 @@ import random
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -27,6 +28,7 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
+from recorders.gymnasium_env import modules
 from recorders.gymnasium_env.worlds import WORLDS
 
 Run = Callable[..., Outcome]
@@ -79,6 +81,31 @@ def test_continuous_actions_keep_their_shape_and_bounds(tmp_path: Path) -> None:
     actions = np.concatenate([dataset.states(episode).actions for episode in range(2)])
     assert actions.min() < -0.05
     assert actions[:, 0].max() > 0.2
+
+
+def test_what_a_simulator_writes_into_an_action_is_seen_by_nobody() -> None:
+    env: Any = environment_class("gym:Strange/Scribbling-v0")(frame_size=24, action_repeat=2)
+    env.reset(seed=0)
+    assert env.step(np.array([0.1, 0.15]))[1] == 4.0
+    np.testing.assert_allclose(env._inner.unwrapped.last, [[0.1], [0.15]], rtol=1e-6)
+    assert env.facts.step_ns == 40_000_000
+
+
+def test_a_wrapper_names_the_actions_that_it_exchanges(monkeypatch: pytest.MonkeyPatch) -> None:
+    def names(wrappers: str) -> object:
+        return environment_class("gym:Strange/Named-v0")(wrappers=wrappers).facts.actions
+
+    monkeypatch.setattr("recorders.gymnasium_env.environment.import_named", lambda *_: strange_worlds)
+    assert names("") == Discrete(("left", "right"))
+    assert names("strange_worlds:Mirrored") == Discrete(("right", "left"))
+
+
+def test_the_packages_that_may_be_imported_are_looked_up_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(modules, "packages_distributions", lambda: asked.append(1) or {"csv": ["minigrid"]})
+    monkeypatch.setattr(modules, "distribution", lambda _: SimpleNamespace(requires=["gymnasium>=1"]))
+    asked: list[int] = []
+    assert modules.import_named("csv", "a test") is modules.import_named("csv", "a test")
+    assert asked == [1]
 
 
 def test_frame_skip_takes_an_action_several_times(tmp_path: Path) -> None:
@@ -231,7 +258,9 @@ def test_what_repeats_is_recorded_too_and_known_environments_are_not_asked(run: 
         (("gym:Strange/Blind-v0",), "has no render mode 'rgb_array', so it cannot be recorded; it has 'ansi'."),
         (("gym:Strange/Keyed-v0",), "a space of the kind 'Dict', and only 'Discrete' and bounded 'Box'"),
         (("gym:Strange/Buttons-v0",), "a space of the kind 'MultiBinary'"),
-        (("gym:Strange/Boundless-v0",), "give it a 'Box' with bounds"),
+        (("gym:Strange/Boundless-v0",), "gives it others with '--set wrappers=MODULE:CLASS'"),
+        (("gym:Strange/Clamped-v0",), "number 1 of the actions of 'gym:Strange/Clamped-v0' can only be 0"),
+        (("gym:Strange/Leaving-v0",), "raised SystemExit in 'step' at step 0 of the episode with seed"),
         (("gym:Strange/Growing-v0",), "from 96x48 to 96x96 pixels at step 3 of the episode with seed"),
         (("gym:Strange/Gray-v0",), "an array of uint8 of the shape (48, 96)"),
         (("gym:Strange/Listing-v0",), "drew a NoneType"),
@@ -246,7 +275,7 @@ def test_what_repeats_is_recorded_too_and_known_environments_are_not_asked(run: 
         ((SLIDER, "--set", "wrappers=gymnasium.spaces:Box"), "which is no wrapper"),
         ((SLIDER, "--vary", "light"), "dmbench varies nothing in"),
         ((SLIDER, "--policy", "stciky"), "did you mean 'sticky'?"),
-        ((SLIDER, "--policy", "nowhere:to_be_found"), "cannot be imported (ModuleNotFoundError"),
+        ((SLIDER, "--policy", "nowhere:to_be_found"), "in a folder that PYTHONPATH names"),
         ((SLIDER, "--policy", "own_policies:left"), "has no function 'left'"),
         ((SLIDER, "--policy", "own_policies:clumsy"), "raised KeyError: 'speed'"),
         (

@@ -12,6 +12,7 @@ import os
 import signal
 import socket
 import threading
+import weakref
 from collections.abc import Callable, Generator, Iterable, Mapping
 from typing import Any, Final
 
@@ -26,7 +27,7 @@ _KNOCK: Final = 10.0  # [s]
 
 
 class RayExecutor:
-    """Ray's workers. Ray is started where it does not run, and then stopped at the end.
+    """Ray's workers. Ray is started for the first jobs where it does not run, and then stopped with this executor.
 
     Args:
         workers: How many at a time; None: as many as there are processors for.
@@ -55,7 +56,6 @@ class RayExecutor:
         if not first:
             return  # there is nothing that Ray would have to be started for
         ray = self._ray
-        ours = not ray.is_initialized()
         queue = JobQueue(itertools.chain(first, asked), "a worker of Ray")
         running: dict[Any, tuple[int, Job]] = {}
         killed = (
@@ -65,7 +65,7 @@ class RayExecutor:
             ray.exceptions.TaskCancelledError,  # only what is left at the end is cancelled here: it was interrupted
         )
         try:
-            if ours:
+            if not ray.is_initialized():
                 self._start()
             limit = self._workers or self._most(ray.cluster_resources())
 
@@ -93,8 +93,6 @@ class RayExecutor:
         finally:
             for one in running:
                 ray.cancel(one, force=True)
-            if ours:
-                ray.shutdown()
 
     def _most(self, resources: Mapping[str, float]) -> int:
         """How many jobs the cluster can run at a time."""
@@ -104,6 +102,7 @@ class RayExecutor:
     def _start(self) -> None:
         """Start Ray; it would end this process on SIGTERM without tidying up."""
         before = signal.getsignal(signal.SIGTERM)
+        weakref.finalize(self, self._ray.shutdown)  # not after each map: a recording and its proof are two
         self._init()
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)

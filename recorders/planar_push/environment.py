@@ -20,8 +20,9 @@ from recorders.distractors import SceneName, make_scene
 from recorders.planar_push.drawing import Stamp, View, stamp
 from recorders.planar_push.shapes import SHAPES, circle, rectangle
 from recorders.planar_push.table_physics import Piece, PlanarPhysics, Pose
-from recorders.pushing import Drift, PushingEnvironment, Snapshot, colored_objects, pushing_actions
+from recorders.pushing import PushingEnvironment, Snapshot, pushing_actions
 from recorders.table_lattice import KEPT_PLACES, Lattice, Place, TableTop
+from recorders.table_things import Drift, colored_objects
 from recorders.variation import Factor, explained
 
 TABLE = TableTop(size=(0.52, 0.52), center=(0.0, 0.0), edge_gap=0.03, gap=0.012)

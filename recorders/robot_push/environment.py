@@ -16,7 +16,7 @@ from jaxtyping import Float, UInt8
 
 from dmotion_bench.specs import MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, ObjectSpec, ObjectStates
 from recorders.distractors import SceneName, make_scene
-from recorders.pushing import Drift, PushingEnvironment, Snapshot, colored_objects, pushing_actions
+from recorders.pushing import PushingEnvironment, Snapshot, pushing_actions
 from recorders.robot_push import panda
 from recorders.robot_push.camera import Camera
 from recorders.robot_push.renderer import BACKGROUND, ArmLayer, ArmPose, Light, Picture, Renderer, Sprite
@@ -33,6 +33,7 @@ from recorders.robot_push.scene import (
 from recorders.robot_push.solids import SOLIDS, box, prism
 from recorders.robot_push.table_physics import ROD_BOTTOM, Body, TablePhysics, load_bullet
 from recorders.table_lattice import Place
+from recorders.table_things import Drift, colored_objects
 from recorders.variation import explained
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])

@@ -27,12 +27,13 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
-from jaxtyping import Shaped, UInt8
+from jaxtyping import UInt8
 
-from dmotion_bench.actions import ActionSpec, Discrete, actions_to_json
+from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.exports.lerobot_actions import ACTION, action_column, action_feature, matrix, narrowed
 from dmotion_bench.storage.exports.statistics import PixelCounts, Summary, of_numbers
 from dmotion_bench.storage.staging import staged
 from dmotion_bench.storage.video.codecs import H264, Codec
@@ -40,9 +41,7 @@ from dmotion_bench.storage.video.file import VideoFile
 from dmotion_bench.storage.video.writer import VideoWriter
 
 CAMERA: Final = "observation.images.camera"
-ACTION: Final = "action"
 STATE: Final = "observation.state"
-ACTION_NAMES: Final = "dmbench_actions"  # read back by ``imports/lerobot_recording.py``
 UNFINISHED: Final = ".exporting"
 CHUNK_FILES: Final = 1000
 DATA_MIB, VIDEO_MIB = 100, 200
@@ -152,11 +151,11 @@ class _Export:
 
     def run(self) -> dict[str, Any]:
         placed, tables = self._write_videos_and_numbers()
-        table = _narrowed(pa.concat_tables(tables))
+        table = narrowed(pa.concat_tables(tables))
         _write_table(self._out / "data/chunk-000/file-000.parquet", table)
         self._write_episodes(placed)
         _write_table(self._out / "meta/tasks.parquet", _tasks_table(self._task()))
-        numbers = {name: of_numbers(_matrix(table, name)) for name in table.column_names}
+        numbers = {name: of_numbers(matrix(table, name)) for name in table.column_names}
         _write_json(self._out / "meta/stats.json", {CAMERA: self._pixels.summary(), **numbers})
         _write_json(self._out / "meta/info.json", self._info(len(placed), table))
         error, largest = self._measure(placed)
@@ -191,7 +190,7 @@ class _Export:
                 counts = PixelCounts()
                 counts.add(frames)
                 self._pixels.merge(counts)
-                summaries = {name: of_numbers(_matrix(table, name)) for name in table.column_names}
+                summaries = {name: of_numbers(matrix(table, name)) for name in table.column_names}
                 summaries[CAMERA] = counts.summary()
                 placed.append(_Placed(length=len(frames), start=start, file=file, first=first, summaries=summaries))
                 tables.append(table)
@@ -207,7 +206,7 @@ class _Export:
         columns: dict[str, Any] = {}
         if self._labels:
             labels = self._dataset.states(episode)
-            columns[ACTION] = _action_column(labels.actions, self._actions())
+            columns[ACTION] = action_column(labels.actions, self._actions())
             if self._state:
                 position = labels.agent.position.astype(np.float32)  # of each agent, one after the other
                 columns[STATE] = pa.FixedSizeListArray.from_arrays(
@@ -271,7 +270,7 @@ class _Export:
             }
         }
         if self._labels:
-            features[ACTION] = _action_feature(self._actions(), table.schema.field(ACTION).type)
+            features[ACTION] = action_feature(self._actions(), table.schema.field(ACTION).type)
         if self._state:
             names = [f"{axis}{agent or ''}" for agent in range(len(self._dataset.spec.agents)) for axis in "xyz"]
             features[STATE] = {"dtype": "float32", "shape": [len(names)], "names": names}
@@ -321,51 +320,6 @@ class _Export:
 
 
 _INDICES: Final = ("frame_index", "episode_index", "index", "task_index")
-
-
-def _action_feature(spec: ActionSpec, kind: pa.DataType) -> dict[str, Any]:
-    """The feature's description; a column of one number is no list to LeRobot."""
-    if isinstance(spec, Discrete):
-        return {"dtype": "int64", "shape": [1], "names": ["action"], ACTION_NAMES: list(spec.names)}
-    single = kind.value_type if pa.types.is_fixed_size_list(kind) else kind
-    return {
-        "dtype": "float32" if pa.types.is_float32(single) else "float64",
-        "shape": [spec.width],
-        "names": list(spec.names),
-        ACTION_NAMES: actions_to_json(spec),
-    }
-
-
-def _action_column(actions: Shaped[np.ndarray, "s *a"], spec: ActionSpec) -> pa.Array:
-    """An episode's actions, one for each frame."""
-    last = actions[-1:] if len(actions) else np.zeros((1, *spec.shape))
-    values = np.concatenate([actions, last]).astype(spec.dtype)
-    flat = pa.array(values.reshape(-1))
-    return flat if spec.shape in ((), (1,)) else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-
-
-def _narrowed(table: pa.Table) -> pa.Table:
-    """The table with its actions in 32 bits, if these hold all of them exactly."""
-    if ACTION not in table.column_names or pa.types.is_integer(table.schema.field(ACTION).type):
-        return table
-    values = _matrix(table, ACTION)
-    with np.errstate(over="ignore"):
-        narrow = values.astype(np.float32)
-    if (narrow.astype(np.float64) != values).any():
-        return table
-    flat = pa.array(narrow.reshape(-1))
-    column = flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-    return table.set_column(table.column_names.index(ACTION), ACTION, column)
-
-
-def _matrix(table: pa.Table, name: str) -> np.ndarray[Any, Any]:
-    """A column as rows of numbers."""
-    column = table.column(name).combine_chunks()
-    if pa.types.is_fixed_size_list(column.type):
-        matrix: np.ndarray[Any, Any] = column.flatten().to_numpy().reshape(len(column), -1)
-        return matrix
-    values: np.ndarray[Any, Any] = column.to_numpy()[:, None]
-    return values
 
 
 def _tasks_table(task: str) -> pa.Table:

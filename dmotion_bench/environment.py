@@ -215,6 +215,14 @@ class Versioned(Protocol):
 
 
 @runtime_checkable
+class HasTestTasks(Protocol):
+    """An environment class with test tasks of the table of control (docs/protocol.md), on which nothing is chosen."""
+
+    test_tasks: ClassVar[Mapping[int, str]]
+    """The hash of each version's test tasks (``planning.columns.tasks_hash``); other tasks of that seed are refused."""
+
+
+@runtime_checkable
 class Titled(Protocol):
     """An environment class that pages call by a title of its own, not by its registered name in words.
 

@@ -47,6 +47,8 @@ from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
+from recorders.planar_push.environment import PlanarPush
+from recorders.robot_push.environment import RobotPush
 
 pytestmark = pytest.mark.slow
 
@@ -141,7 +143,8 @@ def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
         _shorten_planning(patch)
     patch.setattr(table, "model_names", lambda: ["dmotion"])
     patch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
-    patch.setattr("dmotion_bench.planning.columns.TEST_TASKS", {})  # a shorter recording has other tasks
+    for world in (PlanarPush, RobotPush):
+        patch.setattr(world, "test_tasks", {})  # a shorter recording has other tasks
     patch.setattr("dmotion_bench.scoring.score.gain_tables", _few_gains)
     patch.setattr(dmotion_paper, "MAP_SIZE", 8)  # of 64: the layers are most of what a scoring computes
     patch.setattr(dmotion_paper, "_conv", lambda before, after, kernel=5, stride=1: _conv(before, after, 3, stride))

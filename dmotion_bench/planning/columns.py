@@ -2,7 +2,8 @@
 
 A column is a planner that is frozen: a solver and an objective, with every field that differs from its default. It was
 chosen on development tasks alone. The tasks of the table are those of a test data set, which is recorded with a seed of
-its own and on which nothing may be chosen. ``TEST_TASKS`` holds their hashes, so that nobody can exchange them.
+its own and on which nothing may be chosen. A world holds the hash of its test tasks (``HasTestTasks``), so that nobody
+can exchange them.
 
 Everything that makes the table reads it from here: the option ``--column``, the leaderboard, and the command that makes
 the whole table.
@@ -17,11 +18,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from dmotion_bench.errors import InvalidSetting, UnknownName
+from dmotion_bench.environment import HasTestTasks
+from dmotion_bench.errors import DmbenchError, InvalidSetting, UnknownName
 from dmotion_bench.planning.choices import generic_objective, make_objective, make_solver
 from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.planning.objectives.base import Objective
 from dmotion_bench.planning.solvers.base import Solver
+from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.wording import command
@@ -161,14 +164,6 @@ class TaskData:
 DEVELOPMENT: Final = TaskData(name="development", seed=1001)
 TEST: Final = TaskData(name="test", seed=2002)
 
-TEST_TASKS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "planar_push": "ebbab843f19a4e4117cdad4346ea5f0d68c2fe9eb1aff1755803871a4bd532e2",
-        "robot_push": "6ab3bdfdc0ed182a33c17013ea1426439e2b4962a536e860160fcf0da8a42f7a",
-    }
-)
-"""The hash (``tasks_hash``) of each environment's test tasks, with its version where that is not 1."""
-
 
 def column_named(name: str) -> Column:
     """A column by its name.
@@ -198,10 +193,13 @@ def tasks_hash(dataset: ReadableDataset) -> str:
     return hashlib.sha256(json.dumps(told, separators=(",", ":")).encode()).hexdigest()
 
 
-def world_of(dataset: ReadableDataset) -> str:
-    """The environment of a data set as ``TEST_TASKS`` names it."""
-    version = dataset.recipe.version
-    return dataset.recipe.environment + (f"@{version}" if version != 1 else "")
+def _published(dataset: ReadableDataset) -> str | None:
+    """The hash of the test tasks of a data set's world; None for a world without any, or that is not installed."""
+    try:
+        kind: object = environment_class(dataset.recipe.environment)
+    except DmbenchError:
+        return None
+    return kind.test_tasks.get(dataset.recipe.version) if isinstance(kind, HasTestTasks) else None
 
 
 def require_fitting_tasks(dataset: ReadableDataset) -> None:
@@ -210,7 +208,7 @@ def require_fitting_tasks(dataset: ReadableDataset) -> None:
     Raises:
         InvalidSetting: They differ.
     """
-    published = TEST_TASKS.get(world_of(dataset))
+    published = _published(dataset)
     if dataset.recipe.seed == TEST.seed and published is not None and tasks_hash(dataset) != published:
         raise InvalidSetting(
             f"the tasks of {dataset.name!r} are not the test tasks of {PROTOCOL}; record them with "
@@ -220,5 +218,5 @@ def require_fitting_tasks(dataset: ReadableDataset) -> None:
 
 def is_test(dataset: ReadableDataset) -> bool:
     """Whether a data set's tasks are the test tasks of its environment."""
-    published = TEST_TASKS.get(world_of(dataset))
+    published = _published(dataset)
     return published is not None and tasks_hash(dataset) == published

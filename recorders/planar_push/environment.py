@@ -121,6 +121,9 @@ class PlanarPush(PushingEnvironment):
         }
     )
     factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
+    test_tasks: ClassVar[Mapping[int, str]] = MappingProxyType(
+        {1: "ebbab843f19a4e4117cdad4346ea5f0d68c2fe9eb1aff1755803871a4bd532e2"}
+    )
 
     def __init__(
         self,

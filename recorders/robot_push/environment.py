@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -70,6 +71,9 @@ class RobotPush(PushingEnvironment):
     """
 
     factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
+    test_tasks: ClassVar[Mapping[int, str]] = MappingProxyType(
+        {1: "6ab3bdfdc0ed182a33c17013ea1426439e2b4962a536e860160fcf0da8a42f7a"}
+    )
     objective: ClassVar[str] = "tabletop"
 
     def __init__(

@@ -12,7 +12,7 @@ from small_tables import CONTROL, TABLE
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
 from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
-from dmotion_bench.planning.columns import COLUMNS, TASKS, TEST, TEST_TASKS, TRAININGS
+from dmotion_bench.planning.columns import COLUMNS, TASKS, TEST, TRAININGS
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.reproduction.plan import Plan
 from dmotion_bench.reproduction.table import Entrant, World, powers_of_two
@@ -53,7 +53,9 @@ def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
     assert (plan.table.preset, plan.table.seeds) == (Preset.SMALL, tuple(range(TRAININGS)))
     tests = {one.folder.name: one.recipe for one in plan.recordings if one.world.fixed}
     assert tests == {
-        f"{name}-test": recipe_for(name, episodes=TEST.episodes, tasks=TASKS, seed=TEST.seed) for name in TEST_TASKS
+        f"{name}-test": recipe_for(name, episodes=TEST.episodes, tasks=TASKS, seed=TEST.seed)
+        for name in registry.environment_names()
+        if hasattr(registry.environment_class(name), "test_tasks")
     }
     assert all(f"--out data/{name}" in TEST.words(name.removesuffix("-test")) for name in tests)
     frozen = {scoring.control.column for scoring in plan.scorings} - {None}

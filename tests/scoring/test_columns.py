@@ -24,7 +24,9 @@ from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
+from recorders.grid_world import GridWorld
 from recorders.planar_push.environment import PlanarPush
+from recorders.robot_push.environment import RobotPush
 
 MakeRun = Callable[..., Run]
 
@@ -142,11 +144,11 @@ def test_other_tasks_than_the_protocols_are_refused(
     run = make_run(tmp_path / "run")
     column = ScoreSettings(control=ControlScoring(column="paper", tasks=1, steps=1, group=1))
     monkeypatch.setattr(columns, "TEST", TaskData(name="test", seed=5))
-    monkeypatch.setattr(columns, "TEST_TASKS", {"grid_world@2": "0" * 64})
+    monkeypatch.setattr(GridWorld, "test_tasks", {2: "0" * 64}, raising=False)
     with pytest.raises(InvalidSetting, match=r"are not the test tasks of dmbench-2; record them with"):
         score_run(run.path, metrics=None, settings=column, data=tasks.path)
 
-    monkeypatch.setattr(columns, "TEST_TASKS", {"grid_world@2": tasks_hash(tasks)})
+    monkeypatch.setattr(GridWorld, "test_tasks", {2: tasks_hash(tasks)})
     assert columns.is_test(tasks)
     assert score_run(run.path, metrics=None, settings=column, data=tasks.path).column == "paper"
 
@@ -166,10 +168,9 @@ def test_the_document_has_the_hashes_of_the_columns_and_of_the_test_tasks() -> N
         assert f"| `{protocol}` | `{columns.columns_hash(protocol)}` |" in DOC, (
             "it has changed: that is another protocol"
         )
-    assert columns.TEST_TASKS
-    for world, known in columns.TEST_TASKS.items():
-        assert f"| {world.replace('@', ', version ')} | `{known}` |" in DOC
-        assert TEST.words(world.partition("@")[0]).strip("'") in DOC
+    for name, world in (("planar_push", PlanarPush), ("robot_push", RobotPush)):
+        assert f"| {name} | `{world.test_tasks[1]}` |" in DOC
+        assert TEST.words(name).strip("'") in DOC
 
 
 @pytest.mark.slow
@@ -187,7 +188,7 @@ def test_the_test_tasks_of_planar_push_are_those_of_the_protocol(
     drawn, recorded = (Dataset.open(tmp_path / name) for name in ("drawn", "test"))
 
     assert len(recorded.tasks()) == columns.TASKS
-    assert tasks_hash(recorded) == columns.TEST_TASKS["planar_push"]
+    assert tasks_hash(recorded) == PlanarPush.test_tasks[1]
     assert drawn.video(0).any()
     assert not recorded.video(0).any()
     for episode in range(len(drawn)):

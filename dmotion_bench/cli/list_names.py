@@ -37,28 +37,17 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
 @listing.command()
 def environments(as_json: AsJson = False) -> None:
     """List the environments, what they tell (the tier), their policies, and the factors that can vary in them."""
-    from dmotion_bench.environment import Varied, tier_of
-    from dmotion_bench.registry import (
-        environment_class,
-        environment_family,
-        environment_names,
-        environment_versions,
-        family_names,
-    )
+    from dmotion_bench.errors import DmbenchError
+    from dmotion_bench.registry import environment_family, environment_names, family_names
 
     rows: list[dict[str, object]] = []
     for name in environment_names():
-        kind = environment_class(name)
-        presets = _presets(kind.recording)
-        summary = (kind.__doc__ or "").strip().splitlines()[0]
-        factors: dict[str, str] = dict(kind.factors) if isinstance(kind, Varied) else {}
-        varied = factors if as_json else ", ".join(factors) or "nothing"
-        policies = sorted(kind.policies, key=lambda policy, kind=kind: policy != kind.default_policy)  # type: ignore[misc]
-        row: dict[str, object] = {"environment": name, "tier": tier_of(kind).value, "presets": presets}
-        row |= {"policies": policies if as_json else ", ".join(policies)}
-        rows.append(row | {"--vary": varied, "what": summary})
-        if as_json:
-            rows[-1]["versions"] = dict(environment_versions(name)) or {1: summary}
+        try:
+            rows.append(_environment(name, as_json))
+        except DmbenchError as error:  # somebody else's environment; the others are to be listed
+            row: dict[str, object] = {"environment": name, "tier": "?", "presets": "?"}
+            row |= {"policies": list[str]() if as_json else "?", "--vary": dict[str, str]() if as_json else "?"}
+            rows.append(row | {"what": f"cannot be used: {error}"} | ({"versions": {}} if as_json else {}))
     for name in family_names():
         family = environment_family(name)
         presets, nothing = _presets(family.recording), {} if as_json else "nothing"
@@ -72,6 +61,21 @@ def environments(as_json: AsJson = False) -> None:
     if not as_json and rows:
         typer.echo("gym:ID records any Gymnasium environment that draws pictures; those above are known to work.")
         typer.echo("'dmbench list environments --json' tells what each factor means and which values it takes.")
+
+
+def _environment(name: str, as_json: bool) -> dict[str, object]:
+    """What is told of an environment."""
+    from dmotion_bench.environment import Varied, tier_of
+    from dmotion_bench.registry import environment_class, environment_versions
+
+    kind = environment_class(name)
+    summary = next(iter((kind.__doc__ or "").strip().splitlines()), "")
+    factors: dict[str, str] = dict(kind.factors) if isinstance(kind, Varied) else {}
+    policies = sorted(kind.policies, key=lambda policy: policy != kind.default_policy)
+    row: dict[str, object] = {"environment": name, "tier": tier_of(kind).value, "presets": _presets(kind.recording)}
+    row |= {"policies": policies if as_json else ", ".join(policies)}
+    row |= {"--vary": factors if as_json else ", ".join(factors) or "nothing", "what": summary}
+    return row | ({"versions": dict(environment_versions(name)) or {1: summary}} if as_json else {})
 
 
 def _presets(recording: Mapping[Preset, RecordingPreset]) -> str:

@@ -49,6 +49,24 @@ def test_the_table_names_them(capsys: pytest.CaptureFixture[str], monkeypatch: p
     assert "expert-correlated" in words
 
 
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_an_environment_that_cannot_be_used_does_not_hide_the_others(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    undescribed = type("Undescribed", (PlanarPush,), {})
+    added = {(registry.ENVIRONMENTS, "broken"): int, (registry.ENVIRONMENTS, "undescribed"): undescribed}
+    monkeypatch.setattr(registry, "_ADDED", added)
+
+    listed = dmbench(["list", "environments", *words], capsys, monkeypatch).out
+
+    assert "cannot be used: the class 'int' of the environment 'broken' has no 'recording'" in " ".join(listed.split())
+    assert "grid_world" in listed
+    if words:
+        rows = {one["environment"]: one for one in json.loads(listed)["environments"]}
+        assert (rows["broken"]["policies"], rows["broken"]["factors"]) == ([], {})
+        assert (rows["undescribed"]["what"], rows["undescribed"]["tier"]) == ("", "masks")
+
+
 NAME = "runs/clasp-grid_world-small-epochs_0.3-kernel_27-20-shot-s0"
 
 

@@ -219,10 +219,14 @@ def names(group: str) -> list[str]:
     return sorted({point.name for point in registered(group)} | added)
 
 
+def owners(group: str, name: str) -> set[str]:
+    """The packages that register a name."""
+    return {point.dist.name for point in registered(group) if point.name == name and point.dist is not None}
+
+
 def is_built_in(group: str, name: str) -> bool:
     """Whether this project itself registers a name, and so tests what it stands for."""
-    owners = {point.dist.name for point in registered(group) if point.name == name and point.dist is not None}
-    return owners == {"dmbench"}
+    return owners(group, name) == {"dmbench"}
 
 
 def _load(group: str, kind: str, name: str) -> Any:
@@ -232,8 +236,8 @@ def _load(group: str, kind: str, name: str) -> Any:
     if not found:
         raise UnknownName(kind, name, names(group), LISTED.get(group, ""), _REGISTERING.get(group, ""))
     if len({point.value for point in found}) > 1:
-        owners = sorted(f"{point.dist.name if point.dist else 'a package'} ({point.value})" for point in found)
-        raise DmbenchError(f"the {kind} {name!r} is registered by {' and by '.join(owners)}; rename or uninstall one.")
+        claimed = sorted(f"{point.dist.name if point.dist else 'a package'} ({point.value})" for point in found)
+        raise DmbenchError(f"the {kind} {name!r} is registered by {' and by '.join(claimed)}; rename or uninstall one.")
     try:
         return found[0].load()
     except DmbenchError:

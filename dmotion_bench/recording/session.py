@@ -24,7 +24,7 @@ from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.policies import find_policy
 from dmotion_bench.recording.replay import replay_sample
 from dmotion_bench.recording.rollout import make_environment, record_episodes
-from dmotion_bench.registry import ENVIRONMENTS, environment_class, is_built_in
+from dmotion_bench.registry import ENVIRONMENTS, environment_class, is_built_in, owners
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.manifest import Manifest, Replay
 from dmotion_bench.storage.remote_copy import RemoteCopy, copy_folder, upload
@@ -182,7 +182,10 @@ def record_dataset(
         return _record_elsewhere(address, recipe, executor, on_progress)
     path, spec, executor = Path(path), environment_facts(recipe), executor or SerialExecutor()
     kind: object = environment_class(recipe.environment)
-    packages = kind.packages if isinstance(kind, Packaged) else ()
+    packages = (
+        *(kind.packages if isinstance(kind, Packaged) else ()),
+        *sorted(owners(ENVIRONMENTS, recipe.environment)),
+    )
     with DatasetWriter.create_or_resume(path, recipe, spec, packages) as writer:
         try:
             progress = _record_missing(writer, executor, on_progress)

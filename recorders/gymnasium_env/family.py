@@ -24,8 +24,8 @@ from dmotion_bench.specs import Scalar
 from dmotion_bench.wording import shown
 from recorders.gymnasium_env.environment import GymnasiumEnvironment
 from recorders.gymnasium_env.guest import quiet, unmade
-from recorders.gymnasium_env.modules import import_named
-from recorders.gymnasium_env.worlds import SOURCES, WORLDS, extra_for
+from recorders.gymnasium_env.modules import import_named, owners_of
+from recorders.gymnasium_env.worlds import PACKAGES, SOURCES, WORLDS, extra_for
 
 _PLAIN: Final = (bool, int, float, str)
 _OWN: Final[Mapping[str, Any]] = {
@@ -66,12 +66,15 @@ FAMILY: Final = GymnasiumFamily()
 @cache
 def _member(name: str) -> type[Environment]:
     spec = _registered(name)
+    module, colon, _ = name.rpartition(":")
+    owners = owners_of(module, f"gym:{name}") if colon else ()
 
     class Member(GymnasiumEnvironment):
         """A Gymnasium environment of the tier ``pixels``."""
 
         id = name
         registered = spec.id
+        packages = tuple(dict.fromkeys((*PACKAGES, *owners)))
 
         @classmethod
         def parameters(cls) -> tuple[Mapping[str, Any], bool]:

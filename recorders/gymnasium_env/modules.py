@@ -28,7 +28,7 @@ def import_named(module: str, wanted_by: str) -> Any:
         UsageError: It is none that may be imported.
         PackageNotInstalled, InvalidSetting: Its import fails.
     """
-    _require_allowed(module, wanted_by)
+    owners_of(module, wanted_by)
     try:
         with quiet():
             return importlib.import_module(module)
@@ -37,8 +37,12 @@ def import_named(module: str, wanted_by: str) -> Any:
 
 
 @cache
-def _require_allowed(module: str, wanted_by: str) -> None:
-    """Refuse a module that may not be imported; once, since it takes a second and every episode asks."""
+def owners_of(module: str, wanted_by: str) -> tuple[str, ...]:
+    """The packages that bring a module which may be imported; found once, as it takes a second and every episode asks.
+
+    Raises:
+        UsageError: It is none that may be imported.
+    """
     top = module.partition(".")[0]
     owners = packages_distributions().get(top, [])
     needed = {_package(one) for owner in owners for one in distribution(owner).requires or []}
@@ -49,6 +53,7 @@ def _require_allowed(module: str, wanted_by: str) -> None:
             "installed packages that depend on Gymnasium, since the name may come from anybody's data set. Install "
             "yours with 'pip install -e DIR'."
         )
+    return tuple(owners)
 
 
 def _package(requirement: str) -> str:

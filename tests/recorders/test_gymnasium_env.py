@@ -108,6 +108,14 @@ def test_the_packages_that_may_be_imported_are_looked_up_once(monkeypatch: pytes
     assert asked == [1]
 
 
+def test_the_version_of_the_package_that_registers_an_id_stands_in_the_data_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(modules, "distribution", lambda _: SimpleNamespace(requires=["gymnasium"]))
+    dataset = recorded(tmp_path / "data", "gym:pytest:Strange/Slider-v0")
+    assert dataset.manifest.versions["pytest"] == pytest.__version__
+
+
 def test_frame_skip_takes_an_action_several_times(tmp_path: Path) -> None:
     own = {"policy": "own_policies:Alternating", "settings": ("places=48",)}
     every = recorded(tmp_path / "every", SLIDER, frames=4, frame_skip=3, **own)

@@ -11,6 +11,7 @@ import pytest
 
 from dmotion_bench import registry
 from dmotion_bench.errors import DmbenchError, InvalidSetting, UsageError
+from dmotion_bench.recording import session
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.registry import register_environment
@@ -84,6 +85,12 @@ def test_one_that_repeats_is_found_to(tmp_path: Path) -> None:
 def test_one_that_does_not_has_no_tasks(tmp_path: Path) -> None:
     assert replay_of("forgetful", tmp_path / "d") == Replay(episodes=(0, 2, 4), differs="frame 0 of episode 0")
     assert Dataset.open(tmp_path / "d").tasks() == []
+
+
+def test_the_version_of_its_package_stands_in_the_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "owners", lambda group, name: {"pytest"})
+    replay_of("own", tmp_path / "d")
+    assert Dataset.open(tmp_path / "d").manifest.versions["pytest"] == pytest.__version__
 
 
 @pytest.mark.parametrize("environment", ["sure", "grid_world"])

@@ -73,7 +73,8 @@ def facts_of(entry: Entry) -> Facts:
         "training": content["training"],
         "versions": content["versions"],
     }
-    facts |= {name.replace("_", " "): {"": text} for name, text in content["remarks"].items() if name not in facts}
+    remarks = {name.replace("_", " "): {"": text} for name, text in content["remarks"].items()}
+    facts |= {name: text for name, text in remarks.items() if name not in facts}
     told = {
         about: {name.replace("_", " "): _said(value) for name, value in ones.items() if value not in (None, "", [], {})}
         for about, ones in facts.items()

@@ -28,8 +28,8 @@ from leaderboard.pictures import take_pictures
 @pytest.mark.slow
 @pytest.mark.parametrize("channels_last", [False, True])
 def test_it_goes_all_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channels_last: bool) -> None:
-    for module in ("start", "run_manifest"):
-        monkeypatch.setattr(f"dmotion_bench.learning.{module}.model_class", lambda name: OlderNetwork)
+    for module in ("start", "manifest"):
+        monkeypatch.setattr(f"dmotion_bench.learning.runs.{module}.model_class", lambda name: OlderNetwork)
     recipe = recipe_for("grid_world", Preset.TINY, episodes=12, frames=32, tasks=1)
     record_dataset(str(tmp_path / "data"), recipe)
     dataset = Dataset.open(str(tmp_path / "data"))

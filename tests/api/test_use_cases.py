@@ -416,7 +416,7 @@ def test_a_model_of_a_notebook_is_trained_and_scored_by_its_name(
         dm.register_model("other", object)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match=r"model is <class .*; give a name.* once dm\.register_model was called"):
         dm.train(kind)  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="no class of environments"):
+    with pytest.raises(UsageError, match="has no 'recording'"):
         dm.register_environment("other", kind)  # type: ignore[arg-type]
 
 

@@ -151,6 +151,7 @@ class Mine(Lapo):
 def _defined(text: str, *, known: bool) -> dict[str, str]:
     """The hashes of the model of a notebook; its source is known as in IPython, or not."""
     file = f"<cell {hash(text)}>"
+    linecache.cache.pop(file, None)  # of another test of this process
     if known:
         linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)
     sys.modules["a_notebook"] = notebook = ModuleType("a_notebook")

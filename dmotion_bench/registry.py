@@ -1,22 +1,30 @@
 """Registered environments, models, objectives, solvers, speeds and tables: names and what they are, by entry points.
 
 ``FAMILY:MEMBER`` names an environment of a family, which decides itself what its members are.
-
-Nothing is imported until a name is asked for, so listing names costs no torch and no simulator.
 """
 
 from __future__ import annotations
 
 import contextlib
 import difflib
-import functools
-import re
-import sys
 from collections.abc import Callable, Iterable, Mapping
-from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from dmotion_bench.entry_points import (
+    ENVIRONMENTS,
+    FAMILIES,
+    LEADERBOARD,
+    LISTED,
+    MODELS,
+    OBJECTIVES,
+    SOLVERS,
+    SPEEDS,
+    TABLES,
+    add,
+    load,
+    names,
+    registered,
+)
 from dmotion_bench.errors import DmbenchError, UnknownName, UsageError
 from dmotion_bench.values import is_frozen_dataclass
 from dmotion_bench.wording import shown
@@ -29,85 +37,11 @@ if TYPE_CHECKING:
     from dmotion_bench.planning.solvers.base import Solver
     from dmotion_bench.reproduction.table import Table
 
-ENVIRONMENTS = "dmbench.environments"
-FAMILIES = "dmbench.environment_families"
-MODELS = "dmbench.models"
-OBJECTIVES = "dmbench.objectives"
-SOLVERS = "dmbench.solvers"
-SPEEDS = "dmbench.speeds"
-TABLES = "dmbench.tables"
-LEADERBOARD = "dmbench.leaderboard"
-
-LISTED = {
-    ENVIRONMENTS: "dmbench list environments",
-    FAMILIES: "dmbench list environments",
-    MODELS: "dmbench list models",
-    OBJECTIVES: "dmbench score --help",
-    SOLVERS: "dmbench score --help",
-    TABLES: "dmbench reproduce --help",
-}
-"""The commands that list the names of each group."""
-
-_REGISTERING: Final = {
-    ENVIRONMENTS: "register_environment",
-    MODELS: "register_model",
-    OBJECTIVES: "register_objective",
-    SOLVERS: "register_solver",
-}
-"""The functions that make a class known in one process."""
-
 
 _ENVIRONMENT_MEMBERS: Final = (
     *("recording", "policies", "default_policy"),
     *("reset", "step", "legal_actions", "render", "close"),
 )
-
-_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-
-_ADDED: Final[dict[tuple[str, str], object]] = {}
-"""What this process has added to the groups by ``add``, by group and name."""
-
-
-def registered(group: str) -> tuple[EntryPoint, ...]:
-    """What installed packages have registered in a group.
-
-    Reading the metadata of all packages takes milliseconds, and a scoring asks many times. So what was read is kept
-    for as long as none of the folders that packages are found in changes.
-    """
-    return _read(group, tuple((folder, _changed(folder)) for folder in sys.path))
-
-
-@functools.lru_cache(maxsize=64)
-def _read(group: str, folders: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
-    return tuple(entry_points(group=group))
-
-
-def _changed(folder: str) -> int:
-    try:
-        return Path(folder or ".").stat().st_mtime_ns
-    except OSError:  # there is no such folder
-        return 0
-
-
-def add(group: str, name: str, what: object) -> None:
-    """Register something for the rest of this process, as a notebook does; other processes do not know it.
-
-    Args:
-        group: Such as ``MODELS``.
-        name: A name that no package has registered in it; one that was added before stands for something else now.
-        what: The class.
-
-    Raises:
-        UsageError: A package has registered this name, or it cannot be a part of a folder's name.
-    """
-    if not _NAME.fullmatch(name):
-        raise UsageError(
-            f"{shown(name)} cannot be a name here; it has at most 100 letters, digits, dots, dashes and underscores, "
-            "the first of them a letter or a digit."
-        )
-    if any(point.name == name for point in registered(group)):
-        raise UsageError(f"{shown(name)} is registered by a package already ({group}); choose another name.")
-    _ADDED[group, name] = what
 
 
 def register_model(name: str, kind: type[ForwardModel[Any]]) -> None:
@@ -213,42 +147,6 @@ def _add_planner(group: str, many: str, method: str, name: str, kind: object) ->
     add(group, name, kind)
 
 
-def names(group: str) -> list[str]:
-    """Every name registered in a group, sorted."""
-    added = {name for owner, name in _ADDED if owner == group}
-    return sorted({point.name for point in registered(group)} | added)
-
-
-def owners(group: str, name: str) -> set[str]:
-    """The packages that register a name."""
-    return {point.dist.name for point in registered(group) if point.name == name and point.dist is not None}
-
-
-def is_built_in(group: str, name: str) -> bool:
-    """Whether this project itself registers a name, and so tests what it stands for."""
-    return owners(group, name) == {"dmbench"}
-
-
-def _load(group: str, kind: str, name: str) -> Any:
-    if (group, name) in _ADDED:
-        return _ADDED[group, name]
-    found: list[EntryPoint] = [point for point in registered(group) if point.name == name]
-    if not found:
-        raise UnknownName(kind, name, names(group), LISTED.get(group, ""), _REGISTERING.get(group, ""))
-    if len({point.value for point in found}) > 1:
-        claimed = sorted(f"{point.dist.name if point.dist else 'a package'} ({point.value})" for point in found)
-        raise DmbenchError(f"the {kind} {name!r} is registered by {' and by '.join(claimed)}; rename or uninstall one.")
-    try:
-        return found[0].load()
-    except DmbenchError:
-        raise
-    except Exception as error:  # somebody else's module may raise anything
-        raise DmbenchError(
-            f"the {kind} {name!r} is registered as {found[0].value!r}, which cannot be imported "
-            f"({type(error).__name__}): {error}."
-        ) from error
-
-
 def environment_names() -> list[str]:
     """The names of all installed environments.
 
@@ -280,7 +178,7 @@ def speed(name: str) -> Callable[[float], Iterable[Result]]:
     Raises:
         UnknownName: Nothing is registered under this name.
     """
-    loaded: Callable[[float], Iterable[Result]] = _load(SPEEDS, "speed", name)
+    loaded: Callable[[float], Iterable[Result]] = load(SPEEDS, "speed", name)
     return loaded
 
 
@@ -295,7 +193,7 @@ def environment_family(name: str) -> EnvironmentFamily:
     Raises:
         UnknownName: Nothing is registered under this name.
     """
-    loaded: EnvironmentFamily = _load(FAMILIES, "family of environments", name)
+    loaded: EnvironmentFamily = load(FAMILIES, "family of environments", name)
     return loaded
 
 
@@ -323,7 +221,7 @@ def environment_class(name: str) -> type[Environment]:
         members = [f"{one}:{world}" for one in family_names() for world in environment_family(one).worlds()]
         if difflib.get_close_matches(name, members, n=1):  # 'gym:' was left out
             raise UnknownName("environment", name, [*environment_names(), *members], LISTED[ENVIRONMENTS])
-    loaded: type[Environment] = _load(ENVIRONMENTS, "environment", name)
+    loaded: type[Environment] = load(ENVIRONMENTS, "environment", name)
     _require_whole(name, loaded)
     return loaded
 
@@ -368,7 +266,7 @@ def model_class(name: str) -> type[ForwardModel[Any]]:
     Raises:
         UnknownName: Nothing is registered under this name.
     """
-    loaded: type[ForwardModel[Any]] = _load(MODELS, "model", name)
+    loaded: type[ForwardModel[Any]] = load(MODELS, "model", name)
     return loaded
 
 
@@ -388,7 +286,7 @@ def objective_class(name: str) -> type[Objective]:
     Raises:
         UnknownName: Nothing is registered under this name.
     """
-    loaded: type[Objective] = _load(OBJECTIVES, "objective", name)
+    loaded: type[Objective] = load(OBJECTIVES, "objective", name)
     return loaded
 
 
@@ -398,7 +296,7 @@ def solver_class(name: str) -> type[Solver]:
     Raises:
         UnknownName: Nothing is registered under this name.
     """
-    loaded: type[Solver] = _load(SOLVERS, "planner", name)
+    loaded: type[Solver] = load(SOLVERS, "planner", name)
     return loaded
 
 
@@ -413,7 +311,7 @@ def table(name: str) -> Table:
     Raises:
         UnknownName: Nothing is registered under this name.
     """
-    loaded: Table = _load(TABLES, "table", name)
+    loaded: Table = load(TABLES, "table", name)
     return loaded
 
 

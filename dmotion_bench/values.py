@@ -50,7 +50,8 @@ def is_frozen_dataclass(kind: object) -> bool:
     """Whether this is a class of settings that stay as a report says they were."""
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         return False
-    return bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
+    config: Any = kind
+    return bool(config.__dataclass_params__.frozen)
 
 
 def parse_value(key: str, text: str, wanted: Any) -> Any:

@@ -28,7 +28,7 @@ def board_section(board: Board) -> list[str]:
     """The lines of a board: its heading, what it was measured on, and its tables."""
     lines = [f"### {world(board)}: {plain(board.dataset)} ({board.fingerprint[:8]})", ""]
     protocols = sorted({str(entry.content["protocol"]) for entry in board.entries if entry.is_measured})
-    told = [f"{named('Protocol', list(map(plain, protocols)))}", f"split by {plain(board.protocol)}"]
+    told = [named("Protocol", list(map(plain, protocols))), f"split by {plain(board.protocol)}"]
     lines.append(", ".join([*told, *([f"{board.triplets:,} predicted frames"] if board.triplets else [])]) + ".")
     if board.measured:
         lines += ["", *_predictions(board)]

@@ -30,7 +30,6 @@ from test_documentation import MODELS, PAGES, ROOT, _commands, _is_example
 from walk import BLOCK, assert_printed, run_python, save, steps
 
 from baselines import dmotion_paper
-from dmotion_bench import registry
 from dmotion_bench.api import demonstration
 from dmotion_bench.api import planning as api_planning
 from dmotion_bench.api import scoring as api_scoring
@@ -256,7 +255,7 @@ def test_a_tutorial_can_be_followed_from_an_empty_folder(
             monkeypatch.setenv(name, value)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(registry, "_ADDED", {})
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {})
     modules, names = set(sys.modules), dict[str, Any]()
     try:
         for step in steps(page.read_text()):

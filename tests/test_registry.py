@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from dmotion_bench import registry
+from dmotion_bench.entry_points import MODELS, names
 from dmotion_bench.errors import UnknownName
-from dmotion_bench.registry import MODELS, environment_title, names
+from dmotion_bench.registry import environment_title
 
 POINTS = "[dmbench.models]\n{name} = no_such_module:Model\n"
 
@@ -52,7 +53,7 @@ def test_metadata_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def read_again(**_: str) -> None:
         raise AssertionError("read again, although nothing changed")
 
-    monkeypatch.setattr(registry, "entry_points", read_again)
+    monkeypatch.setattr("dmotion_bench.entry_points.entry_points", read_again)
 
     assert names(MODELS) == first
 

@@ -21,6 +21,7 @@ from dmotion_bench.api.settings import (
     require_one_of,
     whole,
 )
+from dmotion_bench.entry_points import MODELS, is_built_in
 from dmotion_bench.errors import DmbenchError, ModelContractBroken, RunMissing, UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
@@ -44,7 +45,7 @@ from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.loop import Report
 from dmotion_bench.learning.training.loop import train as train_steps
 from dmotion_bench.learning.training.tracking import require_trackers
-from dmotion_bench.registry import MODELS, is_built_in, model_class
+from dmotion_bench.registry import model_class
 from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.atomic import is_unused
 from dmotion_bench.storage.dataset import Dataset

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import torch
@@ -13,37 +13,32 @@ import torch
 from dmotion_bench.errors import DmbenchError, ModelContractBroken, PlannerContractBroken
 
 
-@contextlib.contextmanager
-def calling(part: object, method: str) -> Iterator[None]:
+def calling(part: object, method: str) -> contextlib.AbstractContextManager[None]:
     """Turn an error of a solver, an objective or an evaluator into one that names the method.
 
     Raises:
         PlannerContractBroken: The method raised something else than a ``DmbenchError``.
     """
-    try:
-        yield
-    except (DmbenchError, MemoryError, torch.OutOfMemoryError):
-        raise
-    except Exception as error:  # somebody else's part may raise anything
-        raise broken(part, method, _raised(part, error)) from error
+    return _naming(part, method, broken)
 
 
-@contextlib.contextmanager
-def predicting(model: object, method: str) -> Iterator[None]:
+def predicting(model: object, method: str) -> contextlib.AbstractContextManager[None]:
     """Turn an error of a model into one that names the model's method, and not the solver that asked for it.
 
     Raises:
         ModelContractBroken: The method raised something else than a ``DmbenchError``.
     """
+    return _naming(model, method, _broken_model)
+
+
+@contextlib.contextmanager
+def _naming(part: object, method: str, breach: Callable[[object, str, str], DmbenchError]) -> Iterator[None]:
     try:
         yield
     except (DmbenchError, MemoryError, torch.OutOfMemoryError):
         raise
-    except Exception as error:
-        raise ModelContractBroken(
-            f"{type(model).__qualname__}.{method} {_raised(model, error)}. The contract is in docs/your_model.md; "
-            "dmotion_bench.testing.check_model checks it."
-        ) from error
+    except Exception as error:  # somebody else's part may raise anything
+        raise breach(part, method, _raised(part, error)) from error
 
 
 def _raised(part: object, error: Exception) -> str:
@@ -63,6 +58,13 @@ def require(part: object, method: str, holds: bool, sentence: str) -> None:
     """
     if not holds:
         raise broken(part, method, sentence)
+
+
+def _broken_model(model: object, method: str, sentence: str) -> ModelContractBroken:
+    return ModelContractBroken(
+        f"{type(model).__qualname__}.{method} {sentence}. The contract is in docs/your_model.md; "
+        "dmotion_bench.testing.check_model checks it."
+    )
 
 
 def broken(part: object, method: str, sentence: str) -> PlannerContractBroken:

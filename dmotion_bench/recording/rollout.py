@@ -145,6 +145,7 @@ class _Witness:
         self._located = env if isinstance(env, ObjectEnvironment) else None
         self._masked = env if isinstance(env, MaskedEnvironment) else None
         self._threshold = env.facts.push_threshold
+        self._highest = max(MASK_FIRST_OBJECT + len(env.facts.objects) - 1, *env.facts.agent_masks)
         self._agents, self._objects = list[ObjectStates](), list[ObjectStates]()
         self._note_states()
         self._masks = _Film(self._mask(self._masked)) if self._masked else None
@@ -168,13 +169,12 @@ class _Witness:
                 f"the environment {facts.id!r} tells masks that are {mask.dtype} of {mask.shape}; by its facts they "
                 f"are a uint8 array of {(facts.height, facts.width)}."
             )
-        most = max(MASK_FIRST_OBJECT + len(facts.objects) - 1, *facts.agent_masks)
-        if mask.size and not 0 <= mask.min() <= mask.max() <= most:
+        if mask.max(initial=0) > self._highest or (mask.dtype.kind == "i" and mask.min(initial=0) < 0):
             raise RecordingFailed(
                 f"the environment {facts.id!r} tells masks with values from {mask.min()} to {mask.max()}; by its facts "
-                f"they are 0 to {most}: background, agent, then its objects."
+                f"they are 0 to {self._highest}: background, agent, then its objects."
             )
-        return mask.astype(np.uint8)
+        return mask.astype(np.uint8, copy=False)  # the film copies it
 
     def labels(
         self,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dmotion_bench.addresses import remote_address
+from dmotion_bench.entry_points import ENVIRONMENTS, is_built_in, owners
 from dmotion_bench.environment import Packaged, Unproven, Varied
 from dmotion_bench.errors import (
     DatasetMissing,
@@ -24,7 +25,7 @@ from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.policies import find_policy
 from dmotion_bench.recording.replay import replay_sample
 from dmotion_bench.recording.rollout import make_environment, record_episodes
-from dmotion_bench.registry import ENVIRONMENTS, environment_class, is_built_in, owners
+from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
 from dmotion_bench.storage.manifest import Manifest, Replay
 from dmotion_bench.storage.remote_copy import RemoteCopy, copy_folder, upload

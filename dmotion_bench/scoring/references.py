@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from dmotion_bench.actions import ActionSpec, kind_of
+from dmotion_bench.entry_points import registered
 from dmotion_bench.errors import DmbenchError
-from dmotion_bench.registry import registered
 from dmotion_bench.scoring.transitions import TransitionBatch
 
 PUBLISHED = "dmbench.references"

@@ -11,12 +11,12 @@ A package's whole test of its model::
 
 Its parts, each a file::
 
-    trial.py        builds and calls a model under test
-    declaration.py  what the class declares: class variables, settings, weights, phases
-    losses.py       what is minimised, in training and in validation
-    prediction.py   the next frame, and rollouts
-    trained.py      after a few steps: aligned, kept by its checkpoint, heedful of actions
-    offers.py       what a model may offer besides
+    trial.py             builds and calls a model under test
+    declaration.py       what the class declares: class variables, settings, weights, phases
+    losses.py            what is minimised, in training and in validation
+    prediction.py        the next frame, and rollouts
+    trained.py           after a few steps: aligned, kept by its checkpoint, dependent on actions
+    optional_methods.py  methods that make planning faster, and those that some figures need
 
 Each breach has a message of its own, which says what the model did and what is asked. A model that passes trains,
 scores, plans and ranks with every command. Nothing is learned here but what a few steps on noise teach.
@@ -36,7 +36,7 @@ from dmotion_bench.learning.model import ForwardModel, ModelInputs
 from dmotion_bench.specs import Preset
 from dmotion_bench.testing.declaration import check_building, check_class, check_phases, check_settings
 from dmotion_bench.testing.losses import check_losses, check_validation
-from dmotion_bench.testing.offers import check_offers
+from dmotion_bench.testing.optional_methods import check_optional_methods
 from dmotion_bench.testing.prediction import check_prediction, check_rollout
 from dmotion_bench.testing.trained import WARM_UP, check_alignment, check_checkpoint, tells_actions_apart
 from dmotion_bench.testing.trial import ModelTrial
@@ -106,7 +106,7 @@ def _check(subject: ModelTrial) -> None:
     check_alignment(subject)
     check_rollout(subject)
     check_checkpoint(subject)
-    check_offers(subject)
+    check_optional_methods(subject)
     if any(kind.training_defaults(preset, subject.arch).channels_last for preset in Preset):
         packed = ModelTrial(kind, subject.arch, subject.inputs, channels_last=True, config=subject.config)
         for phase in packed.build().phases():

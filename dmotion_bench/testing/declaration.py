@@ -38,12 +38,12 @@ def check_class(kind: type[ForwardModel[Any]]) -> None:
     )
     paper = getattr(kind, "paper", None)
     subject.require(isinstance(paper, str) and bool(paper), "its class variable paper says no authors and title")
-    config = getattr(kind, "Config", None)
+    config: Any = getattr(kind, "Config", None)
     subject.require(
         is_frozen_dataclass(config),
         "its class variable Config is no @dataclass(frozen=True, kw_only=True)",
     )
-    shared = sorted({field.name for field in dataclasses.fields(config)} & _OF_TRAINING)  # type: ignore[arg-type]
+    shared = sorted({field.name for field in dataclasses.fields(config)} & _OF_TRAINING)
     subject.require(
         not shared,
         f"its Config has fields of TrainingConfig ({', '.join(shared)}), so '--set' would not reach the training's; "

@@ -25,8 +25,8 @@ def entered(subject: ModelTrial, phase: Phase, *, training: bool) -> ForwardMode
 
 def batch_of(subject: ModelTrial, phase: Phase) -> TripletBatch:
     """A batch as the training of a phase has it."""
-    shown = phase.needs_actions and subject.kind.supervision is Supervision.FEW  # demonstrations, with nothing before
-    earlier = 0 if shown else phase.earlier
+    demonstrated = phase.needs_actions and subject.kind.supervision is Supervision.FEW  # with nothing before it
+    earlier = 0 if demonstrated else phase.earlier
     return subject.batch(BATCH, actions=phase.needs_actions, labelled=phase.with_labels, earlier=earlier)
 
 

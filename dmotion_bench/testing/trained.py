@@ -1,4 +1,4 @@
-"""What a model is after a few steps of training: aligned, kept by its checkpoint, and heedful of actions."""
+"""What a model is after a few steps of training: aligned, kept by its checkpoint, and dependent on actions."""
 
 from __future__ import annotations
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 import dmotion_bench as dm
-from dmotion_bench import registry
 
 EPOCHS = 0.5  # two steps
 
@@ -25,7 +24,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def workspace(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of it that is the working folder; what a test registers is forgotten afterwards."""
-    monkeypatch.setattr(registry, "_ADDED", {})
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {})
     root = tmp_path / "workspace"
     shutil.copytree(made, root)
     monkeypatch.chdir(root)

@@ -8,15 +8,13 @@ from typing import Any
 import pytest
 from walk import run_python, steps
 
-from dmotion_bench import registry
-
 PAGE = Path(__file__).parents[2] / "docs" / "python.md"
 
 
 def test_every_block_of_the_page_gives_what_it_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DMBENCH_WORKSPACE", raising=False)
-    monkeypatch.setattr(registry, "_ADDED", {})
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {})
     blocks = list(steps(PAGE.read_text()))
     assert {one.kind for one in blocks} == {"python"}
     names: dict[str, Any] = {}

@@ -234,7 +234,7 @@ def test_the_command_says_the_cost_and_what_is_wrong(
 ) -> None:
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
     monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setattr(registry, "_ADDED", {(registry.TABLES, "mine"): TABLE})
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {(registry.TABLES, "mine"): TABLE})
 
     def ran(*words: str) -> Any:
         return dmbench(["reproduce", *words], capsys, monkeypatch)
@@ -265,7 +265,7 @@ def test_ctrl_c_says_how_to_go_on(
         raise KeyboardInterrupt
 
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
-    monkeypatch.setattr(registry, "_ADDED", {(registry.TABLES, "mine"): TABLE})
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {(registry.TABLES, "mine"): TABLE})
     monkeypatch.setattr(reproducing, "record_recipe", interrupted)
     outcome = dmbench(["reproduce", "mine"], capsys, monkeypatch)
     assert outcome.code == 130

@@ -17,6 +17,7 @@ from noise_world import noise_episode, noise_spec
 
 from baselines.layers import WIDTHS
 from baselines.unet import UNet
+from dmotion_bench.entry_points import MODELS
 from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs import checkpoint
@@ -24,7 +25,7 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training.loop import Report, train
 from dmotion_bench.learning.training.shared_pretraining import take_over
-from dmotion_bench.registry import MODELS, model_class
+from dmotion_bench.registry import model_class
 from dmotion_bench.specs import DatasetRecipe, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter

@@ -14,7 +14,7 @@ from older_network import OlderNetwork
 
 from baselines import original_speed
 from baselines.original_speed import compact_over_original, rates_in_turn
-from dmotion_bench import registry
+from dmotion_bench import entry_points
 from dmotion_bench.benchmarks.comparison import Stored, changes
 from dmotion_bench.benchmarks.machine import processor
 from dmotion_bench.benchmarks.result import Result
@@ -32,14 +32,14 @@ class Explosive(OlderNetwork):
 @pytest.fixture
 def _plug_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = [("away", "no_such_module:Model"), ("explosive", "benchmarks.test_bench:Explosive")]
-    points = [EntryPoint(name=name, value=value, group=registry.MODELS) for name, value in broken]
+    points = [EntryPoint(name=name, value=value, group=entry_points.MODELS) for name, value in broken]
     monkeypatch.setattr(EntryPoint, "load", _load(EntryPoint.load))
-    real = registry.registered
+    real = entry_points.registered
 
     def with_plug_ins(group: str) -> Any:
-        return [*real(group), *(points if group == registry.MODELS else [])]
+        return [*real(group), *(points if group == entry_points.MODELS else [])]
 
-    monkeypatch.setattr(registry, "registered", with_plug_ins)
+    monkeypatch.setattr(entry_points, "registered", with_plug_ins)
 
 
 def _load(load: Any) -> Any:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from dmbench_command import dmbench
 
-from dmotion_bench import registry
+from dmotion_bench import entry_points
 from dmotion_bench.cli.tables import show_figures, show_rows
 from dmotion_bench.workspace import Workspace
 from recorders.distractors.scenes import NAMES
@@ -54,8 +54,8 @@ def test_an_environment_that_cannot_be_used_does_not_hide_the_others(
     words: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     undescribed = type("Undescribed", (PlanarPush,), {})
-    added = {(registry.ENVIRONMENTS, "broken"): int, (registry.ENVIRONMENTS, "undescribed"): undescribed}
-    monkeypatch.setattr(registry, "_ADDED", added)
+    added = {(entry_points.ENVIRONMENTS, "broken"): int, (entry_points.ENVIRONMENTS, "undescribed"): undescribed}
+    monkeypatch.setattr(entry_points, "_ADDED", added)
 
     listed = dmbench(["list", "environments", *words], capsys, monkeypatch).out
 
@@ -135,13 +135,13 @@ def test_what_lies_in_the_workspace_is_listed_by_the_name_that_finds_it(
 @pytest.fixture
 def strangers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Packages of others: one that breaks on import, one that takes the name of a model of ours."""
-    real = registry.registered
+    real = entry_points.registered
 
     def found(group: str) -> list[EntryPoint]:
         more = {"broken": "no_such_module:Model", "lapo": "antigravity_models:Lapo"}
         return [*real(group), *(EntryPoint(name, value, group) for name, value in more.items())]
 
-    monkeypatch.setattr("dmotion_bench.registry.registered", found)
+    monkeypatch.setattr("dmotion_bench.entry_points.registered", found)
 
 
 @pytest.mark.usefixtures("strangers")

@@ -48,7 +48,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (folder / "model.py").write_text(MODEL)
     monkeypatch.syspath_prepend(tmp_path)
     importlib.invalidate_caches()
-    monkeypatch.setattr(registry, "_ADDED", {})
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {})
     register_model("edited", importlib.import_module("edited_models.model").Edited)
     yield folder
     for name in [name for name in sys.modules if name.partition(".")[0] == "edited_models"]:
@@ -97,7 +97,7 @@ def test_files_beside_a_models_own_count_unless_they_are_installed_packages(
         "from baselines.lapo import Lapo\nfrom layers_beside import WIDTH\nclass Mine(Lapo): width = WIDTH\n"
     )
     monkeypatch.syspath_prepend(place)
-    monkeypatch.setattr(registry, "_ADDED", {})
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {})
     for name in ("layers_beside", "model_beside"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     register_model("edited", importlib.import_module("model_beside").Mine)

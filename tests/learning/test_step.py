@@ -10,11 +10,12 @@ import pytest
 import torch
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.entry_points import MODELS
 from dmotion_bench.learning.model import Losses, ModelInputs, TripletBatch
 from dmotion_bench.learning.training.figures import StepFigures
 from dmotion_bench.learning.training.optimizer import make_optimizer
 from dmotion_bench.learning.training.step import Stepper
-from dmotion_bench.registry import MODELS, model_class
+from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Preset, Supervision
 
 NAMES = sorted(point.name for point in entry_points(group=MODELS) if point.value.startswith("baselines."))

@@ -9,7 +9,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-from dmotion_bench import registry
 from dmotion_bench.errors import DmbenchError, InvalidSetting, UsageError
 from dmotion_bench.recording import session
 from dmotion_bench.recording.preset import recipe_for
@@ -68,7 +67,7 @@ class Wrong(GridWorld):
 
 @pytest.fixture(autouse=True)
 def own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "_ADDED", {})
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {})
     for kind in (Own, Forgetful, Sure, Still, Unmade, Factless, Wrong):
         register_environment(kind.__name__.lower(), kind)
 

@@ -221,7 +221,7 @@ def test_a_report_without_control_is_kept_where_the_environment_is_not_installed
 ) -> None:
     run = make_run(tmp_path / "run")
     first = score_run(run.path, settings=QUICK)
-    monkeypatch.setattr("dmotion_bench.registry.registered", lambda _: ())
+    monkeypatch.setattr("dmotion_bench.entry_points.registered", lambda _: ())
 
     assert score_run(run.path, settings=QUICK) == first
 

@@ -1,4 +1,4 @@
-"""What a model may offer besides, of which the core asks the same thing in two ways: both must agree."""
+"""Methods that a model need not have. Where a required one gives the same thing, the two must agree."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dmotion_bench.testing.trial import BATCH, ModelTrial, described
 PARENTS = (2, 0, 0, 2)  # of the states that a branching gives: some have several, one has none
 
 
-def check_offers(subject: ModelTrial) -> None:
+def check_optional_methods(subject: ModelTrial) -> None:
     """Check the methods that make planning faster, and those that some figures need, of a model that has them."""
     built = subject.build().eval()
     model: object = built

@@ -34,6 +34,8 @@ print(type(model).__module__, tuple(one.shape), torch.equal(one, other))
 """
 
 
+CHECKED = "test_bright.test_the_contracts_are_kept()"
+NO_GOAL = "Brightness: a state at the goal costs no less than one at the start"  # the guide says so
 PLANNER_GUIDE = GUIDE.with_name("your_planner.md")
 
 
@@ -51,6 +53,7 @@ def shell(tmp_path: Path):
 @pytest.fixture
 def planner_shell(tmp_path: Path):
     """Runs Python with the installed package of the guide for planners."""
+    (tmp_path / "test_bright.py").write_text(_blocks("python", PLANNER_GUIDE)[1])
     return _installed(tmp_path, "bright_planner", PLANNER_GUIDE)
 
 
@@ -99,6 +102,7 @@ def test_the_guides_solver_and_objective_plan_from_their_own_package(planner_she
     recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=20, frames=32, tasks=2)
     record_dataset(tmp_path / "data" / "grid", recipe)
     dataset = Dataset.open(tmp_path / "data" / "grid")
+    planner_shell("-c", f"import pytest, test_bright\nwith pytest.warns(match={NO_GOAL!r}): {CHECKED}")
     plan = ("plan", "oracle", "--data", "grid", "--steps", "3", "--planner", "straight", "--json")
     chosen = ("--planner-set", "horizon=2", "--objective", "brightness", "--objective-set", "weight=2")
     said = json.loads(planner_shell("-c", COMMAND, *plan, *chosen))

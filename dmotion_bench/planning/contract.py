@@ -70,5 +70,5 @@ def _broken_model(model: object, method: str, sentence: str) -> ModelContractBro
 def broken(part: object, method: str, sentence: str) -> PlannerContractBroken:
     """The error for a breach."""
     return PlannerContractBroken(
-        f"{type(part).__qualname__}.{method} {sentence}. The contract is in docs/your_planner.md."
+        f"{type(part).__qualname__}.{method} {sentence}. The contract is in docs/your_planner.md; dmotion_bench.testing checks it."
     )

@@ -1,4 +1,4 @@
-"""Conformance: whether anyone's model keeps the contract of ``learning/model.py``.
+"""Conformance: whether anyone's model, solver or objective keeps its contract.
 
 A package's whole test of its model::
 
@@ -9,7 +9,7 @@ A package's whole test of its model::
     def test_my_model_keeps_the_contract() -> None:
         check_model(MyModel)
 
-Its parts, each a file::
+and in the same way ``check_solver(MySolver)`` and ``check_objective(MyObjective)``. The parts, each a file::
 
     trial.py             builds and calls a model under test
     declaration.py       what the class declares: class variables, settings, weights, phases
@@ -17,6 +17,10 @@ Its parts, each a file::
     prediction.py        the next frame, and rollouts
     trained.py           after a few steps: aligned, kept by its checkpoint, dependent on actions
     optional_methods.py  methods that make planning faster, and those that some figures need
+    solver.py            a solver: plans that only its context decides, each task as if it were alone
+    objective.py         an objective: costs that only states decide
+    settings_class.py    that both are frozen dataclasses, complete when constructed
+    plane.py             the made-up world that both are tried in
 
 Each breach has a message of its own, which says what the model did and what is asked. A model that passes trains,
 scores, plans and ranks with every command. Nothing is learned here but what a few steps on noise teach.
@@ -36,10 +40,14 @@ from dmotion_bench.learning.model import ForwardModel, ModelInputs
 from dmotion_bench.specs import Preset
 from dmotion_bench.testing.declaration import check_building, check_class, check_phases, check_settings
 from dmotion_bench.testing.losses import check_losses, check_validation
+from dmotion_bench.testing.objective import check_objective
 from dmotion_bench.testing.optional_methods import check_optional_methods
 from dmotion_bench.testing.prediction import check_prediction, check_rollout
+from dmotion_bench.testing.solver import check_solver
 from dmotion_bench.testing.trained import WARM_UP, check_alignment, check_checkpoint, tells_actions_apart
 from dmotion_bench.testing.trial import ModelTrial
+
+__all__ = ["CONTINUOUS", "check_before_training", "check_model", "check_objective", "check_solver"]
 
 SIZES = (64, 128)  # [px]
 

@@ -17,7 +17,7 @@ from dmotion_bench.wording import shown
 
 def checked_reset(
     objective: Objective, spec: EnvSpec, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]
-) -> Evaluator:
+) -> CheckedEvaluator:
     """Begin some tasks by an objective; arguments as of ``Objective.reset``.
 
     Raises:
@@ -40,20 +40,23 @@ class CheckedEvaluator:
 
     Args:
         evaluator: The other one.
+
+    Attributes:
+        checked: The same.
     """
 
     def __init__(self, evaluator: Evaluator) -> None:
-        self._evaluator = evaluator
+        self.checked = evaluator
 
     def observe(self, actions: Taken, frames: UInt8[np.ndarray, "b h w 3"]) -> None:
         """What was really done, and what is seen after it."""
-        with calling(self._evaluator, "observe"):
-            self._evaluator.observe(actions, frames)
+        with calling(self.checked, "observe"):
+            self.checked.observe(actions, frames)
 
     def begin(self, dynamics: Dynamics) -> CostState:
         """What the predictions of a control step start from."""
-        with calling(self._evaluator, "begin"):
-            carried = self._evaluator.begin(dynamics)
+        with calling(self.checked, "begin"):
+            carried = self.checked.begin(dynamics)
         self._require_carried("begin", carried)
         return carried
 
@@ -61,11 +64,11 @@ class CheckedEvaluator:
         self, dynamics: Dynamics, state: State, task: Int[Tensor, " n"], action: Actions, cost_state: CostState
     ) -> tuple[StepCost, CostState]:
         """What predicted states cost."""
-        with calling(self._evaluator, "step"):
-            found: Any = self._evaluator.step(dynamics, state, task, action, cost_state)
+        with calling(self.checked, "step"):
+            found: Any = self.checked.step(dynamics, state, task, action, cost_state)
         pair = isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], StepCost)
         require(
-            self._evaluator,
+            self.checked,
             "step",
             pair,
             f"returned {_described(found)}; it must return a StepCost and a tuple of tensors",
@@ -74,7 +77,7 @@ class CheckedEvaluator:
         for name in (*PARTS, "total"):
             part = getattr(cost, name)
             require(
-                self._evaluator,
+                self.checked,
                 "step",
                 isinstance(part, Tensor) and part.shape == (len(task),),
                 f"returned the {name} as {_described(part)}; it must be a tensor of the shape ({len(task)},), a number "
@@ -86,7 +89,7 @@ class CheckedEvaluator:
     def _require_carried(self, method: str, carried: object) -> None:
         tensors = isinstance(carried, tuple | list) and all(isinstance(one, Tensor) for one in carried)
         told = f"returned {_described(carried)} to carry on; it must be a tuple of tensors, empty for none"
-        require(self._evaluator, method, tensors, told)
+        require(self.checked, method, tensors, told)
 
 
 def _described(value: Any) -> str:

@@ -32,6 +32,27 @@ def predicting(model: object, method: str) -> contextlib.AbstractContextManager[
 
 
 @contextlib.contextmanager
+def using(model: object) -> Iterator[None]:
+    """Turn an error that a model's own file raises into one that names the method there, whoever called it.
+
+    An error that does not pass through that file is left as it is: it is not the model's.
+
+    Raises:
+        ModelContractBroken: The model raised something else than a ``DmbenchError``.
+    """
+    try:
+        yield
+    except (DmbenchError, MemoryError, torch.OutOfMemoryError):
+        raise
+    except Exception as error:  # as above
+        own = _own_file(model)
+        methods = [place.name for place in traceback.extract_tb(error.__traceback__) if place.filename == own]
+        if not methods:
+            raise
+        raise _broken_model(model, methods[0], _raised(model, error)) from error
+
+
+@contextlib.contextmanager
 def _naming(part: object, method: str, breach: Callable[[object, str, str], DmbenchError]) -> Iterator[None]:
     try:
         yield
@@ -44,10 +65,15 @@ def _naming(part: object, method: str, breach: Callable[[object, str, str], Dmbe
 def _raised(part: object, error: Exception) -> str:
     """What was raised, and the last line of the part's own file that led to it."""
     places = traceback.extract_tb(error.__traceback__)
-    own = getattr(sys.modules.get(type(part).__module__), "__file__", None)
+    own = _own_file(part)
     place = next((one for one in reversed(places) if one.filename == own), places[-1])
     told = f"raised {type(error).__name__} in line {place.lineno} of {Path(place.filename).name}"
     return f"{told}: {str(error).rstrip('.')}"
+
+
+def _own_file(part: object) -> str | None:
+    """Where a part's class is defined; None in a notebook."""
+    return getattr(sys.modules.get(type(part).__module__), "__file__", None)
 
 
 def require(part: object, method: str, holds: bool, sentence: str) -> None:
@@ -70,5 +96,6 @@ def _broken_model(model: object, method: str, sentence: str) -> ModelContractBro
 def broken(part: object, method: str, sentence: str) -> PlannerContractBroken:
     """The error for a breach."""
     return PlannerContractBroken(
-        f"{type(part).__qualname__}.{method} {sentence}. The contract is in docs/your_planner.md; dmotion_bench.testing checks it."
+        f"{type(part).__qualname__}.{method} {sentence}. The contract is in docs/your_planner.md; "
+        "dmotion_bench.testing checks it."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import pyarrow as pa
 import torch
 
+from dmotion_bench.entry_points import MODELS, is_built_in
 from dmotion_bench.errors import InvalidSetting, RunMismatch, RunMissing
 from dmotion_bench.learning.data.triplets import SplitProtocol
 from dmotion_bench.learning.hardware.memory import keep_freed_memory
@@ -18,6 +20,7 @@ from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import TEST, require_fitting_tasks
+from dmotion_bench.planning.contract import using
 from dmotion_bench.planning.dynamics.model import arithmetic_on
 from dmotion_bench.scoring.control import control_tables, require_tasks, shares_of
 from dmotion_bench.scoring.earlier_planning import present_planning
@@ -227,7 +230,8 @@ def score_run(
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
-        with using_threads(run.threads):
+        own = contextlib.nullcontext() if is_built_in(MODELS, run.spec.model) else using(run.model)
+        with using_threads(run.threads), own:
             scores = score_model(
                 run.model,
                 dataset,

@@ -63,6 +63,12 @@ def test_ssim_of_the_same_is_one_and_has_no_direction(pair: tuple[torch.Tensor, 
     )
 
 
+def test_ssim_is_computed_in_float32_where_models_predict_in_less(pair: tuple[torch.Tensor, torch.Tensor]) -> None:
+    expected = structural_similarity(*pair)
+    with torch.autocast("cpu", torch.bfloat16):
+        torch.testing.assert_close(structural_similarity(*pair), expected, rtol=0, atol=0)
+
+
 def test_ssim_needs_a_window() -> None:
     with pytest.raises(InvalidSetting, match="11 x 11"):
         structural_similarity(*torch.zeros(2, 1, 10, 40, 3, dtype=torch.uint8))

@@ -45,7 +45,7 @@ from dmotion_bench.testing.optional_methods import check_optional_methods
 from dmotion_bench.testing.prediction import check_prediction, check_rollout
 from dmotion_bench.testing.solver import check_solver
 from dmotion_bench.testing.trained import WARM_UP, check_alignment, check_checkpoint, tells_actions_apart
-from dmotion_bench.testing.trial import ModelTrial
+from dmotion_bench.testing.trial import ModelTrial, specified
 
 __all__ = ["CONTINUOUS", "check_before_training", "check_model", "check_objective", "check_solver"]
 
@@ -73,7 +73,7 @@ def check_model(
     """
     check_class(kind)
     arch = arch or kind.architectures[0]
-    spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
+    spec = specified(actions)
     subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec))
     _check(subject)
     if not any(tells_actions_apart(subject, steps) for steps in (0, WARM_UP)):

@@ -18,7 +18,7 @@ from dmotion_bench.planning.objectives.checked import CheckedEvaluator, checked_
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.testing.plane import Plane, as_state, beginnings, drawn, ends
 from dmotion_bench.testing.settings_class import built
-from dmotion_bench.testing.trial import same
+from dmotion_bench.testing.trial import same, specified
 
 CANDIDATES: Final = 3  # actions that are tried at each task
 HORIZON: Final = 2
@@ -41,9 +41,8 @@ def check_objective(
         PlannerContractBroken: At the first breach.
         InvalidSetting: It needs something that the made-up world lacks.
     """
-    spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
     objective: Objective = built(kind)
-    trial = _Trial(objective if video is None else taught(objective, video), spec)
+    trial = _Trial(objective if video is None else taught(objective, video), specified(actions))
     trial.check_pure()
     trial.check_rows()
     trial.check_alone()

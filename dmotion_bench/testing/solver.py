@@ -18,6 +18,7 @@ from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
 from dmotion_bench.planning.solvers.checked import checked_plan
 from dmotion_bench.testing.plane import Plane, as_state, beginnings, ends
 from dmotion_bench.testing.settings_class import built
+from dmotion_bench.testing.trial import specified
 
 STEPS: Final = 4  # that each task is planned and carried out
 NEAR: Final = 1e-4  # relative: plans of fewer tasks may be rounded otherwise
@@ -36,8 +37,7 @@ def check_solver(kind: type[Solver], *, actions: int | ActionSpec = 4) -> None:
         PlannerContractBroken: At the first breach.
     """
     solver = built(kind)
-    spec = Discrete.numbered(actions) if isinstance(actions, int) else actions
-    trial = _Trial(solver, spec)
+    trial = _Trial(solver, specified(actions))
     trial.check_repeated()
     trial.check_alone()
     trial.check_blocked()

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_encoding import Actions, as_tensor
 from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInputs, TripletBatch
@@ -120,6 +120,11 @@ class ModelTrial:
     def broken(self, sentence: str) -> ModelContractBroken:
         """The error for a breach."""
         return ModelContractBroken(f"{self.name}: {sentence}. The contract is in dmotion_bench/learning/model.py.")
+
+
+def specified(actions: int | ActionSpec) -> ActionSpec:
+    """So many discrete actions, or a specification as it is."""
+    return Discrete.numbered(actions) if isinstance(actions, int) else actions
 
 
 def described(value: Any) -> str:

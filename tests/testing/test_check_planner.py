@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from dmotion_bench.testing import CONTINUOUS, check_objective, check_solver
 
 DISCRETE = ("cem", "exhaustive", "icem", "icem-recall", "random-shooting")
 OF_NUMBERS = ("cem", "gradient", "icem", "icem-recall", "mppi", "random-shooting")
+TURNS = itertools.count()
 SIGHTED = ("centres", "feature", "pixel", "tabletop", "tracked", "tracked-risk")  # the others learn from video first
 
 
@@ -93,8 +94,8 @@ def _of_python(self: Dice, actions: int, context: Any) -> Any:
     return np.array([random.randrange(actions) for _ in range(np.prod(shape))]).reshape(shape)
 
 
-def _of_a_clock(self: Dice, actions: int, context: Any, *, turns: Any = itertools.count()) -> Any:  # noqa: B008
-    generator = np.random.default_rng(next(turns))
+def _of_a_clock(self: Dice, actions: int, context: Any) -> Any:
+    generator = np.random.default_rng(next(TURNS))
     return generator.integers(0, actions, (len(context.generators), self.samples, self.horizon))
 
 
@@ -114,20 +115,15 @@ def _of_the_first_task(self: Dice, actions: int, context: Any) -> Any:
     ],
 )
 def test_random_numbers_come_from_each_tasks_own_generator(drawn: Callable[..., Any], said: str) -> None:
-    @dataclass(frozen=True, kw_only=True)
-    class Drawing(Dice):
-        pass
-
-    Drawing.drawn = drawn  # type: ignore[method-assign]
     with pytest.raises(PlannerContractBroken, match=said):
-        check_solver(Drawing)
+        check_solver(type("Drawing", (Dice,), {"drawn": drawn}))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Writing(Dice):
     """Writes into one of the things that it is given."""
 
-    into: str = "current"
+    into: ClassVar[str] = "current"
 
     def plan(self, dynamics: Any, evaluator: Any, context: Any) -> Any:
         plan = super().plan(dynamics, evaluator, context)
@@ -137,13 +133,8 @@ class Writing(Dice):
 
 @pytest.mark.parametrize("into", ["previous", "current", "goals", "blocked"])
 def test_what_a_solver_writes_into_its_context_is_found(into: str) -> None:
-    @dataclass(frozen=True, kw_only=True)
-    class Into(Writing):
-        pass
-
-    Into.__init__.__kwdefaults__["into"] = into
     with pytest.raises(PlannerContractBroken, match=rf"wrote into context\.(observation\.)?{into}; take a copy"):
-        check_solver(Into)
+        check_solver(type("Into", (Writing,), {"into": into}))
 
 
 def test_a_solver_that_takes_blocked_actions_is_found() -> None:
@@ -192,7 +183,7 @@ def test_settings_are_a_frozen_dataclass_with_defaults() -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Near:
-    """The distance of the features from the goals', with one method of its evaluator replaced."""
+    """The distance of pictures from the goals; tests replace one method of its evaluator."""
 
     def reset(self, spec: Any, first: Any, goals: Any) -> Any:
         return _Near(goals)

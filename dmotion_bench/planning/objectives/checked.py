@@ -42,7 +42,7 @@ class CheckedEvaluator:
         evaluator: The other one.
 
     Attributes:
-        checked: The same.
+        checked: The evaluator whose methods are checked.
     """
 
     def __init__(self, evaluator: Evaluator) -> None:

@@ -152,7 +152,7 @@ def output(inputs: int, outputs: int) -> nn.Conv2d:
 
 
 def left_to_adam(*weights: Tensor, rate: float = 1.0) -> None:
-    """Mark parameters for ``make_optimizer`` that Adam trains instead of Muon, with a factor on the learning rate."""
+    """Mark parameters for ``named_optimizer`` that Adam trains instead of Muon, with a factor on the learning rate."""
     for weight in weights:
         vars(weight).update(is_output=True, rate_factor=rate)
 

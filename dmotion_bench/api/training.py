@@ -255,7 +255,8 @@ def complete(
     breach = None if run.last.exists() or is_built_in(MODELS, run.spec.model) else _breach(run.spec)
     if breach is not None and mine.rank == 0:
         warn(f"{breach} The training begins all the same.")
-    if mine.rank == 0 and (told := shortage(run.threads or 1, available_workers() // mine.local_world)) is not None:
+    told = shortage(run.threads or 1, available_workers(), mine.local_world)
+    if mine.rank == 0 and told is not None:
         warn(told)
     fabric = fabric or launch(device)
     with _explaining(breach):

@@ -13,7 +13,7 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.hardware.precision import Precision, autocast, settled
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig, TripletBatch
-from dmotion_bench.learning.training.optimizer import make_optimizer
+from dmotion_bench.learning.training.optimizer import optimizer_of
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Preset, Supervision
 
@@ -39,7 +39,7 @@ class TrainingStep:
         self.config: TrainingConfig = replace(kind.training_defaults(Preset.SMALL, arch), **changes)
         self.precision: Precision = settled(self.config.precision, 0, self._device) or "bf16"
         self._model = untrained(name, arch).to(self._device).laid_out(channels_last=self.config.channels_last)
-        self._optimizer = make_optimizer(self._model, self.config)
+        self._optimizer = optimizer_of(self._model, self.config)
         self._model.enter(max(self._model.phases(), key=lambda phase: phase.fraction))
         self._model.train()
         self._batch = _noise(self.config.batch_size, kind.supervision is Supervision.ACTIONS, self._device)

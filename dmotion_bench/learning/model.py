@@ -246,6 +246,15 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
             self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return self
 
+    def make_optimizer(self, config: TrainingConfig) -> torch.optim.Optimizer | None:
+        """An optimiser of the model's own over its parameters; None for the one that ``config.optimizer`` names.
+
+        Before every step the rate of each group is set to its own ``lr`` here times the schedule, so ``lr`` is the
+        peak. Gradients are clipped and weights averaged as ``config`` says. What the optimiser keeps of a parameter
+        must be tensors and numbers, which a checkpoint can hold, and its ``step`` must need no closure.
+        """
+        return None
+
     def phases(self) -> tuple[Phase, ...]:
         """The parts of a training, in order; their fractions sum to one. One part by default, with labels if any."""
         return (Phase(needs_actions=self.supervision is Supervision.ACTIONS),)

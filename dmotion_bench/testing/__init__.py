@@ -15,6 +15,7 @@ and in the same way ``check_solver(MySolver)`` and ``check_objective(MyObjective
     declaration.py       what the class declares: class variables, settings, weights, phases
     losses.py            what is minimised, in training and in validation
     prediction.py        the next frame, and rollouts
+    own_optimizer.py     the optimiser that a model may bring
     trained.py           after a few steps: aligned, kept by its checkpoint, dependent on actions
     optional_methods.py  methods that make planning faster, and those that some figures need
     solver.py            a solver: plans that only its context decides, each task as if it were alone
@@ -42,6 +43,7 @@ from dmotion_bench.testing.declaration import check_building, check_class, check
 from dmotion_bench.testing.losses import check_losses, check_validation
 from dmotion_bench.testing.objective import check_objective
 from dmotion_bench.testing.optional_methods import check_optional_methods
+from dmotion_bench.testing.own_optimizer import check_optimizer
 from dmotion_bench.testing.prediction import check_prediction, check_rollout
 from dmotion_bench.testing.solver import check_solver
 from dmotion_bench.testing.trained import WARM_UP, check_alignment, check_checkpoint, tells_actions_apart
@@ -110,6 +112,7 @@ def _check(subject: ModelTrial) -> None:
     for phase in subject.build().phases():
         check_losses(subject, phase)
         check_validation(subject, phase)
+    check_optimizer(subject)
     check_prediction(subject)
     check_alignment(subject)
     check_rollout(subject)

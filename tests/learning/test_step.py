@@ -13,7 +13,7 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.entry_points import MODELS
 from dmotion_bench.learning.model import Losses, ModelInputs, TripletBatch
 from dmotion_bench.learning.training.figures import StepFigures
-from dmotion_bench.learning.training.optimizer import make_optimizer
+from dmotion_bench.learning.training.optimizer import optimizer_of
 from dmotion_bench.learning.training.step import Stepper
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Preset, Supervision
@@ -52,7 +52,7 @@ def test_a_step_reads_no_number_from_the_device(name: str) -> None:
     config = kind.training_defaults(Preset.SMALL, kind.architectures[0])
     inputs = ModelInputs(height=SIDE, width=SIDE, actions=Discrete.numbered(ACTIONS))
     model = kind(kind.configure(kind.architectures[0]), inputs).to(NOWHERE).train()
-    optimizer = make_optimizer(model, config)
+    optimizer = optimizer_of(model, config)
     step = Stepper(
         model=model,
         losses=model.losses,

@@ -13,7 +13,7 @@ from known_model import Known
 from torch import Tensor
 
 from dmotion_bench.errors import UsageError
-from dmotion_bench.learning.hardware.threads import scoring_shortage
+from dmotion_bench.learning.hardware.threads import scoring_shortage, shortage
 from dmotion_bench.learning.runs.run import Conditions, Run
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
@@ -91,3 +91,15 @@ def test_fewer_cores_are_said() -> None:
     told = scoring_shortage(4, 2)
     assert told is not None
     assert "4 threads, and 2 cores are free here. It is scored with 4, which gives the same figures" in told
+
+
+def test_fewer_cores_are_said_of_a_training() -> None:
+    assert shortage(2, 4, processes=2) is None
+    assert shortage(2, 1) == (
+        "this run computes with 2 threads, and 1 core is free here. It goes on so, which gives the same weights and "
+        "takes several times as long; '--threads 1 --out DIR' begins another run."
+    )
+    assert shortage(1, 1, processes=2) == (
+        "this run computes with 2 processes of 1 thread each, and 1 core is free here. It goes on so, which gives the "
+        "same weights and takes several times as long."
+    )

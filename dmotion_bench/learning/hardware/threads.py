@@ -58,13 +58,20 @@ def not_allowed(count: int) -> str | None:
     )
 
 
-def shortage(threads: int, cores: int) -> str | None:
-    """A warning for a training with more threads than there are cores; None if there are enough."""
-    few = _few(threads, cores)
-    return few and (
-        f"{few} It goes on with {threads}, which gives the same weights and takes several times as long; "
-        f"'--threads {cores} --out DIR' begins another run."
-    )
+def shortage(threads: int, cores: int, processes: int = 1) -> str | None:
+    """A warning for a training with more threads than there are cores; None if there are enough.
+
+    Args:
+        threads: Of each process.
+        cores: Of this machine that may be used.
+        processes: Of this machine that train together.
+    """
+    few = _few(threads, cores, processes)
+    if few is None:
+        return None
+    fewer = max(1, cores // processes)
+    begin = f"; '--threads {fewer} --out DIR' begins another run." if fewer < threads else "."
+    return f"{few} It goes on so, which gives the same weights and takes several times as long{begin}"
 
 
 def scoring_shortage(threads: int, cores: int) -> str | None:
@@ -73,8 +80,10 @@ def scoring_shortage(threads: int, cores: int) -> str | None:
     return few and f"{few} It is scored with {threads}, which gives the same figures and takes several times as long."
 
 
-def _few(threads: int, cores: int) -> str | None:
-    if threads <= cores:
+def _few(threads: int, cores: int, processes: int = 1) -> str | None:
+    if threads * processes <= cores:
         return None
+    many = "1 thread" if threads == 1 else f"{threads} threads"
+    each = f"{processes} processes of {many} each" if processes > 1 else many
     free = "1 core is" if cores == 1 else f"{cores} cores are"
-    return f"this run computes with {threads} threads, and {free} free here."
+    return f"this run computes with {each}, and {free} free here."

@@ -19,7 +19,7 @@ from dmotion_bench.learning.hardware.precision import PRECISIONS, Precision, set
 from dmotion_bench.learning.hardware.threads import has_choice_of_threads, using_threads
 from dmotion_bench.learning.hardware.timing import clearly_faster, timed_in_turn
 from dmotion_bench.learning.runs.manifest import Conditions, RunSpec
-from dmotion_bench.learning.training.optimizer import learning_rate, make_optimizer, set_learning_rate
+from dmotion_bench.learning.training.optimizer import learning_rate, optimizer_of, set_learning_rate
 from dmotion_bench.learning.training.step import Stepper
 
 _log = logging.getLogger(__name__)
@@ -76,7 +76,7 @@ def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes
     """Takes a step on the first batch of the longest phase, each time it is called."""
     part = max(parts, key=lambda part: part.stop - part.start)
     model = spec.build().laid_out().to(device)
-    optimizer = make_optimizer(model, spec.training_config)
+    optimizer = optimizer_of(model, spec.training_config)
     set_learning_rate(optimizer, learning_rate(spec.training_config, 0.0))
     model.train()
     model.enter(part.phase)

@@ -36,7 +36,7 @@ from dmotion_bench.learning.training.adaptation import finetune
 from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.conditions import choose_conditions
 from dmotion_bench.learning.training.metrics_log import MetricsLog
-from dmotion_bench.learning.training.optimizer import AveragedWeights, learning_rate, make_optimizer, set_learning_rate
+from dmotion_bench.learning.training.optimizer import AveragedWeights, learning_rate, optimizer_of, set_learning_rate
 from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints
 from dmotion_bench.learning.training.samples import FOLDER as SAMPLES
 from dmotion_bench.learning.training.samples import write_sample
@@ -131,7 +131,7 @@ class _Trainer:
         self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device, shown)
         self._require_batches()
         self.steps, self.unlabelled_steps = self.parts[-1].stop, steps_before_labels(self.parts)
-        losses, self.optimizer = set_up(fabric, self.model, make_optimizer(self.model, self.config))
+        losses, self.optimizer = set_up(fabric, self.model, optimizer_of(self.model, self.config))
         self.step = Stepper(
             model=self.model,
             losses=losses,

@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.hardware.precision import has_bf16
-from dmotion_bench.learning.model import TrainingConfig
+from dmotion_bench.learning.model import ForwardModel, TrainingConfig
 from dmotion_bench.learning.training.muon import Muon
 
 WARM_UP = 0.1  # share of a one-cycle schedule in which the rate rises
@@ -28,7 +30,39 @@ def learning_rate(config: TrainingConfig, progress: float) -> float:
     return config.learning_rate * 0.5 * (1 + math.cos(math.pi * (progress - warm) / (1 - warm)))
 
 
-def make_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.Optimizer:
+def has_own_optimizer(model: ForwardModel[Any]) -> bool:
+    """Whether a model's class may bring an optimiser of its own."""
+    return type(model).make_optimizer is not ForwardModel.make_optimizer
+
+
+def optimizer_of(model: ForwardModel[Any], config: TrainingConfig) -> torch.optim.Optimizer:
+    """The optimiser that a model brings, or the one that its settings name.
+
+    Raises:
+        ModelContractBroken: The model's own is none, or trains none of its parameters or others than these.
+    """
+    own = model.make_optimizer(config)
+    if own is None:
+        return named_optimizer(model, config)
+    if not isinstance(own, torch.optim.Optimizer):
+        raise _broken(model, f"gives {type(own).__qualname__}; it gives a torch.optim.Optimizer or None")
+    if "lr" not in own.defaults:
+        raise _broken(model, f"gives {type(own).__qualname__}, whose groups have no 'lr' that a schedule could set")
+    its = {id(parameter) for parameter in model.parameters()}
+    trained = {id(parameter) for group in own.param_groups for parameter in group["params"]}
+    if not trained or not trained <= its:
+        which = "other parameters than the model's" if trained else "no parameter"
+        raise _broken(model, f"gives an optimiser of {which}")
+    for group in own.param_groups:
+        group["rate_factor"] = float(group["lr"]) / config.learning_rate
+    return own
+
+
+def _broken(model: ForwardModel[Any], sentence: str) -> ModelContractBroken:
+    return ModelContractBroken(f"{type(model).__qualname__}: make_optimizer(config) {sentence}.")
+
+
+def named_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.Optimizer:
     """Adam, AdamW or Muon.
 
     A parameter may carry ``rate_factor``, the multiple of the rate that it learns at, and ``is_output``, which says

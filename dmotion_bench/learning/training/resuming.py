@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
@@ -20,7 +21,7 @@ from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.checkpoint import Form, Forms, damaged
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.settings import from_json
-from dmotion_bench.learning.training.optimizer import AveragedWeights, make_optimizer
+from dmotion_bench.learning.training.optimizer import AveragedWeights, has_own_optimizer, named_optimizer, optimizer_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,13 +81,21 @@ def _facts(kind: type[FactsT], facts: Mapping[str, Any], path: Path, steps: int)
     return read
 
 
-def optimizer_forms(optimizer: torch.optim.Optimizer, model: nn.Module, config: TrainingConfig) -> dict[str, Form]:
+def optimizer_forms(
+    optimizer: torch.optim.Optimizer, model: ForwardModel[Any], config: TrainingConfig
+) -> dict[str, Form]:
     """The tensors of an optimiser's state once it has taken a step.
 
-    A second optimiser of the same kind takes that step, over parameters of one number each.
+    A second optimiser of the same kind takes that step: over parameters of one number each or, if it is the model's
+    own, whose groups may depend on the model, over those of a copy.
     """
-    small = nn.ParameterList(_small(parameter) for parameter in model.parameters())
-    twin = make_optimizer(small, config)
+    if has_own_optimizer(model):
+        copied = copy.deepcopy(model)
+        for parameter in copied.parameters():
+            parameter.grad = torch.zeros_like(parameter)
+        twin = optimizer_of(copied, config)
+    else:
+        twin = named_optimizer(nn.ParameterList(_small(parameter) for parameter in model.parameters()), config)
     twin.step()
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     forms = {}

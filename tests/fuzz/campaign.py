@@ -26,6 +26,7 @@ from tests.fuzz.targets.recording import RecordingTarget
 from tests.fuzz.targets.remote import RemoteTarget
 from tests.fuzz.targets.run import RunTarget
 from tests.fuzz.targets.share import ShareTarget
+from tests.fuzz.warm import load_too
 
 TARGETS: tuple[type[Target], ...] = (
     DatasetTarget,
@@ -142,7 +143,10 @@ class Campaign:
         prepare_forking()
 
     def _prepared(self, target: Target) -> dict[str, dict[str, Answer]]:
-        """The originals, made in a child as well; and what dmbench answers of each that is intact."""
+        """The originals, made in a child as well; and what dmbench answers of each that is intact.
+
+        What the children had to load for that is loaded here as well, for all cases to come.
+        """
         made = run_case(self._case(-1, target.name), _Making(target), {})
         if made.faults:
             raise RuntimeError(f"the originals of {target.name} cannot be made: {made.faults[0]['detail']}")
@@ -152,6 +156,7 @@ class Campaign:
             if result.faults:
                 raise RuntimeError(f"an intact {name} is faulty: {result.faults[0]['detail']}")
             found[name] = result.answers
+            load_too(result.loaded)
         return found
 
     def _case(self, number: int, target: str) -> Case:

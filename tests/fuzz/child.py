@@ -45,6 +45,7 @@ class Result:
         faults: Kind, probe, where in dmbench, and details, of each.
         cpu_s, peak: What it took: processor seconds, bytes added to the resident set.
         slowest: The probe that took longest.
+        loaded: Modules that were imported for it.
     """
 
     number: int
@@ -58,10 +59,11 @@ class Result:
     peak: int = 0
     greedy: str = ""
     formats: list[str] = field(default_factory=list)
+    loaded: list[str] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
-        """As plain values."""
-        return asdict(self)
+        """As plain values, without what was loaded."""
+        return {name: value for name, value in asdict(self).items() if name != "loaded"}
 
 
 def run_case(case: Case, target: Target, reference: dict[str, Any], *, only_spoil: bool = False) -> Result:
@@ -108,6 +110,7 @@ def _child(pipe: int, log: Path, work: Callable[[Callable[..., None]], None]) ->
 
 
 def _work(case: Case, target: Target, reference: dict[str, Any], send: Callable[..., None], only_spoil: bool) -> None:
+    before = set(sys.modules)
     spoilt = target.spoil(case)
     send(told=case.told, checksums=case.checksums, formats=sorted(case.formats))
     if only_spoil:
@@ -130,6 +133,7 @@ def _work(case: Case, target: Target, reference: dict[str, Any], send: Callable[
             send(peak=peak, probe=probe.name)
     send(probe="", cpu=time.process_time())
     send(answers={name: asdict(answer) for name, answer in answers.items()})
+    send(loaded=[name for name in sys.modules if name not in before])
     if peak > MEMORY:
         return
     for kind, detail in target.judge(case, spoilt, answers, reference):
@@ -216,6 +220,7 @@ def _result(
     for line in lines:
         result.told = line.get("told", result.told)
         result.checksums = line.get("checksums", result.checksums)
+        result.loaded = line.get("loaded", result.loaded)
         result.formats = line.get("formats", result.formats)
         at = line.get("probe", at) or "judging"
         if "fault" in line:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import signal
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
+
+from dmotion_bench.entry_points import LISTED, registered
 
 LOADED = (
     *("torch", "pyarrow.parquet", "av", "rerun", "rerun.blueprint", "lightning_fabric", "PIL.Image", "scipy.stats"),
@@ -58,6 +63,25 @@ def load_all(site: Path) -> None:
     register_commands()
     made = typer.main.get_command(app)  # making it takes most of a command's time
     typer.main.get_command = lambda _: made  # type: ignore[assignment]
+    _make_converters(made)
+    for group in LISTED:
+        registered(group)  # is kept
+
+
+def _make_converters(command: Any) -> None:
+    """Have typer make what converts the values of each option; it keeps them."""
+    for option in command.params:
+        if hasattr(option, "get_runtime_param"):
+            option.get_runtime_param()
+    for below in getattr(command, "commands", {}).values():
+        _make_converters(below)
+
+
+def load_too(names: Iterable[str]) -> None:
+    """Load further modules, as far as they can be found here."""
+    for name in names:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
 
 
 def register_models(site: Path) -> None:

@@ -196,7 +196,10 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         return self.render(), {}
 
     def step(self, action: Any) -> tuple[UInt8[np.ndarray, "h w 3"], float, bool, bool, dict[str, Any]]:
-        """Take an action ``action_repeat`` times; in an episode that has terminated it changes nothing."""
+        """Take an action ``action_repeat`` times; in an episode that has terminated it changes nothing.
+
+        A time limit that is reached within the repeats cuts none of them short: a task may go on beyond it.
+        """
         reward, truncated = 0.0, False
         if self._over:
             return self.render(), reward, True, False, {"illegal": True}
@@ -204,14 +207,14 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             for _ in range(self._repeat):
                 # Made anew each time: a simulator may write into it.
                 given = for_simulator(self._inner.action_space, action)
-                _, gained, self._over, truncated, _ = self._inner.step(given)
+                _, gained, over, late, _ = self._inner.step(given)
                 self._steps += 1
                 reward += float(np.asarray(gained, np.float64).sum())  # of several objectives; no data set holds it
-                self._over = bool(self._over)
-                if self._over or truncated:
+                self._over, truncated = bool(over), truncated or bool(late)
+                if self._over:
                     break
             self._frame = self._look()
-        return self.render(), reward, self._over, bool(truncated), {"illegal": False}
+        return self.render(), reward, self._over, truncated, {"illegal": False}
 
     def render(self) -> UInt8[np.ndarray, "h w 3"]:
         """The present frame."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, Final
 
 import numpy as np
@@ -61,11 +62,12 @@ def _names(env: Any, count: int) -> tuple[str, ...]:
     The outermost wrapper that names them is asked, since it may have exchanged them.
     """
     named: list[str] = []
-    if env.has_wrapper_attr("get_action_meanings"):
-        named = [str(name).lower() for name in env.get_wrapper_attr("get_action_meanings")()]
-    elif env.has_wrapper_attr("actions") and hasattr(actions := env.get_wrapper_attr("actions"), "__members__"):
-        members = {int(one.value): str(one.name) for one in actions}
-        named = [members.get(number, "") for number in range(count)]
+    with contextlib.suppress(Exception):  # both are customs that nobody has to keep, and numbers do as well
+        if env.has_wrapper_attr("get_action_meanings"):
+            named = [str(name).lower() for name in env.get_wrapper_attr("get_action_meanings")()]
+        elif env.has_wrapper_attr("actions") and hasattr(actions := env.get_wrapper_attr("actions"), "__members__"):
+            members = {int(one.value): str(one.name) for one in actions}
+            named = [members.get(number, "") for number in range(count)]
     if len(named) == count and len(set(named)) == count and all(named):
         return tuple(named)
     return tuple(map(str, range(count)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes.util
+import enum
 import importlib
 import json
 import random
@@ -29,6 +30,7 @@ from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from recorders.gymnasium_env import modules
+from recorders.gymnasium_env.spaces import action_spec
 from recorders.gymnasium_env.worlds import WORLDS
 
 Run = Callable[..., Outcome]
@@ -129,6 +131,35 @@ def test_frame_skip_takes_an_action_several_times(tmp_path: Path) -> None:
                 moved.step(action)
     assert every.spec.step_ns == 150_000_000
     assert every.recipe.parameters["action_repeat"] == 3
+
+
+def test_a_time_limit_cuts_no_repeat_short() -> None:
+    """It ends a recorded episode; a task may go on beyond it, and an action is as much there as before."""
+    env: Any = environment_class(SLIDER)(frame_size=24, places=48, action_repeat=3, max_episode_steps=4)
+    env.reset(seed=1)
+    began = env._inner.unwrapped.place
+    ended = [env.step(1)[3] for _ in range(4)]
+    assert ended == [False, True, True, True]
+    assert env._inner.unwrapped.place == began + 4 * 3
+
+
+def _of_text() -> Any:
+    return enum.Enum("Actions", {"LEFT": "left", "RIGHT": "right"})
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        {"get_action_meanings": lambda world: 1 / 0},
+        {"get_action_meanings": ["LEFT", "RIGHT"]},
+        {"get_action_meanings": lambda world: None},
+        {"actions": _of_text()},
+    ],
+    ids=["raises", "is a list", "is nothing", "is of text"],
+)
+def test_names_of_actions_that_cannot_be_read_are_numbers(named: dict[str, Any]) -> None:
+    env = type("Odd", (strange_worlds.Slider,), named)(render_mode="rgb_array")
+    assert action_spec("odd", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("0", "1"))
 
 
 def test_an_episode_that_is_over_stays_as_it_is() -> None:

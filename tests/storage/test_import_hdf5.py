@@ -170,6 +170,22 @@ def test_demonstrations_may_stand_at_the_root(tmp_path: Path) -> None:
     assert dataset.recipe.parameters["camera"] == "obs/sensor_data/top/rgb"
 
 
+@pytest.mark.parametrize("kind", [None, (np.int64, ()), (np.float32, (1,))])
+def test_demonstrations_that_are_called_so_need_no_table(
+    tmp_path: Path, kind: tuple[type[np.generic], tuple[int, ...]] | None
+) -> None:
+    frames, cut = video(30), [0, 9, 18, 30]
+    groups = {
+        f"traj_{number}": {"rgb": frames[start:end]} for number, (start, end) in enumerate(itertools.pairwise(cut))
+    }
+    if kind is not None:
+        for inside in groups.values():
+            inside["actions"] = np.zeros((len(inside["rgb"]) - 1, *kind[1]), kind[0])
+    dataset = imported(trajectories(tmp_path / "a.h5", groups))
+    assert dataset.lengths.tolist() == [9, 9, 12]
+    np.testing.assert_array_equal(dataset.video(1), frames[9:18])
+
+
 def test_cameras_at_the_root_are_no_demonstrations(tmp_path: Path) -> None:
     frames = video(12)
     cameras = {f"cam_{number}": {"rgb": frames[6 * number :][:6], "stamps": np.arange(6)} for number in range(2)}

@@ -11,7 +11,7 @@ import pytest
 from PIL import ExifTags, Image
 from storage.foreign import compressed, video
 
-from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.errors import RecordingImportError, UsageError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.fitting import Fit
 from dmotion_bench.storage.imports.importing import import_recordings
@@ -262,3 +262,15 @@ def test_the_same_pictures_make_the_same_data_set_and_others_do_not(tmp_path: Pa
 def test_pictures_hold_no_actions(tmp_path: Path) -> None:
     folder = fill(tmp_path / "run", video(4))
     refused(folder, "holds pictures alone, no actions; leave out '--actions'", replace(OPTIONS, actions="/action"))
+
+
+def test_an_episode_that_is_found_twice_is_refused(tmp_path: Path) -> None:
+    """One copy could be trained on and the other be tested."""
+    for number in range(3):
+        fill(tmp_path / "all" / f"ep{number}", video(6))
+    with pytest.raises(UsageError, match=r"ep1' is named twice"):
+        import_recordings([tmp_path / "all", tmp_path / "all" / "ep1"], tmp_path / "out", OPTIONS)
+    (tmp_path / "all" / "latest").symlink_to("ep2")
+    with pytest.raises(UsageError, match=r"ep2' and '.*latest' are the same recording; leave one out"):
+        import_recordings([tmp_path / "all"], tmp_path / "out", OPTIONS)
+    assert not (tmp_path / "out").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 from pathlib import Path
@@ -19,6 +20,7 @@ from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.video_recording import VideoRecording
+from dmotion_bench.storage.video.file import VideoFile
 
 OPTIONS = ImportOptions(size=48)
 LIMITS = ImportLimits()
@@ -80,6 +82,27 @@ def test_pictures_that_are_stored_in_another_order(tmp_path: Path, name: str) ->
     times, found = decoded(file)
     assert np.abs(found.astype(int) - frames).max() < 20
     np.testing.assert_allclose(times, np.arange(30) / 10, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "encoder",
+    [
+        ("libx265", "yuv444p", {"x265-params": "keyint=4:min-keyint=4:scenecut=0:bframes=3:open-gop=1:log-level=none"}),
+        ("libx264", "yuv444p", {"x264-params": "keyint=12:min-keyint=12:scenecut=0:bframes=3:open-gop=1"}),
+    ],
+    ids=["hevc", "h264"],
+)
+def test_pictures_are_found_behind_key_frames_that_are_shown_later(
+    tmp_path: Path, encoder: tuple[str, str, dict[str, str]]
+) -> None:
+    """A picture of an open group is stored after the key frame that is shown after it."""
+    file = video_file(tmp_path / "a.mp4", moving(40), encoder=encoder)
+    _, whole = decoded(file)
+    assert len(whole) == 40
+    for start in range(40):
+        with VideoFile(file, pixels=LIMITS.pixels) as one:
+            (found,) = one.frames_at([start / 10], within=0.05)
+        np.testing.assert_array_equal(found, whole[start])
 
 
 def test_an_import_of_a_video_file(tmp_path: Path) -> None:
@@ -312,3 +335,13 @@ def test_recordings_of_several_kinds_in_a_folder(tmp_path: Path) -> None:
     video_file(tmp_path / "mixed/a.mp4", moving(5))
     (tmp_path / "mixed/b.mcap").write_bytes(b"")
     refused(tmp_path / "mixed", tmp_path, r"of several kinds \(mcap, video\); name the ones you mean")
+
+
+def test_a_name_that_is_no_text_stands_in_the_recipe_as_its_bytes(tmp_path: Path) -> None:
+    file = tmp_path / os.fsdecode(b"caf\xe9.mp4")
+    try:
+        video_file(tmp_path / "a.mp4", moving(12)).rename(file)
+    except OSError:
+        pytest.skip("this file system takes names of UTF-8 alone")
+    dataset = Dataset.open(import_recordings([file], tmp_path / "out", OPTIONS).path)
+    assert dataset.recipe.parameters["file_0"] == "caf\\xe9.mp4"

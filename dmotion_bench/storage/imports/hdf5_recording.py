@@ -40,6 +40,8 @@ DEMONSTRATIONS: Final = "data"
 NEXT: Final = "next_obs/"  # robomimic's copy of the pictures, each in the place of the one before it
 CHUNK_CACHE: Final = 64 * MIB  # a chunk of many pictures is inflated once, not once a picture
 _NUMBER: Final = re.compile(r"\d+")
+_CALLED: Final = frozenset({"demo_#", "episode_#", "traj_#"})
+"""What groups at the root are called that are demonstrations (ManiSkill: ``traj_0``), whatever is in them."""
 _COMPARED: Final = 8  # groups that are looked into to tell demonstrations from cameras
 LISTED: Final = 30  # data sets that an error names
 
@@ -185,9 +187,11 @@ class Hdf5Recording:
         """Whether groups at the root are a demonstration each, and no cameras or sensors of a single one.
 
         Their names differ in their numbers alone, and no data set stands beside them; the data sets in the first of
-        them are mostly the same, and a table has a row for each picture, as actions and states do.
+        them are mostly the same. Unless they are called as demonstrations are, a table must have a row for each
+        picture, as actions and states do.
         """
-        if len(groups) < 2 or len({_NUMBER.sub("#", name) for name in groups}) > 1:
+        patterns = {_NUMBER.sub("#", name) for name in groups}
+        if len(groups) < 2 or len(patterns) > 1:
             return False
         if any(isinstance(own(file, name), h5py.Dataset) for name in names(file)):
             return False
@@ -198,6 +202,8 @@ class Hdf5Recording:
         usual = next(found for found in inside if found.keys() == paths)
         shapes = [one.shape for one in usual.values()]
         counts = {len(one) for one in usual.values() if holds_pictures(one, self._limits)}
+        if patterns <= _CALLED:
+            return bool(counts)
         return any(len(shape) == 2 and {shape[0], shape[0] + 1} & counts for shape in shapes)
 
     def _typical(self, file: h5py.File, camera: str | None) -> tuple[dict[str, h5py.Dataset], list[str]]:

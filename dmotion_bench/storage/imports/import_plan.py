@@ -6,6 +6,7 @@ Made from the recordings' surveys alone: no picture is unpacked for it.
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -235,6 +236,11 @@ def source_count(planned: Sequence[PlannedEpisode]) -> int:
     return len({one.source for one in planned})
 
 
+def _as_text(name: str) -> str:
+    """A file's name as UTF-8 can hold it: bytes that are no text, as of older disks, are written as ``\\xe9``."""
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
+
+
 def _recipe(
     recordings: Sequence[Named], surveys: Sequence[Survey], planned: Sequence[PlannedEpisode], options: ImportOptions
 ) -> DatasetRecipe:
@@ -256,7 +262,7 @@ def _recipe(
     if FEWEST_EPISODES <= source_count(planned) < len(planned):
         parameters[SPLIT] = SOURCE
     for number, recording in enumerate(recordings):
-        parameters[f"{FILE}{number}"] = recording.path.name
+        parameters[f"{FILE}{number}"] = _as_text(recording.path.name)
         parameters[f"{HASH}{number}"] = recording.sha256()
     return DatasetRecipe(
         environment=IMPORTED,

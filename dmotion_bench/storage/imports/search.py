@@ -78,7 +78,7 @@ def find(paths: Sequence[Path], camera: str | None) -> Found:
             faults[path] = error
         except OSError as error:
             faults[path] = _unreadable(path, error)
-    require_once(sources)
+    require_once(sources, camera)
     taken = _taken(sources, camera, faults)
     over = [_passed_over(path, taken) for path in paths if _is_told_of(path, faults)]
     pictures = {source.path for source in sources if source.kind is Kind.PICTURES}
@@ -105,20 +105,26 @@ def sources_in(paths: Sequence[Path], camera: str | None) -> Sequence[Source]:
     return found.sources
 
 
-def require_once(found: Sequence[Source]) -> None:
-    """Check that no recording is meant twice.
+def require_once(found: Sequence[Source], camera: str | None) -> None:
+    """Check that no recording is meant twice, nor a folder of pictures that is an episode of one.
 
     Raises:
         UsageError: One is.
     """
     first: dict[Path, Path] = {}
-    for path in (source.path for source in found):
+    for path in (path for source in found for path in _parts(source, camera)):
         real = path.resolve()
         if first.get(real) == path:
             raise UsageError(f"{str(path)!r} is named twice; name it once.")
         if real in first:
-            raise UsageError(f"{str(first[real])!r} and {str(path)!r} are the same recording; name one of them.")
+            raise UsageError(f"{str(first[real])!r} and {str(path)!r} are the same recording; leave one out.")
         first[real] = path
+
+
+def _parts(source: Source, camera: str | None) -> Sequence[Path]:
+    """A recording, and the folders in it that are an episode each."""
+    inside = episode_folders(source.path, camera) if source.kind is Kind.PICTURES else []
+    return [source.path, *(folder for folder in inside if folder != source.path)]
 
 
 def _is_told_of(path: Path, faults: Mapping[Path, RecordingImportError]) -> bool:

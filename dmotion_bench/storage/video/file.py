@@ -35,6 +35,7 @@ CONTAINERS: Final = {"mp4": "mov", "mkv": "matroska", "avi": "avi"}
 _BOXES: Final = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot", b"styp")
 _EBML, _SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"
 _LATEST: Final = 2**63 - 1
+_A_SECOND_NS: Final = 1_000_000_000
 _ROUNDED_NS: Final = 1_000  # times this close are one: most rates have no whole interval
 
 
@@ -126,7 +127,7 @@ class VideoFile:
         if not waiting:
             return
         if waiting[-1]:
-            self._seek(waiting[-1] / 1e9)
+            self._go_before(waiting[-1])
         before: tuple[int, VideoFrame] | None = None
         for t_ns, frame in itertools.chain(self.frames(), [(_LATEST, None)]):
             if t_ns is None:
@@ -238,8 +239,23 @@ class VideoFile:
                 f"has pictures of {width}x{height} pixels, more than the {self._pixels:,} that one may have"
             )
 
+    def _go_before(self, t_ns: int) -> None:
+        """Go to a key frame that is shown at or before a time [ns].
+
+        Containers look key frames up by when they are decoded. Where pictures are shown in another order, as in the
+        open groups that x265 makes, the one that is found may be shown too late; then an earlier one is looked for.
+        """
+        back = 0
+        while True:
+            start = max(0, t_ns - back)
+            self._seek(start / 1e9)
+            self._first = next((timed for timed in self._coming if timed[0] is not None), None)
+            if start == 0 or self._first is None or (self._first[0] or 0) <= t_ns + _ROUNDED_NS:
+                return
+            back = max(2 * back, _A_SECOND_NS)
+
     def _seek(self, seconds: float) -> None:
-        """Go to the key frame at or before a time."""
+        """Go to the key frame whose picture is decoded at or before a time."""
         try:
             self._container.seek(int(seconds / self._unit), stream=self._stream, backward=True)
         except (FFmpegError, OverflowError) as error:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, shown
 
 AnyPath = str | os.PathLike[str]
 """What may stand for a folder where somebody calls the library."""
@@ -30,8 +30,24 @@ RUN_MANIFEST = "run.json"
 
 
 def listed(given: AnyPaths) -> list[AnyPath]:
-    """One path or several as a list."""
-    return [given] if isinstance(given, str | os.PathLike) else list(given)
+    """One path or several as a list; what is no path is refused where it is used."""
+    return list(given) if isinstance(given, Iterable) and not isinstance(given, str | os.PathLike) else [given]
+
+
+def as_path(name: str, given: AnyPath) -> Path:
+    """What somebody gives as a path.
+
+    Args:
+        name: What it is to be.
+        given: It.
+
+    Raises:
+        UsageError: It is none.
+    """
+    try:
+        return Path(given)
+    except TypeError:
+        raise UsageError(f"{shown(given)} stands for no {name}; give one name, or one path.") from None
 
 
 def cache_folder(dataset: Path) -> Path:
@@ -97,10 +113,11 @@ class Workspace:
             DatasetMissing: There is none.
             UsageError: There are several and none was named.
         """
-        if remote_address(given) is not None:
-            return Path(str(given))  # whoever opens it looks whether there is one
         if given is not None:
-            return self._named(Path(given), self.data, DATASET_MANIFEST, "data set", self.datasets())
+            path = as_path("data set", given)
+            if remote_address(given) is not None:
+                return path  # whoever opens it looks whether there is one
+            return self._named(path, self.data, DATASET_MANIFEST, "data set", self.datasets())
         found = self.datasets()
         if not found:
             raise DatasetMissing(
@@ -120,7 +137,7 @@ class Workspace:
             UsageError: There are several and none was named.
         """
         if given is not None:
-            return self._named(Path(given), self.runs, RUN_MANIFEST, "run", self.all_runs())
+            return self._named(as_path("run", given), self.runs, RUN_MANIFEST, "run", self.all_runs())
         found = self.all_runs()
         if not found:
             raise RunMissing(f"no run in {str(self.runs)!r}; train one with 'dmbench train dmotion'.")

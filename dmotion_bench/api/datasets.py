@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from dmotion_bench.api.settings import whole
+from dmotion_bench.api.settings import SPLIT_PROTOCOLS, require_one_of, whole
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
@@ -61,7 +61,7 @@ class Dataset(stored.Dataset):
             protocol: ``"episode"`` keeps whole episodes apart; ``"paper"`` shuffles triplets as the paper does.
 
         Raises:
-            UnknownName: There is no such split.
+            UnknownName: There is no such split or protocol.
             UsageError: Labels of test episodes are asked for.
             LabelsNotAvailable: The labels are not there, or the budget is for demonstrations.
             InvalidSetting: That is no label budget.
@@ -73,6 +73,7 @@ class Dataset(stored.Dataset):
             torch.Size([8, 3, 128, 128])
         """
         self.split(split)  # an unknown name is said here
+        require_one_of("protocol", protocol, SPLIT_PROTOCOLS)
         chosen = TripletSet.of_split(self, split, protocol)
         request = LabelRequest("none") if labels is None else LabelRequest.parse(str(labels))
         if request.kind == "none":

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, SupportsIndex
 
 from dmotion_bench.api.progress import Progress, telling
-from dmotion_bench.api.settings import EXECUTORS, require_one_of, whole
+from dmotion_bench.api.settings import EXECUTORS, require_one_of, share, whole
 from dmotion_bench.api.sharing import pull_entries
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.executor import JobSize
@@ -22,7 +22,7 @@ from dmotion_bench.pairing import Difference
 from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.specs import SplitName
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, listed
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, listed
 
 _GIGABYTES: Final = 2.0  # that checking takes beside others
 _CLUSTER_GIGABYTES: Final = 16
@@ -101,7 +101,7 @@ def leaderboard_build(
         UnknownName, RunMissing: There is no such run. A run that has not been scored is left out, and the result says
             why.
         EntryInvalid: A given entry is none.
-        UsageError: The folder holds a page of another kind.
+        UsageError: The folder holds a page of another kind, or is a file.
 
     Example:
         >>> report = dm.score("tiny", "prediction")
@@ -111,11 +111,14 @@ def leaderboard_build(
     """
     place = Workspace.given(workspace)
     paths = place.all_runs() if runs is None else [place.run(one) for one in listed(runs)]
+    page = built_page(place) if out is None else as_path("folder of a page", out)
+    if page.is_file():
+        raise UsageError(f"{str(page)!r} is a file; name a folder for the page.")
     with telling(progress) as tell:
         made: Built = leaderboard_part("build")(
             paths,
-            [Path(one) for one in listed(entries)],
-            built_page(place) if out is None else Path(out),
+            [as_path("entry", one) for one in listed(entries)],
+            page,
             on_progress=_told(tell, "building"),
         )
     return made
@@ -164,9 +167,7 @@ def leaderboard_check(
         (True, ())
     """
     require_one_of("executor", executor, EXECUTORS)
-    workers, draw = whole("workers", workers, 1), whole("draw", draw, 0)
-    if not 0 <= differing <= 1:
-        raise UsageError(f"differing is {shown(differing)}; it must be a share from 0 to 1.")
+    workers, draw, differing = whole("workers", workers, 1), whole("draw", draw, 0), share("differing", differing)
     home = Workspace.given(workspace)
     built = built_page(home) / "entries"
     if paths is None and not built.is_dir():
@@ -174,7 +175,7 @@ def leaderboard_check(
             f"nothing to check: there is no {shown(str(built))}; build it with 'dmbench leaderboard build', or name "
             "entries."
         )
-    asked = [built] if paths is None else [Path(one) for one in listed(paths)]
+    asked = [built] if paths is None else [as_path("entry or run", one) for one in listed(paths)]
     if place is not None:
         for why in pull_entries(asked, place, workspace=workspace, progress=progress):
             warn(f"not fetched: {why}")

@@ -287,7 +287,11 @@ def as_metrics(asked: Iterable[str], option: str = "metrics") -> tuple[Metric, .
         UnknownName: There is no such group.
         UsageError: None is named.
     """
-    wanted = [part.strip() for name in asked for part in name.split(",") if part.strip()]
+    names = list(asked) if isinstance(asked, Iterable) else [asked]
+    for name in names:
+        if not isinstance(name, str):
+            raise UsageError(f"{option} names {shown(name)}; a group of figures is a word: {', '.join(METRICS)}.")
+    wanted = [part.strip() for name in names for part in name.split(",") if part.strip()]
     for name in wanted:
         require_one_of("group of figures", name, METRICS)
     if not wanted:

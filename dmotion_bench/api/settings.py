@@ -54,6 +54,22 @@ def whole(name: str, given: Any, least: int | None = None, most: int | None = No
     return number
 
 
+def share(name: str, given: float) -> float:
+    """A number from 0 to 1.
+
+    Args:
+        name: Of the argument.
+        given: Its value.
+
+    Raises:
+        UsageError: It is none.
+    """
+    is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
+    if not is_number or not 0 <= given <= 1:
+        raise UsageError(f"{name} is {shown(given)}; it must be a share from 0 to 1.")
+    return float(given)
+
+
 def require_one_of(kind: str, given: str, allowed: Iterable[str]) -> None:
     """Check a name.
 
@@ -77,7 +93,11 @@ def as_texts(settings: Settings) -> tuple[str, ...]:
         raise InvalidSetting(f"settings are {shown(settings)}; give a dictionary, such as {{'epochs': 5}}.")
     if isinstance(settings, Mapping):
         return tuple(f"{name}={_text(name, value)}" for name, value in settings.items())
-    return tuple(settings)
+    given = tuple(settings) if isinstance(settings, Iterable) else (settings,)
+    for one in given:
+        if not isinstance(one, str):
+            raise InvalidSetting(f"a setting is {shown(one)}; it can be a text such as 'epochs=5', or a dictionary.")
+    return given
 
 
 def as_preset(preset: Preset | str) -> Preset:

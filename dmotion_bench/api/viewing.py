@@ -35,7 +35,7 @@ from dmotion_bench.viewing.scene import Scene, write_scene
 from dmotion_bench.viewing.target import Target, find_target
 from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, listed
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, listed
 
 __all__ = [
     "ANIMATED",
@@ -143,7 +143,7 @@ def view(
     asked = listed(what)
     if not asked:
         raise UsageError("nothing is named to be shown; name a data set or a run.")
-    targets = find_targets([Path(one) for one in asked], place)
+    targets = find_targets([as_path("run or data set", one) for one in asked], place)
     other = data_of(targets, None if data is None else Path(data), place)
     if file is None and not web:
         require_display()  # said before the work, not after it

@@ -2,7 +2,7 @@
 
 A moment is a frame of a stretch of a recorded episode that could be a control task, and is reached as a task is: by
 replay, with the recorded actions. Which frame of the stretch it is, the simulator decides and no model: the one at
-which the best of the sequences brings the objects nearest to their goal.
+which the best of the sequences lowers the distance to the goal the most.
 
 The true gain of a sequence is by how much it lowers the judged distance (``planning/tasks.py``), which is 1 at the
 stretch's start. The sequences are the same at all moments, and a sequence is always carried out to its end.

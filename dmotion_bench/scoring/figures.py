@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from jaxtyping import Float
 
 from dmotion_bench.scoring.identification import codebook_use, motion_within_over_between
 from dmotion_bench.scoring.probes import probe_scores
@@ -157,6 +158,11 @@ def _rollouts(rollout: pa.Table, over_episodes: Bootstraps) -> Figures:
     return found
 
 
+def is_solved(distance: Float[np.ndarray, " n"], limit: float = SUCCESS) -> Float[np.ndarray, " n"]:
+    """1 for each task that ends within a distance, else 0; compared in the precision in which distances are stored."""
+    return (distance.astype(np.float32) <= np.float32(limit)).astype(np.float64)
+
+
 def _control(samples: pa.Table, over_episodes: Bootstraps) -> Figures:
     """The mean distance over tasks after each step, and the shares of tasks that end near the goal."""
     if not len(samples):
@@ -167,9 +173,9 @@ def _control(samples: pa.Table, over_episodes: Bootstraps) -> Figures:
     bootstrap = over_episodes(episode[final])  # rows of a moment: the same tasks
     steps = range(1, int(ahead.max()) + 1)
     values = {f"control_distance[{step}]": distance[ahead == step] for step in steps}
-    values["control_success"] = (distance[final] <= SUCCESS).astype(np.float64)
+    values["control_success"] = is_solved(distance[final])
     for limit in THRESHOLDS:
-        values[f"control_success[{limit}]"] = (distance[final] <= limit).astype(np.float64)
+        values[f"control_success[{limit}]"] = is_solved(distance[final], limit)
     values["control_lost"] = column(samples, "control_lost")[final].astype(np.float64)
     estimates = {name: bootstrap.mean(one) for name, one in values.items()}
     return {name: estimate for name, estimate in estimates.items() if estimate is not None}

@@ -12,9 +12,7 @@ import torch
 from api.test_use_cases import bytes_of
 
 import dmotion_bench as dm
-from dmotion_bench.errors import (
-    UsageError,
-)
+from dmotion_bench.errors import DmbenchError, UsageError
 
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a true seed": (lambda: dm.record("grid_world", "tiny", seed=True, out="new"), "seed is True; it must be a whole"),
@@ -52,6 +50,40 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
 def test_numbers_out_of_the_command_line_s_bounds_are_refused(workspace: Path, name: str) -> None:
     call, said = REFUSED[name]
     with pytest.raises(UsageError, match=said):
+        call()
+    assert not [*workspace.glob("new*")]
+
+
+OTHER_KINDS: dict[str, tuple[Callable[[], Any], str]] = {
+    "a number as a run": (lambda: dm.load_run(5), "5 stands for no run; give one name, or one path"),  # type: ignore[arg-type]
+    "runs as a run": (lambda: dm.score(["tiny"], "prediction"), r"\['tiny'\] stands for no run; give one name"),  # type: ignore[arg-type]
+    "a number to view": (lambda: dm.view(5, save="new.rrd"), "5 stands for no"),  # type: ignore[arg-type]
+    "a number as data": (lambda: dm.train("lapo", 5, out="new"), "5 stands for no data set"),  # type: ignore[arg-type]
+    "a number of metrics": (lambda: dm.score("tiny", 3), "metrics names 3; a group of figures is a word: prediction"),  # type: ignore[arg-type]
+    "no metric": (lambda: dm.score("tiny", [None]), "metrics names None; a group of figures is a word"),  # type: ignore[list-item]
+    "a planner's setting": (
+        lambda: dm.score("tiny", "control", planner_settings=[3]),  # type: ignore[list-item]
+        "a setting is 3; it can be a text such as 'epochs=5'",
+    ),
+    "settings": (lambda: dm.record("grid_world", "tiny", out="new", settings=3), "a setting is 3; it can be a text"),  # type: ignore[arg-type]
+    "a share as a text": (lambda: dm.leaderboard_check("tiny", differing="0.1"), "differing is '0.1'; it must be a sh"),  # type: ignore[arg-type]
+    "no share": (lambda: dm.leaderboard_check("tiny", differing=None), "differing is None; it must be a share"),  # type: ignore[arg-type]
+    "a number to check": (lambda: dm.leaderboard_check(7), "7 stands for no entry or run"),  # type: ignore[arg-type]
+    "a file as a page": (
+        lambda: dm.leaderboard_build("tiny", out="data/grid_world-tiny/dataset.json"),
+        "dataset.json' is a file; name a folder for the page",
+    ),
+    "a split's protocol": (
+        lambda: dm.open_dataset().triplets("test", protocol="Paper"),  # type: ignore[arg-type]
+        "no protocol named 'Paper'; did you mean 'paper'",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_KINDS)
+def test_what_is_of_another_kind_costs_a_sentence(workspace: Path, name: str) -> None:
+    call, said = OTHER_KINDS[name]
+    with pytest.raises(DmbenchError, match=said):
         call()
     assert not [*workspace.glob("new*")]
 

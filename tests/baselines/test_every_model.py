@@ -233,14 +233,15 @@ def test_a_fine_tuning_shares_the_stage_without_labels(name, recorded, trained, 
     assert again.result["weights"] == tuned.result["weights"]
 
 
-def test_no_label_of_another_run_is_left_in_a_table_that_is_taken_over(recorded, trained, tmp_path) -> None:
+@pytest.mark.parametrize("labels", ["1", "none"])
+def test_no_label_of_another_run_is_left_in_a_table_that_is_taken_over(recorded, trained, tmp_path, labels) -> None:
     shutil.copytree(trained("lapo", "one-shot").path, tmp_path / "runs" / "both")
     dataset = Dataset.open(recorded)
-    request = TrainingRequest(model="lapo", labels="1", preset=Preset.TINY, settings=SETTINGS)
+    request = TrainingRequest(model="lapo", labels=labels, preset=Preset.TINY, settings=SETTINGS)
     fewer = open_run(request, dataset, None, Workspace(tmp_path))
     assert take_over(fewer) is not None
     train(fewer, training_data(fewer, dataset), launch("cpu"), lambda _: None)
-    assert fewer.result["weights"] == trained("lapo", "1").result["weights"]
+    assert fewer.result["weights"] == trained("lapo", labels).result["weights"]
 
 
 def test_what_has_no_demonstrations_cannot_be_fine_tuned(recorded, tmp_path) -> None:

@@ -26,6 +26,7 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring import control
 from dmotion_bench.scoring.control import ControlScoring, known_references, require_tasks, score_reference
 from dmotion_bench.scoring.earlier_planning import earlier_planning
+from dmotion_bench.scoring.figures import is_solved
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.samples import read_samples
@@ -349,3 +350,10 @@ def test_a_reference_that_was_kept_in_the_words_of_an_earlier_release_is_kept(ta
     new.unlink()
     new.with_name(f"control-oracle-{digest}.json").write_text(json.dumps(content | {"key": key}))
     assert score_reference("oracle", tasks, SCORING).planned == 0
+
+
+def test_a_task_that_ends_at_the_limit_itself_is_solved() -> None:
+    """Distances are stored in single precision, in which 0.2 is a little more than in double."""
+    stored = np.array([0.2, np.nextafter(np.float32(0.2), np.float32(1)), 0.1, 0.3], np.float32)
+    assert is_solved(stored).tolist() == [1, 0, 1, 0]
+    assert is_solved(stored.astype(np.float64), 0.1).tolist() == [0, 0, 1, 0]

@@ -9,7 +9,7 @@
       last.safetensors    all that resuming needs
       best.safetensors    the weights that validated best, with the actions aligned once training is done
       watched.safetensors where the phases that need no labels ended, if others came after them
-      unadapted.safetensors the best weights before they were fine-tuned, if they were
+      unadapted.safetensors the best weights before demonstrations aligned or tuned the model, if it was given any
       samples/            pictures of what the model predicted at each validation
       report/             written by ``dmbench score``
 """
@@ -245,7 +245,7 @@ class Run:
 
     @property
     def unadapted(self) -> Path:
-        """The weights that validated best, before a fine-tuning changed them; where there was one."""
+        """The best weights before demonstrations aligned or tuned the model, where it was given any."""
         return self.path / "unadapted.safetensors"
 
     @property

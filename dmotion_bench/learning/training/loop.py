@@ -385,16 +385,16 @@ class _Trainer:
 
     def _finished(self) -> dict[str, Any]:
         """Align the best weights, write them, and record the result of the training."""
-        tuned = self.config.adaptation == "finetuned"
-        if tuned and not self.run.unadapted.exists():  # a kill from here on begins the fine-tuning anew
+        taught = self.demonstrations is not None
+        if taught and not self.run.unadapted.exists():  # a kill from here on begins with these weights again
             write_atomically(self.run.unadapted, self.run.best.read_bytes())
-        facts = self.checkpoints.restore_best(self.run.unadapted if tuned else None)
+        facts = self.checkpoints.restore_best(self.run.unadapted if taught else None)
         self.model.eval()
         adapted: int | None = None
         if self.demonstrations is not None:
             with torch.no_grad():
                 self.model.align(self.demonstrations)
-            if tuned:
+            if self.config.adaptation == "finetuned":
                 precision = self.conditions.precision
                 adapted = finetune(self.model, self.demonstrations, self.config, self.run.spec.seed, precision)
         weights = self.model.state_dict()

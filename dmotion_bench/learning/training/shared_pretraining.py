@@ -1,9 +1,9 @@
 """Training shared between label budgets: the part that needs no labels is trained once for all of them.
 
 What an unsupervised model learns does not depend on the budget (the tests compare the bits), only the alignment after
-the training does. So the 5-shot run takes over the one-shot run's last checkpoint and is aligned for itself, or
-fine-tuned (``adaptation.py``). Of a world model the autoencoder comes first and sees video alone: another budget goes
-on from where it ended.
+the training does. So the 5-shot run takes over the one-shot run's last checkpoint, and its best weights as they were
+before a demonstration was shown. It is then aligned for itself, or fine-tuned (``adaptation.py``). Of a world model the
+autoencoder comes first and sees video alone: another budget goes on from where it ended.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _shared(run: Run) -> dict[str, Path]:
     The checkpoint comes last: with it the other run has begun. What is damaged is not taken over.
     """
     if model_class(run.spec.model).supervision is Supervision.NONE:
-        best = run.unadapted if run.spec.training_config.adaptation == "finetuned" else run.best
+        best = run.best if run.spec.labels == "none" else run.unadapted  # before it saw a demonstration
         files = {run.metrics.name: run.metrics, run.best.name: best, run.last.name: run.last}
         files = files if run.result is not None else {}
     else:

@@ -34,7 +34,10 @@ JOINT: Final = "/"
 """Stands between the parts of a joint action's name."""
 SMALLEST: Final = float(np.finfo(np.float64).tiny)
 SLACK: Final = 1e-6
-"""Share of its range by which a number may lie outside: rounding to 32 bits takes less."""
+"""Share of its range by which a number may lie outside."""
+ROUNDING: Final = 4 * float(np.finfo(np.float32).eps)
+"""Share of its larger bound that comes on top: numbers are computed in 32 bits, and a range may be narrow and far from
+zero. The type of an array does not say in how many bits its numbers were computed."""
 
 ValuesT = TypeVar("ValuesT")
 
@@ -220,9 +223,10 @@ class Continuous:
 
     def beyond(self, actions: Float[np.ndarray, "b a"]) -> Bool[np.ndarray, "b a"]:
         """Which numbers lie beyond their bounds, more than rounding explains; NaN does."""
-        slack = 2 * self.reach * SLACK
+        low, high = np.asarray(self.low, np.float64), np.asarray(self.high, np.float64)
+        slack = 2 * self.reach * SLACK + np.maximum(np.abs(low), np.abs(high)) * ROUNDING
         with np.errstate(invalid="ignore"):
-            inside = (actions >= np.asarray(self.low) - slack) & (actions <= np.asarray(self.high) + slack)
+            inside = (actions >= low - slack) & (actions <= high + slack)
         return ~np.asarray(inside, np.bool_)
 
     def space(self) -> gymnasium.Space[Any]:

@@ -10,7 +10,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from hypothesis import given, settings
+import torch
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dmotion_bench.actions import (
@@ -22,6 +23,7 @@ from dmotion_bench.actions import (
     require_discrete,
 )
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.planning.dynamics.model import in_units
 
 STEPS = Continuous(names=("dx", "turn"), low=(-0.04, 0.0), high=(0.04, math.pi), units=("m", "rad"))
 
@@ -92,6 +94,18 @@ def test_a_continuous_action_that_cannot_be_is_described(actions: Any, said: str
 
 def test_rounding_to_32_bits_stays_within_the_bounds() -> None:
     assert STEPS.fault(np.array([STEPS.low, STEPS.high], np.float32)) is None
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
+@example(99.9, 0.8)
+@settings(deadline=None, derandomize=True)
+def test_bounds_computed_in_32_bits_stay_within_the_bounds(low: float, wide: float) -> None:
+    spec = Continuous(names=("a",), low=(low,), high=(low + wide,), units=("",))
+    planned = in_units(spec, torch.tensor([[-1.0], [1.0]]))
+    assert planned.dtype == torch.float32
+    for computed in (planned, planned.double()):
+        assert spec.fault(computed.numpy()) is None
+    assert spec.fault(spec.denormalise(np.array([[1.001 + 1e-6 * (abs(low) + wide) / wide]]))) is not None
 
 
 @pytest.mark.parametrize("actions", [[0, 2], [-1], [0.0, 1.0], [[0, 1]]])

@@ -104,7 +104,8 @@ class Phase:
         with_labels: So many labelled triplets stand beside each batch of video (``TripletBatch.labelled``), or all of
             them where the budget gives fewer; only of ``Supervision.FEW``.
         batch_size: Triplets a step, where a phase wants another number than the training's.
-        together: So many triplets of one episode, any of its moments, stand side by side in a batch.
+        together: So many triplets of one episode, any of its moments, stand side by side in a batch, whose size is
+            rounded down to whole groups. Episodes with fewer are left out, unless all have fewer.
         earlier: So many frames before each triplet come along (``TripletBatch.earlier``), for models that train on
             several steps, in a phase that needs actions with theirs; with triplets out of demonstrations, and in
             validation, there are none.
@@ -139,7 +140,7 @@ class TrainingConfig:
         ema: Decay of the averaged weights that are validated and kept; 0 keeps the raw ones.
         hard_share: Share of each batch, after the first epoch, that is drawn by the square roots of the
             triplets' latest losses instead of evenly; needs ``Losses.per_triplet``. Rare events, such as pushes, are
-            seen more often.
+            seen more often. Of a phase with ``Phase.together`` whole groups are drawn, by their mean losses.
         validations: How many times the run is validated and its checkpoint written.
         patience: A phase ends after so many validations in a row without a lower loss; 0 takes all of its steps. The
             weights with the lowest loss are kept in either case.

@@ -26,7 +26,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dmotion_bench.errors import DatasetError, InvalidSetting
+from dmotion_bench.errors import DatasetError, DmbenchError, InvalidSetting
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.runs import checkpoint
@@ -66,7 +66,12 @@ class TemporalDistanceConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        require_bounds(self, from_one=("steps", "batch_size", "reach", "width"), above_zero=("learning_rate",))
+        require_bounds(
+            self,
+            from_one=("steps", "batch_size", "reach", "width"),
+            above_zero=("learning_rate",),
+            from_zero=("seed",),
+        )
 
 
 class TemporalDistance(nn.Module):
@@ -231,12 +236,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=TemporalDistanceConfig.steps, help="Of training.")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
-    workspace = Workspace.current()
-    with using_threads(1):
-        network = train_on(
-            Dataset.open(workspace.dataset(asked.data)), TemporalDistanceConfig(steps=asked.steps, seed=asked.seed)
-        )
-    sys.stdout.write(f"{save(network, workspace)}\n")
+    try:
+        config, workspace = TemporalDistanceConfig(steps=asked.steps, seed=asked.seed), Workspace.current()
+        with using_threads(1):
+            network = train_on(Dataset.open(workspace.dataset(asked.data)), config)
+        name = save(network, workspace)
+    except DmbenchError as error:
+        parser.error(str(error))
+    sys.stdout.write(f"{name}\n")
 
 
 if __name__ == "__main__":

@@ -80,7 +80,7 @@ class Plane:
     def moved(self, places: Places, action: Int[np.ndarray, " n"] | Float[np.ndarray, "n a"]) -> Places:
         """The states after actions, continuous ones in [-1, 1]."""
         chosen = torch.from_numpy(action)
-        given = chosen if isinstance(self.actions, Discrete) else chosen.float().clamp(-1, 1)
+        given = chosen if isinstance(self.actions, Discrete) else chosen.float()
         return self.step((as_state(places),), given)[0].double().numpy()
 
     @contextlib.contextmanager

@@ -22,11 +22,11 @@ def check_alignment(subject: ModelTrial) -> None:
     model, other = _two_aligned(subject, steps=0)
     if subject.kind.supervision is not Supervision.NONE:
         return
-    if not differing(model.state_dict(), other.state_dict()):
+    if not subject.has_one_action and not differing(model.state_dict(), other.state_dict()):
         # a spatial transformer starts at the identity: before any training every demonstration shows the same motion
         model, other = _two_aligned(subject, steps=WARM_UP)
     subject.require(
-        bool(differing(model.state_dict(), other.state_dict())),
+        subject.has_one_action or bool(differing(model.state_dict(), other.state_dict())),
         "align(demonstrations) leaves the same state whichever actions are shown, so it learns nothing that is kept: "
         "what it learns must be in buffers or parameters",
     )

@@ -48,6 +48,11 @@ class ModelTrial:
         self._spec = inputs.actions
         self.name = kind.__qualname__ + (asked if channels_last else "")
 
+    @property
+    def has_one_action(self) -> bool:
+        """Whether there is a single action, so that all demonstrations show the same one."""
+        return isinstance(self._spec, Discrete) and len(self._spec) == 1
+
     def build(self, *, seed: int = 0) -> ForwardModel[Any]:
         """A new model, the same each time."""
         with torch.random.fork_rng(), self.calling("__init__(config, inputs)"):

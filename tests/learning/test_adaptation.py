@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.data.labels import HELD_BACK, LabelBudget, LabelRequest
+from dmotion_bench.learning.data.stored_demonstrations import StoredDemonstrations, in_memory
+from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TrainingConfig
-from dmotion_bench.learning.training.adaptation import finetune
+from dmotion_bench.learning.training.adaptation import AT_ONCE, finetune
 from dmotion_bench.specs import Supervision
 
 
@@ -68,6 +71,31 @@ def test_what_predicts_the_transitions_left_out_worse_is_not_kept() -> None:
     before = model.state_dict()["gain"].clone()
     assert finetune(model, shown, CONFIG, seed=0, precision="float32") == 0
     assert torch.equal(model.gain, before)
+
+
+class Watched(StoredDemonstrations):
+    """Keeps count of the demonstrations that are images at once."""
+
+    most = 0
+
+    def subset(self, index):
+        Watched.most = max(Watched.most, len(index))
+        return super().subset(index)
+
+
+def test_stored_demonstrations_are_read_batch_by_batch_and_teach_the_same(dataset) -> None:
+    triplets = TripletSet.of_split(dataset, "train")
+    given = LabelBudget(dataset, LabelRequest.parse("all"), seed=1).demonstrations(triplets)
+    config = replace(CONFIG, adaptation_steps=3, batch_size=4)
+    inputs = ModelInputs(height=dataset.spec.height, width=dataset.spec.width, actions=dataset.spec.actions)
+    found = []
+    for shown in (in_memory(given, torch.device("cpu")), Watched(given, torch.device("cpu"))):
+        model = Brighter(Nothing(), inputs)
+        assert finetune(model, shown, config, seed=0, precision="float32") > 0
+        found.append(model.state_dict())
+    assert all(torch.equal(found[0][name], found[1][name]) for name in found[0])
+    held, learned = len(given.rows) // HELD_BACK, len(given.rows) - len(given.rows) // HELD_BACK
+    assert Watched.most == max(config.batch_size, min(held, AT_ONCE)) < learned
 
 
 def test_the_same_seed_ends_with_the_same_bits_and_another_does_not() -> None:

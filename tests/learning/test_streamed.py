@@ -170,6 +170,25 @@ def test_hard_triplets_come_from_the_open_windows_once_all_of_these_have_losses(
             assert mine[1] // 10 in {place for window in at_hand for place in order.episodes(window)}
 
 
+def test_hard_groups_come_whole_from_the_open_windows() -> None:
+    order = order_of([10] * 40 + [3] * 5, batch_size=33, window=320, together=4)
+    episode = np.repeat(np.arange(45), [10] * 40 + [3] * 5)
+    losses = np.where(episode % 2 == 0, np.float32(1.0), np.float32(0.0))
+    losses[9::10] = np.nan  # others of the same group are known
+    for step in (1, 8, 30):
+        mixed, even = order.mixed_batch(step, losses, 0.5), order.batch(step)
+        assert len(mixed) == order.batch_size == 32
+        groups = mixed.reshape(-1, 4)
+        assert (episode[groups] == episode[groups][:, :1]).all()
+        assert all(len(set(group)) == 4 for group in groups.tolist())
+        np.testing.assert_array_equal(groups[::2], even.reshape(-1, 4)[::2])  # every other lane draws its group
+        for lane in range(1, order.lanes, 2):
+            at_hand = {place for window in order.open_windows(step, [lane]) for place in order.episodes(window)}
+            drawn = int(episode[groups[lane, 0]])
+            assert drawn in at_hand
+            assert drawn % 2 == 0 or all(place % 2 for place in at_hand)
+
+
 def _streamed(walks: Dataset, loaders: int = 1) -> StreamedTriplets:
     return StreamedTriplets.of_split(walks, "train", window=24, loaders=loaders)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from dmotion_bench.learning.temporal_distance import (
     TemporalDistance,
     TemporalDistanceConfig,
     load,
+    main,
     pairs,
     place_of,
     save,
@@ -116,3 +118,21 @@ def test_what_is_no_learned_distance_is_refused(trained: TemporalDistance, tmp_p
     checkpoint.save(place_of("1" * 64, workspace), other, {})
     with pytest.raises(InvalidSetting, match="holds no learned distance"):
         load("1" * 64, workspace)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["data/missing"], "error: .*data/missing"),
+        (["data/missing", "--steps", "0"], "error: steps is 0; it must be 1 or more"),
+        (["data/missing", "--seed", "-1"], "error: seed is -1; it cannot be below zero"),
+    ],
+)
+def test_what_the_command_cannot_do_is_a_sentence(
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    assert left.value.code == 2
+    assert re.search(said, capsys.readouterr().err)

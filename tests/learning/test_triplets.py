@@ -87,6 +87,43 @@ def test_groups_differ_from_epoch_to_epoch() -> None:
     assert first != second
 
 
+@given(
+    lengths=st.lists(st.integers(1, 12), min_size=1, max_size=8),
+    batch=st.integers(4, 30),
+    together=st.integers(2, 4),
+    share=st.sampled_from([0.0, 0.3, 0.6]),
+)
+@settings(deadline=None, derandomize=True)
+def test_batches_hold_whole_groups_whatever_their_size_and_what_is_drawn(
+    lengths: list[int], batch: int, together: int, share: float
+) -> None:
+    lengths = [*lengths, 2 * batch]
+    episode = np.repeat(np.arange(len(lengths)), lengths)
+    order = BatchOrder(len(episode), batch, 3, episode=episode, together=together)
+    assert order.batch_size == batch - batch % together
+    losses = np.full(len(episode), np.nan, np.float32)
+    for step in range(2 * len(episode) // order.batch_size + 2):
+        mixed = order.mixed_batch(step, losses, share)
+        groups = mixed.reshape(-1, together)
+        assert (episode[groups] == episode[groups][:, :1]).all()
+        assert all(len(set(group)) == together for group in groups.tolist())
+        losses[mixed] = 1.0
+
+
+def test_hard_groups_are_drawn_by_their_mean_losses_though_some_triplets_are_never_seen() -> None:
+    episode = np.repeat([0, 1, 2], [10, 3, 9])  # of the second none is seen, of the third always one is left out
+    order = BatchOrder(22, 9, 0, episode=episode, together=4)
+    losses = np.where(episode == 2, np.float32(np.nan), np.float32(0.0))
+    np.testing.assert_array_equal(order.mixed_batch(2, losses, 0.5), order.batch(2))
+    losses[episode == 1] = np.nan
+    losses[episode == 2] = 5.0
+    losses[-1] = np.nan
+    for step in range(20):
+        mixed, even = order.mixed_batch(step, losses, 0.5), order.batch(step)
+        np.testing.assert_array_equal(mixed[:4], even[4:])
+        assert (episode[mixed[4:]] == 2).all()
+
+
 @pytest.mark.parametrize("epochs", [0.5, 1, 3])
 def test_steps_follow_the_epochs(epochs: float) -> None:
     assert BatchOrder(100, 10, 0).steps(epochs) == 10 * epochs

@@ -19,10 +19,12 @@ from dmotion_bench.planning.choices import make_objective, make_solver
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.journal import Extent, Journal
 from dmotion_bench.planning.mpc import ControlResult, ControlSettings, control
+from dmotion_bench.planning.objectives.base import StepCost
 from dmotion_bench.planning.objectives.centres import Centres
-from dmotion_bench.planning.objectives.feature import Feature
+from dmotion_bench.planning.objectives.feature import Feature, FeatureEvaluator
 from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.planning.solvers.base import PlanContext
+from dmotion_bench.planning.solvers.mppi import PathIntegral
 from dmotion_bench.planning.solvers.proposals import Gaussian, coloured
 
 SOLVERS = ("cem", "icem", "mppi", "random-shooting", "gradient")
@@ -110,6 +112,32 @@ def test_a_plan_is_gone_on_with(name: str) -> None:
     memory = np.concatenate([memory[:, :, :1], memory], axis=2)[:, :, :5]  # as if planned one step before
     warm = solver.plan(dynamics, evaluator, replace(TWO, generators=generators(4, 5), memory=memory))
     assert (warm.costs[:, 0] < cold.costs[:, 0]).all()
+
+
+class Forbidding(FeatureEvaluator):
+    """Costs of features; infinite to the right of the start in task 0, and everywhere in task 1."""
+
+    def step(self, dynamics: Any, state: Any, task: Any, action: Any, cost_state: Any) -> Any:
+        cost, carried = super().step(dynamics, state, task, action, cost_state)
+        forbidden = (task == 1) | (state[0][:, 0] > 0.2)
+        return StepCost.of(cost.total.masked_fill(forbidden, torch.inf)), carried
+
+
+def test_path_integrals_leave_out_sequences_of_infinite_cost() -> None:
+    """What is forbidden moves no mean; a task in which everything is keeps the mean that it had."""
+    memory = np.full((2, 1, 5, 2), 0.25)
+    given = replace(TWO, generators=generators(0, 1), memory=memory)
+    evaluator = Forbidding(TWO.observation.goals)
+    plan = make_solver("mppi").plan(ModelDynamics(Blob(), bf16=False), evaluator, given)
+    assert np.isfinite(plan.costs[0]).all()
+    assert np.isfinite(plan.action).all()
+    np.testing.assert_array_equal(plan.action[1], [0.25, 0.25])
+    np.testing.assert_array_equal(plan.costs[1], np.inf)
+
+    costs = np.array([[3.0, np.inf, 1.0, 2.5, np.inf]])
+    weights = PathIntegral()._weights(costs)
+    np.testing.assert_array_equal(weights[:, [0, 2, 3]], PathIntegral()._weights(costs[:, [0, 2, 3]]))
+    np.testing.assert_array_equal(weights[:, [1, 4]], 0)
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])

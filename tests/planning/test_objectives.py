@@ -157,6 +157,19 @@ def test_steps_to_go_prefer_what_looks_fewer_steps_from_the_goal(monkeypatch: py
         assert cost(frames).total.item() == pytest.approx((cost(frames).distance - cost(frames).bonus).item())
 
 
+def test_tasks_that_begin_after_a_plan_on_another_device_embed_their_goals(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = TemporalDistance(TemporalDistanceConfig(width=2))
+    monkeypatch.setattr("dmotion_bench.planning.objectives.steps_to_go.load", lambda name: network)
+    objective, goals = make_objective("steps-to-go", [f"value={'d' * 64}"]), pictures(HOME).numpy()
+    elsewhere = ModelDynamics(PerfectGridModel(), device=torch.device("meta"), bf16=False)
+    objective.reset(FACTS, goals, goals).begin(elsewhere)
+    after = objective.reset(FACTS, goals, goals)
+    after.begin(ModelDynamics(PerfectGridModel(), bf16=False))
+    saved = after.steps_saved(to_model(pictures(HOME)), FIRST)
+    assert saved.device.type == "cpu"
+    assert saved.item() == pytest.approx(network.config.reach, abs=0.01)
+
+
 def test_steps_to_go_need_a_learned_distance() -> None:
     with pytest.raises(InvalidSetting, match="names no learned distance; train one with"):
         make_objective("steps-to-go").reset(FACTS, pictures(HOME).numpy(), pictures(HOME).numpy())

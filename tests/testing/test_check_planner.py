@@ -20,6 +20,7 @@ from dmotion_bench.planning.objectives.base import Memoryless, StepCost
 from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.planning.solvers.base import best_first
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
+from dmotion_bench.planning.solvers.rollouts import Rollouts
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import CONTINUOUS, check_objective, check_solver
 
@@ -160,6 +161,36 @@ def test_a_solver_that_takes_the_dearest_sequence_is_warned_of() -> None:
 
     with pytest.warns(UserWarning, match=r"Contrary: after 4 steps 1\d\d% of the distance to the goal is left"):
         check_solver(Contrary)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sliding:
+    """Draws continuous actions, and imagines and chooses them so many times as large."""
+
+    imagined: ClassVar[float] = 1.0
+    chosen: ClassVar[float] = 1.0
+
+    def plan(self, dynamics: Any, evaluator: Any, context: Any) -> Any:
+        rollouts = Rollouts(dynamics, evaluator, context.observation)
+        shape = 32, 3, dynamics.actions.width
+        drawn = np.stack([one.uniform(-1, 1, shape) for one in context.generators]).round() * self.imagined
+        best, price = best_first(drawn, rollouts.costs(drawn).min(axis=2))
+        return rollouts.plan(best, price, [price[:, 0]], action=best[:, 0, 0] * self.chosen)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"imagined": 1.5}, r"the solver tries the actions -1\.5 to 1\.5; there are -1 to 1"),
+        ({"imagined": float("nan")}, r"the solver tries the actions nan to nan; there are -1 to 1"),
+        ({"chosen": 1.5}, r"the solver chooses the actions .*; it must be 3 times 2 numbers from -1 to 1"),
+    ],
+)
+def test_continuous_actions_that_do_not_exist_are_found(changed: dict[str, float], said: str) -> None:
+    rounded = dict.fromkeys(changed, 1 + 1e-07)
+    check_solver(type("Rounding", (Sliding,), rounded), actions=CONTINUOUS)
+    with pytest.raises(PlannerContractBroken, match=said):
+        check_solver(type("Overshooting", (Sliding,), changed), actions=CONTINUOUS)
 
 
 def test_settings_are_a_frozen_dataclass_with_defaults() -> None:

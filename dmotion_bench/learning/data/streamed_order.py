@@ -19,7 +19,7 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from dmotion_bench.learning.data.triplets import drawn_by_loss, steps_of
+from dmotion_bench.learning.data.triplets import drawn_by_loss, mean_losses, steps_of
 
 LANES: Final = 8
 _EPOCHS, _WINDOWS = 2, 3 * LANES  # that are kept: lanes begin their epochs at nearly the same step
@@ -115,7 +115,8 @@ class StreamedOrder:
     def mixed_batch(self, step: int, losses: Float[np.ndarray, " n"], share: float) -> Int[np.ndarray, " b"]:
         """A batch of which a share is drawn from the open windows by the triplets' latest losses.
 
-        A lane draws once every triplet of its window has a loss.
+        A lane draws once every triplet of its window has a loss. Triplets that follow each other are drawn by the mean
+        of their losses, once one of them has one.
 
         Args:
             losses: Latest loss of each triplet, NaN for one not yet seen.
@@ -124,14 +125,15 @@ class StreamedOrder:
         if not share:
             return self.batch(step)
         parts: list[Int[np.ndarray, " m"]] = []
-        hard = (share * self._size * self._bounds).astype(np.int64)
+        hard = (share * self._bounds).astype(np.int64)
         for lane, drawn in enumerate(np.diff(hard).tolist()):
             taken = self._taken(lane, step)
-            at_hand = self._windows.of(self._spans(lane, step)[-1]).reshape(-1)
-            known = losses[at_hand]
+            at_hand = self._windows.of(self._spans(lane, step)[-1])
+            known = mean_losses(losses[at_hand])
             if drawn and not np.isnan(known).any():
                 generator = np.random.default_rng(np.random.SeedSequence([self.seed, step, lane]))
-                taken = np.concatenate([taken[drawn:], at_hand[drawn_by_loss(known, drawn, generator)]])
+                chosen = at_hand[drawn_by_loss(known, drawn, generator)].reshape(-1)
+                taken = np.concatenate([taken[len(chosen) :], chosen])
             parts.append(taken)
         return np.concatenate(parts)
 

@@ -161,11 +161,11 @@ class BatchOrder:
 
     Args:
         triplets: How many there are.
-        batch_size: At most all of them.
+        batch_size: At most all of them, and rounded down to whole groups.
         seed: Of the order.
         episode: Of each triplet; needed for ``together``.
         together: So many triplets of one episode follow each other; what is left of an episode is left out of the
-            epoch, others each time.
+            epoch, others each time. A smaller batch holds a part of such a group.
     """
 
     def __init__(
@@ -177,10 +177,13 @@ class BatchOrder:
         episode: Int[np.ndarray, " n"] | None = None,
         together: int = 1,
     ) -> None:
-        self.triplets, self.batch_size, self.seed = triplets, min(batch_size, triplets), seed
+        self.triplets, self.seed = triplets, seed
         self._episode, self._together = episode, together
         self._epoch, self._order = -1, np.zeros(0, np.int64)
         self._length = len(self._epoch_order(0))
+        size, most = min(batch_size, triplets), 1 if episode is None else int(np.bincount(episode).max(initial=0))
+        self._size = together if together <= min(size, most) else 1  # an item is a triplet, or a group of them
+        self.batch_size = size - size % self._size
 
     def steps(self, epochs: float) -> int:
         """How many steps make so many passes."""
@@ -204,15 +207,24 @@ class BatchOrder:
     def mixed_batch(self, step: int, losses: Float[np.ndarray, " n"], share: float) -> Int[np.ndarray, " b"]:
         """A batch of which a share is drawn by the triplets' latest losses, once every triplet has one.
 
+        Triplets that follow each other are drawn by the mean of their losses, once one of them has one.
+
         Args:
             losses: Latest loss of each triplet, NaN for one not yet seen.
             share: Of the batch; the rest goes on evenly through the epochs.
         """
-        if not share or np.isnan(losses).any():
-            return self.batch(step)
-        hard = int(share * self.batch_size)
+        even = self.batch(step)
+        if not share:
+            return even
+        groups = self._groups(step)
+        known = losses if groups is None else mean_losses(losses[groups])
+        if np.isnan(known).any():
+            return even
+        hard = int(share * (self.batch_size // self._size))
         generator = np.random.default_rng(np.random.SeedSequence([self.seed, step]))
-        return np.concatenate([self.batch(step)[hard:], drawn_by_loss(losses, hard, generator)])
+        drawn = drawn_by_loss(known, hard, generator)
+        chosen = drawn if groups is None else groups[drawn].reshape(-1)
+        return np.concatenate([even[len(chosen) :], chosen])
 
     def share(self, batch: Int[np.ndarray, " b"], rank: int, world: int) -> Int[np.ndarray, " s"]:
         """The part of a batch that one of several processes computes; triplets that belong together stay so.
@@ -227,6 +239,12 @@ class BatchOrder:
         first, stop = (unit * (len(batch) // unit * place // world) for place in (rank, rank + 1))
         return batch[first : stop if rank + 1 < world else len(batch)]
 
+    def _groups(self, step: int) -> Int[np.ndarray, "i s"] | None:
+        """The triplets of the epoch that a step ends in, an item a row; None where no triplets belong together."""
+        if self._episode is None or self._together == 1:
+            return None
+        return self._epoch_order(((step + 1) * self.batch_size - 1) // self._length).reshape(-1, self._size)
+
     def _epoch_order(self, epoch: int) -> Int[np.ndarray, " n"]:
         if epoch != self._epoch:
             generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(epoch,)))
@@ -235,6 +253,18 @@ class BatchOrder:
                 order = _grouped(order, self._episode, self._together, generator)
             self._epoch, self._order = epoch, order
         return self._order
+
+
+def mean_losses(losses: Float[np.ndarray, "i s"]) -> Float[np.ndarray, " i"]:
+    """The mean of the losses that are known in each row, which stands for those that are not; NaN where none is.
+
+    Args:
+        losses: Of the triplets of each item, NaN for one not yet seen.
+    """
+    known = ~np.isnan(losses)
+    total = losses.sum(axis=1, where=known)
+    mean: Float[np.ndarray, " i"] = np.where(known.any(axis=1), total, np.nan) / np.maximum(known.sum(axis=1), 1)
+    return mean.astype(losses.dtype)
 
 
 def drawn_by_loss(losses: Float[np.ndarray, " n"], count: int, generator: np.random.Generator) -> Int[np.ndarray, " m"]:

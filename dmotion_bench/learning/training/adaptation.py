@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import torch
 import torch.nn.functional as F
+from jaxtyping import Int
 from torch import Tensor
 
 from dmotion_bench.learning.action_to_latent import ActionToLatent
@@ -46,16 +47,16 @@ def finetune(
         The number of steps that were kept.
     """
     order = torch.randperm(len(shown), generator=torch.Generator().manual_seed(seed))
-    held, learned = (shown.subset(rows) for rows in order.tensor_split([len(shown) // HELD_BACK]))
+    held, learned = order.tensor_split([len(shown) // HELD_BACK])
     tables = [module.rows for module in model.modules() if isinstance(module, ActionToLatent)]
     trained = [*model.parameters(), *tables]
     for tensor in trained:
         tensor.requires_grad_(True)
     optimizer = torch.optim.Adam(trained, config.adaptation_rate)
     batches = BatchOrder(len(learned), config.batch_size, seed)
-    best, kept, state = _error(model, held), 0, _copied(model)
+    best, kept, state = _error(model, shown, held), 0, _copied(model)
     for step in range(1, config.adaptation_steps + 1):
-        batch = learned.subset(torch.from_numpy(batches.batch(step - 1)))
+        batch = _images_of(shown, learned[torch.from_numpy(batches.batch(step - 1))])
         with autocast(precision, batch.action.device):
             error = F.mse_loss(model.predict(batch.previous, batch.current, batch.action), batch.next)
         optimizer.zero_grad()
@@ -63,7 +64,7 @@ def finetune(
         optimizer.step()
         is_last = step == config.adaptation_steps
         if len(held) and (is_last or step % max(1, config.adaptation_steps // CHECKS) == 0):
-            if (now := _error(model, held)) < best:
+            if (now := _error(model, shown, held)) < best:
                 best, kept, state = now, step, _copied(model)
         elif is_last:
             kept, state = step, _copied(model)
@@ -77,14 +78,20 @@ def _copied(model: ForwardModel[Any]) -> dict[str, Tensor]:
     return {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
 
 
+def _images_of(shown: Demonstrations, rows: Int[Tensor, " m"]) -> Demonstrations:
+    """Some demonstrations in memory; there may be more of them than it holds as images."""
+    # the second choice closes the gaps that stored triplets leave between images: rounding depends on the strides
+    return shown.subset(rows).subset(torch.arange(len(rows)))
+
+
 @torch.no_grad()
-def _error(model: ForwardModel[Any], shown: Demonstrations) -> float:
-    """The mean squared error of the predicted frames; 0 of none."""
-    if not len(shown):
+def _error(model: ForwardModel[Any], shown: Demonstrations, rows: Int[Tensor, " m"]) -> float:
+    """The mean squared error of the frames predicted for some demonstrations; 0 of none."""
+    if not len(rows):
         return 0.0
     errors = []
-    for start in range(0, len(shown), AT_ONCE):
-        some = shown.subset(torch.arange(start, min(start + AT_ONCE, len(shown))))
+    for start in range(0, len(rows), AT_ONCE):
+        some = _images_of(shown, rows[start : start + AT_ONCE])
         predicted = model.predict(some.previous, some.current, some.action)
         errors.append((predicted - some.next).square().mean((1, 2, 3)))
     return float(torch.cat(errors).mean())

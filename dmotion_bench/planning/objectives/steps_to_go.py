@@ -7,6 +7,7 @@ goal's picture is fewer steps away. It knows nothing of what moves, so the agent
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -59,7 +60,7 @@ class StepsToGoEvaluator(TrackedEvaluator):
 
     Args:
         spec, first, goals, settings: See ``TrackedEvaluator``.
-        network: The learned distance.
+        network: The learned distance; it is left as it is.
     """
 
     def __init__(
@@ -71,7 +72,10 @@ class StepsToGoEvaluator(TrackedEvaluator):
         network: TemporalDistance,
     ) -> None:
         super().__init__(spec, first, goals, settings)
-        self._network, self._bonus = network, settings.step_bonus
+        self._network = copy.deepcopy(
+            network
+        )  # of its own: ``begin`` moves it, and other tasks embed their goals later
+        self._bonus = settings.step_bonus
         with torch.inference_mode():
             self._goal = network.embed(to_model(goals))
 

@@ -17,6 +17,15 @@ Sequences = Int[np.ndarray, "b _s t"] | Float[np.ndarray, "b _s t a"]
 """Some sequences of actions for each task: of numbers, or of continuous actions in [-1, 1]; any number of them."""
 
 
+ROUNDING: Final = 1e-6
+"""By how much a number of a continuous action may lie beyond [-1, 1]."""
+
+
+def are_within(actions: Float[np.ndarray, "*b a"]) -> bool:
+    """Whether all continuous actions are in [-1, 1], but for rounding; one that is no number is not."""
+    return bool((np.abs(actions) <= 1 + ROUNDING).all())
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlanContext:
     """The context of one planning step for some tasks.

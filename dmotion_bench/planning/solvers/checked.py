@@ -12,7 +12,7 @@ from dmotion_bench.errors import PlannerContractBroken
 from dmotion_bench.planning.contract import calling
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.objectives.base import Evaluator
-from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
+from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver, are_within
 from dmotion_bench.wording import shown
 
 
@@ -40,8 +40,8 @@ def _action(given: Any, spec: ActionSpec, tasks: int) -> Any:
         wanted = f"{tasks} whole numbers from 0 to {len(spec) - 1}"
     else:
         fits = found.shape == (tasks, spec.width) and np.issubdtype(found.dtype, np.floating)
-        fits = fits and bool(np.isfinite(found).all())
-        wanted = f"{tasks} times {spec.width} finite numbers"
+        fits = fits and are_within(found)
+        wanted = f"{tasks} times {spec.width} numbers from -1 to 1"
     if not fits:
         raise PlannerContractBroken(
             f"the solver chooses the actions {shown(str(found.tolist()))}; it must be {wanted}."

@@ -7,8 +7,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from dmotion_bench.errors import PlannerContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
+from dmotion_bench.planning.solvers.base import are_within
 from dmotion_bench.planning.solvers.search import Search
 
 
@@ -34,6 +36,9 @@ class Rollouts(Search):
 
     def stacked_costs(self, sequences: Float[np.ndarray, "b s t a"]) -> Float[np.ndarray, "b s t 4"]:
         """See ``Search``."""
+        if not are_within(sequences):
+            tried = f"{sequences.min():.6g} to {sequences.max():.6g}"
+            raise PlannerContractBroken(f"the solver tries the actions {tried}; there are -1 to 1.")
         names = [(task, one.tobytes()) for task, own in enumerate(sequences) for one in own]
         given = dict(zip(names, sequences.reshape(-1, *sequences.shape[2:]), strict=True))
         new = [name for name in given if name not in self._known]

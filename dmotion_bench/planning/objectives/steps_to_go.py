@@ -72,9 +72,8 @@ class StepsToGoEvaluator(TrackedEvaluator):
         network: TemporalDistance,
     ) -> None:
         super().__init__(spec, first, goals, settings)
-        self._network = copy.deepcopy(
-            network
-        )  # of its own: ``begin`` moves it, and other tasks embed their goals later
+        # of its own, because ``begin`` moves it to a device and other tasks embed their goals later
+        self._network = copy.deepcopy(network)
         self._bonus = settings.step_bonus
         with torch.inference_mode():
             self._goal = network.embed(to_model(goals))

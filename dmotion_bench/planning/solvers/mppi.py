@@ -3,7 +3,7 @@
 Williams et al. 2017, "Information Theoretic MPC for Model-Based Reinforcement Learning", ICRA: sequences are drawn
 around a mean, which moves to their average, weighted by exp(-cost / temperature). Costs have units of their own here,
 so the temperature is a share of the difference between the mean and the lowest cost. At the next step the mean is
-shifted by one action.
+shifted by one action. A sequence of infinite cost, which an objective forbids, has no weight.
 """
 
 from __future__ import annotations
@@ -64,16 +64,20 @@ class PathIntegral:
             around = Gaussian(mean=mean, std=np.full(shape, self.std), exponent=self.noise_exponent, momentum=0.0)
             drawn = around.draw(context.generators, self.samples, heat=0)
             costs = rollouts.costs(drawn).min(axis=2)
-            mean = np.einsum("bs,bsta->bta", self._weights(costs), drawn)
+            moved = np.einsum("bs,bsta->bta", self._weights(costs), drawn)
+            mean = np.where(np.isfinite(costs).any(axis=1)[:, None, None], moved, mean)
             found = best_first(drawn, costs, before=found)
             progress.append(found[1][:, 0])
         assert found is not None, "there is an iteration"
         return rollouts.plan(*found, progress, action=mean[:, 0], memory=mean[:, None])
 
     def _weights(self, costs: Float[np.ndarray, "b s"]) -> Float[np.ndarray, "b s"]:
-        """The weight of each sequence; they sum to one."""
-        above = costs - costs.min(axis=1, keepdims=True)
-        scale = self.temperature * above.mean(axis=1, keepdims=True)
-        weights = np.exp(-above / np.where(scale > 0, scale, 1.0))
-        normal: Float[np.ndarray, "b s"] = weights / weights.sum(axis=1, keepdims=True)
+        """The weight of each sequence, 0 of an infinite cost; they sum to one, or to zero where no cost is finite."""
+        finite = np.isfinite(costs)
+        lowest = costs.min(axis=1, keepdims=True, where=finite, initial=np.inf)
+        above = np.subtract(costs, lowest, out=np.zeros_like(costs), where=finite)
+        count = finite.sum(axis=1, keepdims=True)
+        scale = self.temperature * (above.sum(axis=1, keepdims=True) / np.maximum(count, 1))
+        weights = np.where(finite, np.exp(-above / np.where(scale > 0, scale, 1.0)), 0.0)
+        normal: Float[np.ndarray, "b s"] = weights / np.where(count > 0, weights.sum(axis=1, keepdims=True), 1.0)
         return normal

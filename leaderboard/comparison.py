@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from dmotion_bench.pairing import Difference, better, compare_runs, scored
 from dmotion_bench.scoring.figures import PUSH, figures_of
-from dmotion_bench.scoring.samples import CONTROL, column
+from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, column
 from dmotion_bench.scoring.statistics import EARLIER_FEWEST, EpisodeBootstrap, Estimate
 
 __all__ = [
@@ -34,6 +34,9 @@ PARTS: Final = ("mean", "std", "low", "high", "n")
 
 BY_EPISODE: Final = ("mse", "mse_push", "position_error_paper")
 """Figures whose sums stand in an entry. Which frames have a value is a matter of the true frames alone."""
+
+CONTROL_DISTANCES: Final = {CONTROL: "control_distance", PICTURE_CONTROL: "control_picture_distance"}
+"""By the metric of their samples, how the figures of control's distances begin."""
 
 
 def as_in_an_entry(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -66,10 +69,11 @@ def figures_by_samples(
 def sums_by_episode(samples: pa.Table) -> dict[str, dict[str, list[Any]]]:
     """For some figures, each episode's sum over its samples, and how many they are.
 
-    They are those of ``BY_EPISODE``, and of control the distance at the end, over the tasks of an episode.
+    They are those of ``BY_EPISODE``, and of control the distance at the end, over the tasks of an episode: that of
+    positions or, where pictures judge, of pictures.
     """
     mine = samples.filter(pc.equal(samples["predictor"], "model"))
-    single, controlled = (mine.filter(pc.equal(mine["metric"], metric)) for metric in ("prediction", CONTROL))
+    single = mine.filter(pc.equal(mine["metric"], "prediction"))
     found: dict[str, dict[str, list[Any]]] = {}
     if len(single):
         episode, pushed = column(single, "episode"), column(single, "pushed").astype(bool)
@@ -78,11 +82,14 @@ def sums_by_episode(samples: pa.Table) -> dict[str, dict[str, list[Any]]]:
             counted = np.isfinite(values) & (pushed if figure.endswith(PUSH) else True)
             if counted.any():
                 found[figure] = _sums(episode[counted], values[counted])
-    if len(controlled):
+    for metric, figure in CONTROL_DISTANCES.items():
+        controlled = mine.filter(pc.equal(mine["metric"], metric))
+        if not len(controlled):
+            continue
         last = int(column(controlled, "ahead").max())
         ended = controlled.filter(pc.equal(controlled["ahead"], last))
         distance = column(ended, "control_distance").astype(np.float64)
-        found[f"control_distance[{last}]"] = _sums(column(ended, "episode"), distance)
+        found[f"{figure}[{last}]"] = _sums(column(ended, "episode"), distance)
     return found
 
 

@@ -32,11 +32,13 @@ from dmotion_bench.scoring.control import QUICK, ControlScoring, agent_of, contr
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import column, vectors
+from dmotion_bench.scoring.standing import samples_of
 from dmotion_bench.storage.dataset import Dataset
 from leaderboard.comparison import figures_by_samples
 from leaderboard.verdict import SHOWN, Findings, short
 
 METRIC: Final = "control"
+"""As settings name it; where pictures judge its samples have another name (``samples_of``)."""
 FIGURES: Final = "control_"
 """How the names of control's figures and settings begin."""
 
@@ -51,7 +53,7 @@ ROUNDING: Final = 1e-4
 
 def actions_of(samples: pa.Table) -> dict[str, list[dict[str, Any]]]:
     """The actions in each task as an entry holds them; quick references are left out, as they can be repeated."""
-    rows = _of(samples, METRIC, "metric")
+    rows = samples_of(samples, (METRIC,))
     planned = [name for name in np.unique(rows["predictor"].to_numpy(zero_copy_only=False)) if name not in QUICK]
     return {name: list(_tasks(_of(rows, name, "predictor"))) for name in planned}
 
@@ -151,7 +153,7 @@ def check_control(
     for name, table in found.items():
         _same_figures(check, name, table)
         if samples is not None:
-            _same_rows(check, name, _of(_of(samples, METRIC, "metric"), name, "predictor"), table)
+            _same_rows(check, name, _of(samples_of(samples, (METRIC,)), name, "predictor"), table)
 
 
 def _scoring(check: Findings) -> ControlScoring | None:
@@ -249,8 +251,10 @@ def _same_rows(check: Findings, name: str, stored: pa.Table, found: pa.Table) ->
         return
     check.samples += len(found)
     wrong = np.zeros(len(found), np.bool_)
-    for part in ("episode", "step", "action", "control_lost"):
+    for part in ("metric", "episode", "step", "action"):
         wrong |= column(stored, part) != column(found, part)
+    lost, others = (column(table, "control_lost").astype(np.float64) for table in (stored, found))
+    wrong |= (lost != others) & ~(np.isnan(lost) & np.isnan(others))  # where pictures judge nothing is known of it
     commands, repeated = vectors(stored, "command"), vectors(found, "command")
     if commands is not None and repeated is not None:
         same = commands.shape == repeated.shape and ((commands == repeated) | np.isnan(commands) & np.isnan(repeated))

@@ -204,6 +204,7 @@ def leaderboard_compare(
     data: AnyPath | None = None,
     split: SplitName = "test",
     workspace: AnyPath | None = None,
+    warn: Callable[[str], None] = _LOG.warning,
 ) -> list[Difference]:
     """Which of two runs is better, by their difference on the same frames and its interval.
 
@@ -212,6 +213,7 @@ def leaderboard_compare(
         data: Another data set that both were scored on. Default: the one of the training.
         split: ``"test"`` or ``"validation"``: which episodes both were scored on.
         workspace: The folder with ``data/`` and ``runs/``; the current one by default.
+        warn: Told in a sentence which figures are left out, since they were measured with different settings.
 
     Returns:
         The difference of each figure that both have: ``difference`` with its 95% interval over episodes, and
@@ -219,7 +221,7 @@ def leaderboard_compare(
 
     Raises:
         UnknownName, RunMissing: There is no such run.
-        RunMismatch: They were not scored on the same frames.
+        RunMismatch: They were not scored on the same frames, or all that both have with different settings.
 
     Example:
         >>> report = dm.score("tiny", "prediction")
@@ -230,7 +232,8 @@ def leaderboard_compare(
     require_one_of("split", split, ("test", "validation"))
     place = Workspace.given(workspace)
     name = None if data is None else place.dataset(data).name
-    differences: list[Difference] = leaderboard_part("compare")(place.run(first), place.run(second), name, split)
+    runs = place.run(first), place.run(second)
+    differences: list[Difference] = leaderboard_part("compare")(*runs, name, split, warn=warn)
     return differences
 
 

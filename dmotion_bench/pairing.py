@@ -20,6 +20,7 @@ import pyarrow.compute as pc
 from jaxtyping import Float
 
 from dmotion_bench.errors import RunMismatch, RunMissing
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.decisive_settings import sample_settings
 from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
 from dmotion_bench.scoring.report import (
@@ -39,7 +40,9 @@ from dmotion_bench.scoring.samples import (
     column,
 )
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate, paired_difference
+from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.wording import command, shown
 
@@ -104,44 +107,49 @@ def better(figure: str, low: float | None, high: float | None) -> Better | None:
     return "first" if (low > 0) == (base in HIGHER_IS_BETTER) else "second"
 
 
-def scored(run: Path, folder: Path | None = None) -> tuple[Report, pa.Table]:
+def scored(run: Path, folder: Path | None = None, dataset: ReadableDataset | None = None) -> tuple[Report, pa.Table]:
     """A run's report and samples.
 
     Args:
         run: Its folder.
         folder: Of a report on another data set; its own if left out.
+        dataset: What the report must be about, where that is asked.
 
     Raises:
-        RunMissing: The run is not scored, or its samples are not those of the report.
+        RunMissing: The run is not scored, its samples are not those of the report, or it was scored on other data.
     """
     folder = run / REPORT_FOLDER if folder is None else folder
     report = read_report(folder)
     samples = None if report is None else read_report_samples(folder, report)
+    there, split = (folder.parent, ("--split", folder.name)) if folder.name in SPLIT_NAMES else (folder, ())
+    data = str(dataset.path) if dataset is not None else there.name if there.parent.name == TRANSFERS else None
+    score = command("dmbench score", run, *(() if data is None else ("--data", data)), *split)
     if report is None or samples is None:
-        there, split = (folder.parent, ("--split", folder.name)) if folder.name in SPLIT_NAMES else (folder, ())
-        on = ("--data", there.name) if there.parent.name == TRANSFERS else ()
-        score = command("dmbench score", run, *on, *split)
         raise RunMissing(f"the run {str(run)!r} has no whole report; score it with {score}.")
+    if dataset is not None and report.dataset["fingerprint"] != dataset.fingerprint:
+        raise RunMissing(
+            f"the report {str(folder)!r} is not of the data set in {str(dataset.path)!r}, but of one with the "
+            f"fingerprint {report.dataset['fingerprint'][:12]}; score the run with {score}."
+        )
     return report, samples
 
 
-def scored_on(run: Path, dataset: str | None, split: SplitName = "test") -> tuple[Report, pa.Table]:
-    """A run's report on a data set of this name, its own (also by None) or another, and the samples.
+def scored_on(run: Path, dataset: ReadableDataset | None = None, split: SplitName = "test") -> tuple[Report, pa.Table]:
+    """A run's report on a data set, its own (also by None) or another, and the samples.
 
     Raises:
         RunMissing: There is none.
+        RunCorrupt: The run, or a report on a data set of the same name, cannot be read.
     """
-    place = report_place(None, split)
-    own = read_report(run / place)
-    if dataset is None or (own is not None and own.dataset["name"] == dataset):
-        return scored(run, run / place)
-    return scored(run, run / report_place(dataset, split))
+    if dataset is None:
+        return scored(run, run / report_place(None, split))
+    return scored(run, report_folder(run, Run.open(run).spec.fingerprint, dataset, split), dataset)
 
 
 def compare_runs(
     first: Path,
     second: Path,
-    dataset: str | None = None,
+    dataset: ReadableDataset | None = None,
     split: SplitName = "test",
     *,
     warn: Callable[[str], None] = _LOG.warning,
@@ -150,7 +158,7 @@ def compare_runs(
 
     Args:
         first, second: The runs' folders.
-        dataset: The name of the data set that both were scored on; each one's own if left out.
+        dataset: What both were scored on; each one's own data set if left out.
         split: Whose episodes both were scored on.
         warn: Told in a sentence which figures are left out, since they were measured with different settings.
 

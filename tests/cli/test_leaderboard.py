@@ -54,7 +54,7 @@ class Parts:
         ][: 1 if quick else 3]
 
     def compare(
-        self, first: Path, second: Path, dataset: str | None, split: str, *, warn: Callable[[str], None]
+        self, first: Path, second: Path, dataset: Any, split: str, *, warn: Callable[[str], None]
     ) -> list[Difference]:
         self.asked.append((first, second, split))
         warn("control of 'a' and 'b' cannot be compared.")

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.scoring.decisive_settings import sample_settings
+from dmotion_bench.scoring.decisive import sample_settings
 from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
 from dmotion_bench.scoring.report import (
     REPORT_FOLDER,

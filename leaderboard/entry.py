@@ -21,7 +21,7 @@ from importlib import resources
 from typing import Any, Final, NamedTuple
 
 from dmotion_bench.errors import EntryInvalid
-from dmotion_bench.scoring.decisive_settings import GAINED, planning_settings
+from dmotion_bench.scoring.decisive import GAINED, planning_settings
 from dmotion_bench.scoring.references import PublishedResult
 from dmotion_bench.scoring.report import CONTROL_OF_CODE, LABEL_USES, SCORING_OF_CODE, FigureJson, Version
 from dmotion_bench.specs import VERSION

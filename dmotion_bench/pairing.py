@@ -3,11 +3,13 @@
 Most of the spread of an error is that of the frames, which are the same for both models; in the difference it
 cancels. The interval is a bootstrap over episodes (``scoring/statistics.py``), and "better" is said only where it
 lies on one side of zero. It speaks of these two trained models on episodes like these, not of other seeds.
+Figures that were measured with different settings are left out: their difference would be that of the settings, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -18,6 +20,8 @@ import pyarrow.compute as pc
 from jaxtyping import Float
 
 from dmotion_bench.errors import RunMismatch, RunMissing
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.scoring.decisive import sample_settings
 from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
 from dmotion_bench.scoring.report import (
     REPORT_FOLDER,
@@ -36,9 +40,11 @@ from dmotion_bench.scoring.samples import (
     column,
 )
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate, paired_difference
+from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.storage.split import SPLIT_NAMES
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, shown
 
 HIGHER_IS_BETTER: Final = frozenset(
     {
@@ -57,6 +63,10 @@ HIGHER_IS_BETTER: Final = frozenset(
 NEITHER_IS_BETTER: Final = frozenset({"motion_swap_change"})
 Better = Literal["first", "second"]
 Standing = Literal["behind", "tie", "unknown"]
+_Otherwise = Mapping[str, Sequence[str]]
+_PAIRED: Final = ("prediction", "rollout", GAIN, CONTROL, PICTURE_CONTROL)
+"""The metrics of samples, in the order of their figures."""
+_LOG: Final = logging.getLogger(__name__)
 _KEY: Final = ("episode", "step", "ahead")
 _TASK_KEY: Final = ("task", "ahead")
 
@@ -97,51 +107,64 @@ def better(figure: str, low: float | None, high: float | None) -> Better | None:
     return "first" if (low > 0) == (base in HIGHER_IS_BETTER) else "second"
 
 
-def scored(run: Path, folder: Path | None = None) -> tuple[Report, pa.Table]:
+def scored(run: Path, folder: Path | None = None, dataset: ReadableDataset | None = None) -> tuple[Report, pa.Table]:
     """A run's report and samples.
 
     Args:
         run: Its folder.
         folder: Of a report on another data set; its own if left out.
+        dataset: What the report must be about, where that is asked.
 
     Raises:
-        RunMissing: The run is not scored, or its samples are not those of the report.
+        RunMissing: The run is not scored, its samples are not those of the report, or it was scored on other data.
     """
     folder = run / REPORT_FOLDER if folder is None else folder
     report = read_report(folder)
     samples = None if report is None else read_report_samples(folder, report)
+    there, split = (folder.parent, ("--split", folder.name)) if folder.name in SPLIT_NAMES else (folder, ())
+    data = str(dataset.path) if dataset is not None else there.name if there.parent.name == TRANSFERS else None
+    score = command("dmbench score", run, *(() if data is None else ("--data", data)), *split)
     if report is None or samples is None:
-        there, split = (folder.parent, ("--split", folder.name)) if folder.name in SPLIT_NAMES else (folder, ())
-        on = ("--data", there.name) if there.parent.name == TRANSFERS else ()
-        score = command("dmbench score", run, *on, *split)
         raise RunMissing(f"the run {str(run)!r} has no whole report; score it with {score}.")
+    if dataset is not None and report.dataset["fingerprint"] != dataset.fingerprint:
+        raise RunMissing(
+            f"the report {str(folder)!r} is not of the data set in {str(dataset.path)!r}, but of one with the "
+            f"fingerprint {report.dataset['fingerprint'][:12]}; score the run with {score}."
+        )
     return report, samples
 
 
-def scored_on(run: Path, dataset: str | None, split: SplitName = "test") -> tuple[Report, pa.Table]:
-    """A run's report on a data set of this name, its own (also by None) or another, and the samples.
+def scored_on(run: Path, dataset: ReadableDataset | None = None, split: SplitName = "test") -> tuple[Report, pa.Table]:
+    """A run's report on a data set, its own (also by None) or another, and the samples.
 
     Raises:
         RunMissing: There is none.
+        RunCorrupt: The run, or a report on a data set of the same name, cannot be read.
     """
-    place = report_place(None, split)
-    own = read_report(run / place)
-    if dataset is None or (own is not None and own.dataset["name"] == dataset):
-        return scored(run, run / place)
-    return scored(run, run / report_place(dataset, split))
+    if dataset is None:
+        return scored(run, run / report_place(None, split))
+    return scored(run, report_folder(run, Run.open(run).spec.fingerprint, dataset, split), dataset)
 
 
-def compare_runs(first: Path, second: Path, dataset: str | None = None, split: SplitName = "test") -> list[Difference]:
+def compare_runs(
+    first: Path,
+    second: Path,
+    dataset: ReadableDataset | None = None,
+    split: SplitName = "test",
+    *,
+    warn: Callable[[str], None] = _LOG.warning,
+) -> list[Difference]:
     """Every figure of two runs that can be paired, in the report's order.
 
     Args:
         first, second: The runs' folders.
-        dataset: The name of the data set that both were scored on; each one's own if left out.
+        dataset: What both were scored on; each one's own data set if left out.
         split: Whose episodes both were scored on.
+        warn: Told in a sentence which figures are left out, since they were measured with different settings.
 
     Raises:
         RunMissing: One of them is not scored.
-        RunMismatch: They were not scored on the same triplets.
+        RunMismatch: They were not scored on the same triplets, or all that both have with different settings.
     """
     (one, one_samples), (other, other_samples) = (scored_on(run, dataset, split) for run in (first, second))
     for what, left, right in (
@@ -154,7 +177,44 @@ def compare_runs(first: Path, second: Path, dataset: str | None = None, split: S
                 f"{one.run!r} and {other.run!r} were not scored on the same triplets: the {what} is {left!r} of the "
                 f"first and {right!r} of the second; differences are paired or not at all."
             )
-    return list(_differences(_of_model(one_samples), _of_model(other_samples)))
+    left_out = _measured_otherwise(one, one_samples, other, other_samples)
+    told = [
+        f"the figures of {' and '.join(metrics)} of {one.run!r} and {other.run!r} were measured with different "
+        f"settings, so they are not compared: {why}; score both runs with the same ones."
+        for why, metrics in left_out.items()
+    ]
+    apart = [metric for metrics in left_out.values() for metric in metrics]
+    tables = [_of_model(samples) for samples in (one_samples, other_samples)]
+    found = list(_differences(*(_without(table, apart) for table in tables)))
+    if told and not found:
+        raise RunMismatch(" ".join(told))
+    for sentence in told:
+        warn(sentence)
+    return found
+
+
+def _measured_otherwise(one: Report, one_samples: pa.Table, other: Report, other_samples: pa.Table) -> _Otherwise:
+    """By the settings that differ, the metrics that both reports have and whose samples these settings decide."""
+    both = set(pc.unique(one_samples["metric"]).to_pylist()) & set(pc.unique(other_samples["metric"]).to_pylist())
+    found: dict[str, list[str]] = {}
+    for metric in _PAIRED:
+        mine, theirs = (sample_settings(metric, report.settings) for report in (one, other))
+        if metric in both and mine != theirs:
+            found.setdefault(_apart(mine, theirs), []).append(metric)
+    return found
+
+
+def _apart(first: Mapping[str, Any], second: Mapping[str, Any]) -> str:
+    """The settings that differ, in words."""
+    differing = (name for name in {**first, **second} if first.get(name) != second.get(name))
+    return ", ".join(
+        f"{name} is {shown(first.get(name))} of the first and {shown(second.get(name))} of the second"
+        for name in differing
+    )
+
+
+def _without(samples: pa.Table, metrics: Sequence[str]) -> pa.Table:
+    return samples.filter(pc.invert(pc.is_in(samples["metric"], pa.array(metrics, pa.string()))))
 
 
 def behind(samples: pa.Table, best: pa.Table, figure: str = "mse") -> Estimate | None:
@@ -195,7 +255,7 @@ def _of_model(samples: pa.Table) -> pa.Table:
 
 
 def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
-    for metric in ("prediction", "rollout", GAIN, CONTROL, PICTURE_CONTROL):
+    for metric in _PAIRED:
         one, other = (samples.filter(pc.equal(samples["metric"], metric)) for samples in (first, second))
         one, other = _aligned(one, other, _TASK_KEY if metric in (CONTROL, PICTURE_CONTROL) else _KEY)
         if not len(one):

@@ -163,13 +163,24 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         triplets=int(max(counts)) if counts else None,
         rows=_sorted(rows),
         control=control,
-        agreement=agreements({(row.model, _plain_variant(row), row.labels): row.figures for row in measured}, control),
+        agreement=agreements(
+            {(row.model, _plain_variant(row), row.labels): _comparable(row) for row in measured}, control
+        ),
     )
 
 
 def _plain_variant(row: Row) -> str:
     """A row's variant as the table of control by columns has it, which says on the board what all were trained on."""
     return ", ".join(part for part in row.variant.split(", ") if not part.startswith("trained on "))
+
+
+def _comparable(row: Row) -> dict[str, Value]:
+    """A row's figures, without those of control by another planner than the board's."""
+    return {
+        name: value
+        for name, value in row.figures.items()
+        if not (row.planned_otherwise and name.startswith(CONTROLLED))
+    }
 
 
 def _planner_of(entries: Iterable[Entry]) -> Planner | None:

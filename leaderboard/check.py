@@ -31,7 +31,7 @@ from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.hardware.threads import not_allowed, using_threads
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.scoring.gain import GainScoring
+from dmotion_bench.scoring.gain import GAIN_VERSION, GainScoring
 from dmotion_bench.scoring.prediction import Execution, Progress, silent
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import SCORING_VERSION
@@ -307,6 +307,11 @@ def _settings(check: Findings) -> ScoreSettings | None:
     settings = ScoreSettings(**{name: value for name, value in given.items() if name in known})
     if GAIN not in given["metrics"]:
         return settings
+    if (version := given.get(f"{GAIN}_version")) != GAIN_VERSION:
+        check.missing.append(
+            f"version: the gain captured was measured by version {short(version)}, this is version {GAIN_VERSION}; "
+            "score the run again, or check with the dmbench that scored it"
+        )
     try:
         return replace(settings, gain=GainScoring.from_json(given))
     except (DmbenchError, KeyError, TypeError) as error:

@@ -21,7 +21,7 @@ from importlib import resources
 from typing import Any, Final, NamedTuple
 
 from dmotion_bench.errors import EntryInvalid
-from dmotion_bench.scoring.earlier_planning import present_settings
+from dmotion_bench.scoring.decisive import GAINED, planning_settings
 from dmotion_bench.scoring.references import PublishedResult
 from dmotion_bench.scoring.report import CONTROL_OF_CODE, LABEL_USES, SCORING_OF_CODE, FigureJson, Version
 from dmotion_bench.specs import VERSION
@@ -31,8 +31,7 @@ FORMAT: Final = "dmbench-entry/1"
 OWN_FIELDS: Final = ("format", "kind", "by_episode", "control", "pictures")
 """Of a measured entry; all others are those of the run's report."""
 
-_DECIDE_CONTROL: Final = ("planner", "planner_set", "objective", "objective_set", "tasks", "steps", "seed")
-_DECIDE: Final = {"rollout_": ("horizon",), "planning_gain": ("gain_",)}
+_DECIDE: Final = {"rollout_": ("horizon",), "planning_gain": (GAINED,)}
 """The settings, by how their names begin, that decide the figures whose names begin so."""
 
 SHOWN_VIOLATIONS: Final = 3
@@ -167,9 +166,8 @@ class Entry:
         version = self.planned_by
         if version is None:
             return None
-        settings = present_settings(self.content["settings"])
-        decisive = [settings.get(f"control_{name}") for name in _DECIDE_CONTROL]
-        return Planner(version, json.dumps(decisive, default=str))
+        decisive = planning_settings(self.content["settings"])
+        return Planner(version, json.dumps([*decisive.values()], default=str))
 
     def decisive(self, figure: str) -> str:
         """The settings that decide a figure beside those that a board has in common, as a text to compare."""

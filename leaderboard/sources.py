@@ -11,11 +11,12 @@ from dmotion_bench.actions import kind_of
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetError, DmbenchError, RunMismatch
 from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.label_use import label_use
 from dmotion_bench.scoring.references import published_for
-from dmotion_bench.scoring.report import read_report
+from dmotion_bench.scoring.report import LATER_TRAINING, protocol_of, read_report, training_facts
 from dmotion_bench.scoring.transfer import training_is_here, training_of, transferable
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.check import cache_damages
@@ -141,8 +142,12 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect("labels.use", content["labels"].get("use", ""), label_use(spec, model_class(spec.model).supervision))
     elsewhere = dataset.fingerprint != spec.fingerprint
     check.expect("settings.protocol", content["settings"]["protocol"], "episode" if elsewhere else spec.protocol)
-    for name, value in content["training"].items():
-        check.expect(f"training.{name}", value, result.get(name))
+    if check.entry.column in (None, *COLUMNS):  # another one is a finding of its own
+        check.expect("protocol", content["protocol"], protocol_of(check.entry.column))
+    facts, said = training_facts(result), content["training"]
+    for name in {**facts, **said}:
+        if name in said or name not in LATER_TRAINING:
+            check.expect(f"training.{name}", said.get(name), facts.get(name))
     check.expect("dataset.trained_on", content["dataset"].get("trained_on"), training_of(run, dataset))
     check.expect("dataset.name", content["dataset"]["name"], dataset.name)
     check.expect("dataset.environment", check.entry.environment, dataset.recipe.environment)
@@ -172,7 +177,7 @@ def _against_report(check: Findings, folder: Path) -> None:
     if report is None:
         check.wrong.append(f"report: there is none of this protocol in {str(folder)!r}")
         return
-    for name in ("versions", "remarks"):
+    for name in ("training", "versions", "remarks"):
         check.expect(name, check.entry.content.get(name, {}), getattr(report, name))
     said, own = (present_planning(one) for one in (check.entry.content.get("planning", {}), report.planning))
     check.expect("planning", said, own)

@@ -21,11 +21,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from dmotion_bench.scoring.label_use import USUAL_USES
+from dmotion_bench.scoring.report import LABEL_USES
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
 from leaderboard.row import USUAL_BUDGETS, Row
 
 LEAST_MODELS: Final = 2
 RESAMPLES: Final = 2_000
+_USUAL: Final = frozenset(LABEL_USES.get(use, "") for use in USUAL_USES)
+"""The variants of rows that have their model's usual settings: what a board says of them is how the model learns."""
 _BASELINE: Final = REFERENCE_WORDS["copy_last"]
 Scores = Float[np.ndarray, "n w"]
 """Of trainings and worlds."""
@@ -72,7 +76,7 @@ class Summary:
     Attributes:
         boards: One a world: the board of most models.
         standings: The models.
-        left_out: The names of models that lack a result in one of these worlds.
+        left_out: The names of models that lack a result with their usual settings in one of these worlds.
         too_small: The worlds with results of less than half as many models, which would leave most models out.
         unusual: The worlds in which no model was trained with its usual settings.
     """
@@ -86,15 +90,15 @@ class Summary:
 
 def summarise(boards: Iterable[Board]) -> Summary | None:
     """The summary of some boards; None where there is nothing to compare across worlds."""
-    best = dict[str, _World]()
+    best, measured = dict[str, _World](), set[str]()
     for board in boards:
         found = _usual_rows(board)
+        measured |= {row.model for row in _comparable_rows(board)}
         if board.environment not in best or len(found) > len(best[board.environment][1]):
             best[board.environment] = board, found
     most = max((len(found) for _, found in best.values()), default=0)
     chosen = [one for one in best.values() if len(one[1]) >= max(LEAST_MODELS, most / 2)]
     everywhere = {model for _, found in chosen for model in found if all(model in other for _, other in chosen)}
-    anywhere = {model for _, found in best.values() for model in found}
     ranked = sorted(
         (one for model in sorted(everywhere) if (one := _standing(model, chosen)) is not None),
         key=lambda one: -one.iqm,
@@ -108,7 +112,7 @@ def summarise(boards: Iterable[Board]) -> Summary | None:
     return Summary(
         boards=tuple(board for board, _ in chosen),
         standings=tuple(standings),
-        left_out=tuple(sorted(anywhere - {one.model for one in ranked})),
+        left_out=tuple(sorted(measured - {one.model for one in ranked})),
         too_small=tuple(one[0].title for one in best.values() if one[1] and one not in chosen),
         unusual=tuple(board.title for board, found in best.values() if not found and _comparable_rows(board)),
     )
@@ -118,7 +122,7 @@ def _usual_rows(board: Board) -> dict[str, dict[str, Row]]:
     """The rows of models with their usual settings, trained on the board's data set, by model and label budget."""
     found = dict[str, dict[str, Row]]()
     for row in _comparable_rows(board):
-        if not row.variant:
+        if row.variant in _USUAL:
             found.setdefault(row.model, {})[row.labels] = row
     return {model: rows for model, rows in found.items() if any(budget in rows for budget in USUAL_BUDGETS)}
 

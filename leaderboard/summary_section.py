@@ -85,7 +85,7 @@ def summary_lines(summary: Summary) -> list[str]:
     ]
     lines = table(["Model", "IQM", "Mean", "Worst world", *worlds, "P(better)", "Labels", "Trainings"], body)
     notes = (f"Data sets: {recorded}.", SCORE, MEANING, INTERVALS, *_absent(summary))
-    said = [one for note in notes for one in (*textwrap.wrap(note, WIDTH), "")]
+    said = [one for note in notes for one in (*textwrap.wrap(note, WIDTH, break_on_hyphens=False), "")]
     return ["", *lines, "", *said]
 
 
@@ -122,7 +122,10 @@ def _absent(summary: Summary) -> list[str]:
     """What is not in the table, and why."""
     told = []
     if summary.left_out:
-        told.append(f"Left out, as they lack a result in one of these worlds: {', '.join(summary.left_out)}.")
+        told.append(
+            "Left out, as they lack a result with their usual labels and settings in one of these worlds: "
+            f"{', '.join(summary.left_out)}."
+        )
     if summary.too_small:
         told.append(
             f"Worlds with results of fewer than half as many models, which are not counted: "

@@ -21,6 +21,7 @@ from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.pairing import Difference
 from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.specs import SplitName
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, listed
 
@@ -205,22 +206,25 @@ def leaderboard_compare(
     data: AnyPath | None = None,
     split: SplitName = "test",
     workspace: AnyPath | None = None,
+    warn: Callable[[str], None] = _LOG.warning,
 ) -> list[Difference]:
     """Which of two runs is better, by their difference on the same frames and its interval.
 
     Args:
         first, second: Scored runs, by folder or name.
-        data: Another data set that both were scored on. Default: the one of the training.
+        data: Another data set that both were scored on, by folder, name or address. Default: the one of the training.
         split: ``"test"`` or ``"validation"``: which episodes both were scored on.
         workspace: The folder with ``data/`` and ``runs/``; the current one by default.
+        warn: Told in a sentence which figures are left out, since they were measured with different settings.
 
     Returns:
         The difference of each figure that both have: ``difference`` with its 95% interval over episodes, and
         ``verdict``.
 
     Raises:
-        UnknownName, RunMissing: There is no such run.
-        RunMismatch: They were not scored on the same frames.
+        UnknownName, RunMissing: There is no such run, or it was not scored on this data set.
+        DatasetMissing, DatasetIncomplete, DatasetCorrupt: The data set cannot be opened.
+        RunMismatch: They were not scored on the same frames, or all that both have with different settings.
 
     Example:
         >>> report = dm.score("tiny", "prediction")
@@ -230,8 +234,9 @@ def leaderboard_compare(
     """
     require_one_of("split", split, ("test", "validation"))
     place = Workspace.given(workspace)
-    name = None if data is None else place.dataset(data).name
-    differences: list[Difference] = leaderboard_part("compare")(place.run(first), place.run(second), name, split)
+    dataset = None if data is None else Dataset.open(place.dataset(data))
+    runs = place.run(first), place.run(second)
+    differences: list[Difference] = leaderboard_part("compare")(*runs, dataset, split, warn=warn)
     return differences
 
 

@@ -185,7 +185,9 @@ def compare(
     require_one_of("split", split, ("test", "validation"))
     one, other = (Workspace.current().run(run) for run in (first, second))
     chosen: SplitName = "validation" if split == "validation" else "test"
-    differences = leaderboard_compare(one, other, data=data, split=chosen)
+    differences = leaderboard_compare(
+        one, other, data=data, split=chosen, warn=lambda told: typer.echo(f"left out: {told}", err=True)
+    )
     if as_json:
         print_json({"first": str(one), "second": str(other), "differences": list(map(_plain, differences))})
         return

@@ -5,6 +5,7 @@
     score.py             scores a model, and writes the report of a run
     settings.py          what is scored, and the settings that decide its figures
     standing.py          what of a report is still true
+    decisive.py          which settings decide a group of figures
     side_by_side.py      many runs at once, and their control in groups of tasks
     transitions.py       held-out triplets and rollouts, in batches
     prediction.py        predictions of models and references, measured frame by frame

@@ -6,8 +6,13 @@ from them all along. What differs is in ``labels.use`` of a report and an entry,
 
 from __future__ import annotations
 
+from typing import Final
+
 from dmotion_bench.learning.runs.run import RunSpec
 from dmotion_bench.specs import Supervision
+
+USUAL_USES: Final = ("", "during")
+"""The values of ``labels.use`` that say how a model always uses labels: who learns with a few has no other way."""
 
 
 def label_use(spec: RunSpec, supervision: Supervision) -> str:

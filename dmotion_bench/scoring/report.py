@@ -42,7 +42,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from dmotion_bench.errors import RunCorrupt
-from dmotion_bench.planning.columns import COLUMNS
+from dmotion_bench.planning.columns import COLUMNS, column_named
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.scoring.statistics import FEWEST_EPISODES
 from dmotion_bench.storage.atomic import sync_folder, write_atomically
@@ -78,6 +78,14 @@ LABEL_USES: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """All values of ``labels.use``, and what is written for them."""
+
+LATER_TRAINING: Final = ("threads", "precision")
+"""What is said of a training, and was not said in the first reports of this version."""
+TRAINING: Final = (
+    *("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes"),
+    *LATER_TRAINING,
+)
+"""What is said of a training."""
 
 REPORT_FOLDER = "report"
 REPORT_FILE = "report.json"
@@ -144,6 +152,20 @@ class Report:
             "figures": self.figures,
             "reference": self.reference,
         }
+
+
+def protocol_of(column: str | None) -> str:
+    """The protocol of a report whose control this column planned, or none of them.
+
+    Raises:
+        UnknownName: There is no such column.
+    """
+    return PROTOCOL if column is None else column_named(column).protocol
+
+
+def training_facts(result: Mapping[str, Any]) -> dict[str, Any]:
+    """What a report says of a training that came to this result; earlier trainings did not take down everything."""
+    return {name: result[name] for name in TRAINING if result.get(name) is not None}
 
 
 def report_place(dataset: str | None, split: str = "test", column: str | None = None) -> Path:

@@ -7,12 +7,11 @@ from typing import Any, Final
 
 from dmotion_bench.actions import kind_of
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.planning.columns import column_named
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.figures import Figures
 from dmotion_bench.scoring.label_use import label_use
 from dmotion_bench.scoring.references import published_for
-from dmotion_bench.scoring.report import LABEL_USES, PROTOCOL, SCORING_VERSION, Report
+from dmotion_bench.scoring.report import LABEL_USES, SCORING_VERSION, Report, protocol_of, training_facts
 from dmotion_bench.scoring.tiers import refused
 from dmotion_bench.scoring.transfer import training_of, transfer_remark
 from dmotion_bench.specs import VERSION
@@ -100,19 +99,12 @@ def compose_report(
         | ({"trained_on": own} if own else {}),
         weights=result["weights"],
         settings=dict(settings),
-        training={
-            key: result[key]
-            for key in (
-                *("seconds", "steps", "triplets", "triplets_per_s", "parameters", "device", "processes"),
-                *("threads", "precision"),
-            )
-            if result.get(key) is not None
-        },
+        training=training_facts(result),
         versions=versions(),
         figures=_json(figures),
         reference=beside,
         remarks=remarks,
-        protocol=column_named(settings["control_column"]).protocol if settings.get("control_column") else PROTOCOL,
+        protocol=protocol_of(settings.get("control_column")),
         scoring_version=SCORING_VERSION,
     )
 

@@ -53,8 +53,11 @@ class Parts:
             Verdict(entry="away", findings=(), missing=("weights: no run",)),
         ][: 1 if quick else 3]
 
-    def compare(self, first: Path, second: Path, dataset: str | None, split: str) -> list[Difference]:
+    def compare(
+        self, first: Path, second: Path, dataset: Any, split: str, *, warn: Callable[[str], None]
+    ) -> list[Difference]:
         self.asked.append((first, second, split))
+        warn("control of 'a' and 'b' cannot be compared.")
         clear = Estimate(mean=-2.0, std=1.0, low=-3.0, high=-1.0, n=70)
         unclear = Estimate(mean=0.1, std=1.0, low=-1.0, high=1.2, n=70)
         of_two = Estimate(mean=-0.3, std=0.1, low=None, high=None, n=7, episodes=2)
@@ -135,7 +138,8 @@ def test_check_is_silent_about_sound_entries(run: Callable[..., Result], parts: 
 
 
 def test_compare_says_better_only_where_the_interval_does(run: Callable[..., Result], parts: Parts) -> None:
-    lines = [line.strip() for line in run("compare", "a", "b").stdout.splitlines()]
+    result = run("compare", "a", "b")
+    lines = [line.strip() for line in result.stdout.splitlines()]
 
     (mse,) = (line.split() for line in lines if line.startswith("MSE ") and "ahead" not in line)
     (position,) = (line.split() for line in lines if line.startswith("position error"))
@@ -146,6 +150,7 @@ def test_compare_says_better_only_where_the_interval_does(run: Callable[..., Res
     assert [line[:11] for line in lines if " ahead" in line] == ["MSE 1 ahead", "MSE 2 ahead", "MSE 4 ahead"]
     assert not any("miss_rate_objects" in line for line in lines)
     assert any("miss_rate_objects" in line for line in run("compare", "a", "b", "--all").stdout.splitlines())
+    assert result.stderr == "left out: control of 'a' and 'b' cannot be compared.\n"
 
 
 def test_compare_takes_the_split_that_both_were_scored_on(run: Callable[..., Result], parts: Parts) -> None:

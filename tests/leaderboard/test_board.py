@@ -370,6 +370,21 @@ def test_what_different_planners_did_is_neither_averaged_nor_compared(
     assert table.count("another planner") == 2  # of the row, and in the note
 
 
+def test_what_another_planner_did_is_not_correlated_with_the_gain(planned: Callable[..., Entry]) -> None:
+    def gaining(model: str, gain: float, distance: float, by: int | str) -> Entry:
+        content = dict(planned(model, distance, by).content)
+        mean, error = (content["figures"]["control_distance[100]"] | {"mean": one} for one in (gain, 10 - gain))
+        return Entry(content | {"figures": content["figures"] | {"planning_gain": mean, "mse": error}})
+
+    entries = [gaining(name, 0.1 * place, 1 - 0.1 * place, 1) for place, name in enumerate("abcdefgh")]
+    (board,) = make_boards([*entries, gaining("old", 0.9, 2.0, "0.1.0+2140d529a1bd")])
+    found = {one.figure: one.correlation for one in board.agreement}
+
+    left = found["distance left after 100 steps"]
+    assert (left.n, left.mean) == (8, pytest.approx(-1.0))
+    assert found["MSE"].n == 9  # what it predicted is compared
+
+
 @pytest.mark.parametrize("other", [{"planner": "cem"}, {"objective": "tabletop"}, {"tasks": 7}, {"seed": 17}])
 def test_other_settings_are_another_planner(planned: Callable[..., Entry], other: dict[str, Any]) -> None:
     def of(name: str, distance: float, training: int, settings: dict[str, Any]) -> Entry:

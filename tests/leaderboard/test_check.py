@@ -129,6 +129,9 @@ def test_no_figure_is_left_out(workspace: Workspace, sound: Entry, changed: Chan
         ({"versions": {"python": "2.7"}}, "versions: "),
         ({"remarks": {}}, "remarks: "),
         ({"training": {"seconds": 0.5}}, "training.seconds: "),
+        ({"training": {}}, "training.seconds: "),
+        ({"training": {}}, "training: "),
+        ({"protocol": "dmbench-2"}, "protocol: the entry says 'dmbench-2', it is 'dmbench-1'"),
         ({"labels": {"asked": "one-shot", "given": {"demonstrations": 4}, "total": 0}}, "labels.total: "),
         ({"labels": {"asked": "none", "given": {"demonstrations": 4}, "total": 4}}, "labels.asked: "),
         ({"by_episode": {}}, "by_episode: "),
@@ -141,6 +144,22 @@ def test_what_the_entry_says_of_itself_counts(
     findings = check_entry(changed(**content), workspace, QUICK).findings
 
     assert any(finding.startswith(said) for finding in findings), findings
+
+
+def test_what_earlier_reports_did_not_say_of_a_training_may_be_missing_there_alone(
+    workspace: Workspace, sound: Entry
+) -> None:
+    folder = workspace.runs / RUN
+    manifest = json.loads((folder / "run.json").read_text())
+    manifest["result"]["threads"] = 1
+    (folder / "run.json").write_text(json.dumps(manifest))
+    assert check_entry(sound, workspace, QUICK).findings == ()  # its report says nothing of them either
+
+    report = json.loads((folder / "report/report.json").read_text())
+    report["training"]["threads"] = 1
+    (folder / "report/report.json").write_text(json.dumps(report))
+    findings = check_entry(sound, workspace, QUICK).findings
+    assert [one.startswith("training: the entry says ") for one in findings] == [True]
 
 
 @pytest.mark.parametrize(

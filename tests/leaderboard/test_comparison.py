@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +17,10 @@ import pytest
 from dmotion_bench.cli.report_table import show_overview
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.pairing import _differences, behind, better, compare_runs, scored, standing
-from dmotion_bench.scoring.report import Report, read_report, read_report_samples
-from dmotion_bench.scoring.samples import FIGURE_COLUMNS, OBJECT_COLUMNS, POSITION_COLUMNS, RANK_COLUMNS
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.gain import GainScoring
+from dmotion_bench.scoring.report import Report, read_report, read_report_samples, write_report
+from dmotion_bench.scoring.samples import FIGURE_COLUMNS, OBJECT_COLUMNS, POSITION_COLUMNS, RANK_COLUMNS, SampleRows
 from dmotion_bench.scoring.statistics import paired_difference
 from dmotion_bench.workspace import Workspace
 from leaderboard.comparison import difference_by_episode, sums_by_episode
@@ -138,6 +141,64 @@ def test_runs_that_saw_other_frames_are_not_compared(workspace: Workspace) -> No
     report.write_text(json.dumps(content | {"dataset": content["dataset"] | {"fingerprint": "0" * 64}}))
 
     with pytest.raises(RunMismatch, match="the data set is"):
+        compare_runs(workspace.runs / S0, workspace.runs / S1)
+
+
+PLANNED = ControlScoring(tasks=3, steps=2)
+
+
+def _with_control(workspace: Workspace, run: str, scoring: ControlScoring, gain: GainScoring) -> Path:
+    """Give a run's report made-up samples of control and of the gain captured."""
+    folder = workspace.runs / run / "report"
+    report = read_report(folder)
+    assert report is not None
+    samples = read_report_samples(folder, report)
+    assert samples is not None
+    tasks, moments = np.arange(6), np.array([0, 1, 2])
+    controlled, gained = SampleRows("control", "model"), SampleRows("gain", "model")
+    rows = {"task": np.repeat(tasks, 3), "episode": np.repeat(tasks, 3), "ahead": np.tile(moments, 6)}
+    distance = 1 - 0.1 * rows["ahead"] * (1 + rows["task"])
+    controlled.add(rows | {"step": np.zeros(18), "control_distance": distance, "control_lost": np.zeros(18)})
+    moment = {"episode": tasks, "step": np.zeros(6), "ahead": np.full(6, gain.horizon)}
+    gained.add(moment | {"gain": 0.1 * tasks, "best_gain": np.ones(6)})
+    settings = {**report.settings, **scoring.to_json(), **gain.to_json()}
+    write_report(
+        folder, replace(report, settings=settings), pa.concat_tables([samples, controlled.table(), gained.table()])
+    )
+    return workspace.runs / run
+
+
+def test_figures_that_were_measured_with_other_settings_are_left_out(workspace: Workspace) -> None:
+    first = _with_control(workspace, S0, PLANNED, GainScoring())
+    told = list[str]()
+
+    def compared(scoring: ControlScoring, gain: GainScoring) -> set[str]:
+        told.clear()
+        shutil.copytree(workspace.runs / S1, workspace.runs / "other", dirs_exist_ok=True)
+        second = _with_control(workspace, "other", scoring, gain)
+        return {one.figure for one in compare_runs(first, second, warn=told.append)}
+
+    everything = compared(replace(PLANNED, tasks=2), GainScoring(moments=50))  # of them the same ones are paired
+    assert {"mse", "control_distance[2]", "planning_gain"} <= everything
+    assert told == []
+    for scoring, said in (
+        (replace(PLANNED, planner="icem"), "control_planner is 'cem' of the first and 'icem' of the second"),
+        (replace(PLANNED, objective="pixel"), "control_objective is None of the first and 'pixel' of the second"),
+        (replace(PLANNED, seed=1), "control_seed is 0 of the first and 1 of the second"),
+    ):
+        uncontrolled = {name for name in everything if not name.startswith("control")}
+        assert compared(scoring, GainScoring()) == uncontrolled
+        assert len(told) == 1
+        assert said in told[0]
+    assert compared(PLANNED, GainScoring(objective="pixel")) == everything - {"planning_gain"}
+    assert "gain_objective is None of the first and 'pixel' of the second" in told[0]
+
+
+def test_predictions_of_another_precision_are_not_compared(workspace: Workspace) -> None:
+    path = workspace.runs / S1 / "report/report.json"
+    report = json.loads(path.read_text())
+    path.write_text(json.dumps(report | {"settings": report["settings"] | {"precision": "bf16"}}))
+    with pytest.raises(RunMismatch, match=r"prediction and rollout .*: precision is 'float32' of the first and 'bf16'"):
         compare_runs(workspace.runs / S0, workspace.runs / S1)
 
 

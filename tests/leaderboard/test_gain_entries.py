@@ -91,3 +91,13 @@ def test_settings_that_cannot_be_are_a_finding(
     findings = check_entry(Entry(content), measured[0]).findings
 
     assert any("gain" in finding for finding in findings), findings
+
+
+def test_the_gain_of_another_version_is_not_checked(measured: tuple[Workspace, Path], entry: Entry) -> None:
+    content = copy.deepcopy(dict(entry.content))
+    content["settings"]["gain_version"] = 7
+
+    verdict = check_entry(Entry(content), measured[0], CheckSettings(score=False))
+
+    assert not verdict.holds
+    assert [one.startswith("version: the gain captured was measured by version 7") for one in verdict.missing] == [True]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from dmotion_bench.scoring.report import FigureJson
+from dmotion_bench.scoring.report import LABEL_USES, FigureJson
 from leaderboard.board import Board, make_boards
 from leaderboard.entry import Entry
 from leaderboard.entry_file import read_entries
@@ -154,7 +154,19 @@ def test_the_usual_budget_and_the_usual_settings_are_taken() -> None:
     found = summarise([_board("a", rows), _board("b", other)])
     assert _taken(found) == [("x", "one-shot"), ("y", "100%")]
     assert found is not None
-    assert found.left_out == ("v",)
+    assert found.left_out == ("v", "z")
+
+
+def test_a_model_that_always_learns_with_a_few_labels_is_in_the_table_or_left_out_by_name() -> None:
+    few, tuned = LABEL_USES["during"], LABEL_USES["during, finetuned"]
+    rows = [_row("x", [1]), _row("y", [2]), _row("few", [3], variant=few), _row("tuned", [4], variant=tuned)]
+    lacking = [_row("x", [1]), _row("y", [2]), _row("other", [3], variant=few)]
+
+    found = summarise([_board("a", rows), _board("b", rows)])
+    assert _taken(found) == [("x", "one-shot"), ("y", "one-shot"), ("few", "one-shot")]
+    found = summarise([_board("a", rows), _board("b", lacking)])
+    assert found is not None
+    assert found.left_out == ("few", "other", "tuned")
 
 
 def test_a_world_is_its_board_of_most_models_and_a_world_of_few_is_not_counted() -> None:
@@ -167,7 +179,7 @@ def test_a_world_is_its_board_of_most_models_and_a_world_of_few_is_not_counted()
     assert [board.dataset for board in found.boards] == ["large", "b"]
     assert (found.left_out, found.too_small, found.unusual) == (("t",), ("C",), ("E",))
     said = " ".join(summary_lines(found))
-    assert "lack a result in one of these worlds: t." in said
+    assert "lack a result with their usual labels and settings in one of these worlds: t." in said
     assert "half as many models, which are not counted: C." in said
     assert "with its usual settings, which are not counted: E." in said
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmotion_bench.errors import RunMismatch
+from dmotion_bench.api.leaderboard import leaderboard_compare
+from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.pairing import compare_runs, scored_on
 from dmotion_bench.recording.session import record_dataset
@@ -85,6 +86,27 @@ def test_of_two_data_sets_of_one_name_each_keeps_its_report(make_run: MakeRun, o
     assert first.figures != second.figures
     assert _score(run, namesake, renew=False) == second
     assert _score(run, other, renew=False) == first
+    for dataset, report in ((other, first), (namesake, second)):
+        assert scored_on(run.path, dataset)[0] == report
+        compared = {one.figure: one for one in leaderboard_compare(run.path, run.path, data=dataset.path)}
+        assert compared["mse"].first == pytest.approx(report.figures["mse"]["mean"])
+
+
+def test_a_report_on_a_data_set_of_the_same_name_is_not_taken_for_another(
+    make_run: MakeRun, grid: Dataset, other: Dataset, tmp_path: Path
+) -> None:
+    run = make_run(tmp_path / "run")
+    _score(run)
+    _score(run, other)
+    for name in ("other", grid.name):  # of a data set beside the run's own, and of the run's own
+        namesake = write_dataset(tmp_path / "elsewhere" / name, seed=5)
+        with pytest.raises(RunMissing, match=f"no whole report; score it with .* --data .*elsewhere/{name}"):
+            compare_runs(run.path, run.path, namesake)
+    report = run.path / "report/report.json"
+    stored = json.loads(report.read_text())
+    report.write_text(json.dumps(stored | {"dataset": stored["dataset"] | {"fingerprint": "0" * 64}}))
+    with pytest.raises(RunMissing, match=r"is not of the data set in .* fingerprint 000000000000; score the run"):
+        compare_runs(run.path, run.path, grid)
 
 
 def test_validation_episodes_have_a_report_of_their_own_that_no_leaderboard_reads(
@@ -100,7 +122,7 @@ def test_validation_episodes_have_a_report_of_their_own_that_no_leaderboard_read
     assert read_report(run.path / chosen.place) == chosen
     assert read_report(run.path / test.place) == test
     assert transfer_folders(run.path) == [run.path / test.place]
-    (difference, *_) = compare_runs(run.path, run.path, "other", "validation")
+    (difference, *_) = compare_runs(run.path, run.path, other, "validation")
     assert difference.first == chosen.figures[difference.figure]["mean"]
 
 
@@ -200,10 +222,10 @@ def test_runs_are_compared_where_both_were_scored(make_run: MakeRun, other: Data
     for run in (elsewhere, native):
         _score(run, other)
 
-    found = {one.figure: one for one in compare_runs(elsewhere.path, native.path, "other")}
+    found = {one.figure: one for one in compare_runs(elsewhere.path, native.path, other)}
     assert found["mse"].difference.mean > 0
     assert found["mse"].verdict == "unknown: 3 episodes"
-    assert scored_on(native.path, "other")[0].trained_on is None
+    assert scored_on(native.path, other)[0].trained_on is None
     _score(elsewhere)
     with pytest.raises(RunMismatch, match="not scored on the same triplets"):
         compare_runs(elsewhere.path, native.path)

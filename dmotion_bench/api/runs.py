@@ -206,9 +206,12 @@ def _batch(images: Images) -> Tensor:
     """A batch, of frames or images; the model says what is wrong with any other.
 
     Raises:
-        UsageError: These are numbers that are no images in [-1, 1], which a model would take for ones.
+        UsageError: There are none, or these are numbers that are no images in [-1, 1], which a model would take for
+            ones.
     """
     tensor = torch.tensor(images) if isinstance(images, np.ndarray) else images
+    if isinstance(tensor, Tensor) and not tensor.numel():
+        raise UsageError(f"there are no images: they were given with the shape {tuple(tensor.shape)}.")
     images_given = isinstance(tensor, Tensor) and tensor.is_floating_point() and tensor.numel() > 0
     if images_given and not tensor.abs().max() <= _FARTHEST:  # nor if it is no number
         raise UsageError(

@@ -202,6 +202,8 @@ def test_images_that_a_model_would_take_wrongly_are_refused(workspace: Path) -> 
                 call(wrong)
     with pytest.raises(UsageError, match=r"DMotion\.predict\(\) was given batches of 1, 2 images"):
         run.predict(frames[0], frames[:2], "up")
+    with pytest.raises(UsageError, match=r"there are no images: they were given with the shape \(0, "):
+        run.predict(frames[:0], frames[:0], "up")
 
 
 def test_a_rollout_begins_with_the_prediction_and_takes_a_sequence_for_each(workspace: Path) -> None:

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.decisive import sample_settings
-from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SUCCESS
+from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, is_solved
 from dmotion_bench.scoring.report import (
     REPORT_FOLDER,
     TRANSFERS,
@@ -307,7 +307,7 @@ def _gain_difference(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
 
 def _values(samples: pa.Table, name: str) -> Float[np.ndarray, " n"]:
     if name == "control_success":
-        return (column(samples, "control_distance") <= SUCCESS).astype(np.float64)
+        return is_solved(column(samples, "control_distance"))
     return column(samples, name).astype(np.float64)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -15,6 +16,11 @@ from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
+
+
+def stands_for_every_model(patch: pytest.MonkeyPatch) -> None:
+    """Have the runs of every name be runs of ``Known``."""
+    patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -212,7 +212,7 @@ def _batch(images: Images) -> Tensor:
     tensor = torch.tensor(images) if isinstance(images, np.ndarray) else images
     if isinstance(tensor, Tensor) and not tensor.numel():
         raise UsageError(f"there are no images: they were given with the shape {tuple(tensor.shape)}.")
-    images_given = isinstance(tensor, Tensor) and tensor.is_floating_point() and tensor.numel() > 0
+    images_given = isinstance(tensor, Tensor) and tensor.is_floating_point()
     if images_given and not tensor.abs().max() <= _FARTHEST:  # nor if it is no number
         raise UsageError(
             f"images have values from {tensor.min():g} to {tensor.max():g}; a model's lie in [-1, 1]. Give stored "

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from known_model import Known, write_run
+from known_model import stands_for_every_model, write_run
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import EntryInvalid
@@ -38,13 +38,9 @@ QUICK = CheckSettings(score=False)
 MOVE = Continuous(names=("dx", "dy"), low=(-1.0, -1e300), high=(1.0, 1e300), units=("m", ""))
 
 
-def _known_model(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
-
-
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    _known_model(monkeypatch)
+    stands_for_every_model(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +58,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     record_dataset(made.data / "moved-tiny", recipe)
     dataset = Dataset.open(made.data / "moved-tiny")
     with pytest.MonkeyPatch.context() as patch:
-        _known_model(patch)
+        stands_for_every_model(patch)
         run = write_run(made.runs / "known", dataset, actions=stored_actions(dataset.spec.actions), labels="64")
         score_reference("oracle", dataset, SCORING)
         settings = ScoreSettings(resamples=100, control=SCORING)

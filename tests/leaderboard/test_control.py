@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from known_model import Known, write_run
+from known_model import stands_for_every_model, write_run
 
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.columns import tasks_hash
@@ -41,13 +41,9 @@ RUN = "dmotion-pushed-tiny-s0"
 Rows = list[dict[str, Any]]
 
 
-def _known_model(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
-
-
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    _known_model(monkeypatch)
+    stands_for_every_model(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +56,7 @@ def controlled(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     record_dataset(workspace.data / "pushed-tiny", recipe)
     dataset = Dataset.open(workspace.data / "pushed-tiny")
     with pytest.MonkeyPatch.context() as patch:
-        _known_model(patch)
+        stands_for_every_model(patch)
         run = write_run(workspace.runs / RUN, dataset)
         score_reference("oracle", dataset, SCORING)
         score_run(run.path, metrics=("control",), settings=ScoreSettings(resamples=100, control=SCORING))
@@ -71,7 +67,7 @@ def controlled(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
 def entry(controlled: Workspace) -> Entry:
     """Read only; ``_content`` is a copy."""
     with pytest.MonkeyPatch.context() as patch:
-        _known_model(patch)
+        stands_for_every_model(patch)
         return entry_of_run(controlled.runs / RUN)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import strange_worlds
-from known_model import Known, write_run
+from known_model import stands_for_every_model, write_run
 
 from dmotion_bench.learning.runs.manifest import stored_actions
 from dmotion_bench.recording.preset import recipe_for
@@ -27,13 +27,9 @@ SLIDER = "gym:Strange/Slider-v0"
 SCORING = ControlScoring(tasks=2, steps=3, group=2, planner_set=("samples=4", "horizon=2", "iterations=1", "elites=2"))
 
 
-def _known_model(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Known)
-
-
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    _known_model(monkeypatch)
+    stands_for_every_model(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +40,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     record_dataset(made.data / "slider", recipe)
     dataset = Dataset.open(made.data / "slider")
     with pytest.MonkeyPatch.context() as patch:
-        _known_model(patch)
+        stands_for_every_model(patch)
         spec = dataset.spec
         changes = {"actions": stored_actions(spec.actions), "height": spec.height, "width": spec.width}
         run = write_run(made.runs / "known", dataset, **changes)

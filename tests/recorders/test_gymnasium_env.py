@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes.util
-import enum
 import importlib
 import json
 import random
@@ -30,7 +29,6 @@ from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from recorders.gymnasium_env import modules
-from recorders.gymnasium_env.spaces import action_spec
 from recorders.gymnasium_env.worlds import WORLDS
 
 Run = Callable[..., Outcome]
@@ -93,15 +91,6 @@ def test_what_a_simulator_writes_into_an_action_is_seen_by_nobody() -> None:
     assert env.facts.step_ns == 40_000_000
 
 
-def test_a_wrapper_names_the_actions_that_it_exchanges(monkeypatch: pytest.MonkeyPatch) -> None:
-    def names(wrappers: str) -> object:
-        return environment_class("gym:Strange/Named-v0")(wrappers=wrappers).facts.actions
-
-    monkeypatch.setattr("recorders.gymnasium_env.environment.import_named", lambda *_: strange_worlds)
-    assert names("") == Discrete(("left", "right"))
-    assert names("strange_worlds:Mirrored") == Discrete(("right", "left"))
-
-
 def test_the_packages_that_may_be_imported_are_looked_up_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(modules, "packages_distributions", lambda: asked.append(1) or {"csv": ["minigrid"]})
     monkeypatch.setattr(modules, "distribution", lambda _: SimpleNamespace(requires=["gymnasium>=1"]))
@@ -141,25 +130,6 @@ def test_a_time_limit_cuts_no_repeat_short() -> None:
     ended = [env.step(1)[3] for _ in range(4)]
     assert ended == [False, True, True, True]
     assert env._inner.unwrapped.place == began + 4 * 3
-
-
-def _of_text() -> Any:
-    return enum.Enum("Actions", {"LEFT": "left", "RIGHT": "right"})
-
-
-@pytest.mark.parametrize(
-    "named",
-    [
-        {"get_action_meanings": lambda world: 1 / 0},
-        {"get_action_meanings": ["LEFT", "RIGHT"]},
-        {"get_action_meanings": lambda world: None},
-        {"actions": _of_text()},
-    ],
-    ids=["raises", "is a list", "is nothing", "is of text"],
-)
-def test_names_of_actions_that_cannot_be_read_are_numbers(named: dict[str, Any]) -> None:
-    env = type("Odd", (strange_worlds.Slider,), named)(render_mode="rgb_array")
-    assert action_spec("odd", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("0", "1"))
 
 
 def test_an_episode_that_is_over_stays_as_it_is() -> None:

@@ -385,10 +385,10 @@ class _Trainer:
 
     def _finished(self) -> dict[str, Any]:
         """Align the best weights, write them, and record the result of the training."""
-        taught = self.demonstrations is not None
-        if taught and not self.run.unadapted.exists():  # a kill from here on begins with these weights again
-            write_atomically(self.run.unadapted, self.run.best.read_bytes())
-        facts = self.checkpoints.restore_best(self.run.unadapted if taught else None)
+        before = None if self.demonstrations is None else self.run.unadapted
+        if before is not None and not before.exists():  # a kill from here on begins with these weights again
+            write_atomically(before, self.run.best.read_bytes())
+        facts = self.checkpoints.restore_best(before)
         self.model.eval()
         adapted: int | None = None
         if self.demonstrations is not None:

@@ -78,10 +78,10 @@ def find(paths: Sequence[Path], camera: str | None) -> Found:
             faults[path] = error
         except OSError as error:
             faults[path] = _unreadable(path, error)
-    require_once(sources, camera)
-    taken = _taken(sources, camera, faults)
+    folders = {one.path: episode_folders(one.path, camera) for one in sources if one.kind is Kind.PICTURES}
+    require_once(sources, folders)
+    taken = _taken(sources, folders, camera, faults)
     over = [_passed_over(path, taken) for path in paths if _is_told_of(path, faults)]
-    pictures = {source.path for source in sources if source.kind is Kind.PICTURES}
     return Found(
         sources=sources,
         faults=faults,
@@ -89,7 +89,7 @@ def find(paths: Sequence[Path], camera: str | None) -> Found:
             *(sentence for one in over for sentence in one.sentences(camera)),
             *(sentence for path in paths if (sentence := _likely_cameras(path, sources)) is not None),
         ],
-        doubts={one.folder: _doubt(one) for one in over if one.readable and one.folder in pictures},
+        doubts={one.folder: _doubt(one) for one in over if one.readable and one.folder in folders},
     )
 
 
@@ -105,26 +105,24 @@ def sources_in(paths: Sequence[Path], camera: str | None) -> Sequence[Source]:
     return found.sources
 
 
-def require_once(found: Sequence[Source], camera: str | None) -> None:
+def require_once(found: Sequence[Source], folders: Mapping[Path, Sequence[Path]]) -> None:
     """Check that no recording is meant twice, nor a folder of pictures that is an episode of one.
+
+    Args:
+        found: The recordings.
+        folders: Of those that are pictures: the folders that are an episode each.
 
     Raises:
         UsageError: One is.
     """
     first: dict[Path, Path] = {}
-    for path in (path for source in found for path in _parts(source, camera)):
+    for path in (path for source in found for path in dict.fromkeys([source.path, *folders.get(source.path, ())])):
         real = path.resolve()
         if first.get(real) == path:
             raise UsageError(f"{str(path)!r} is named twice; name it once.")
         if real in first:
             raise UsageError(f"{str(first[real])!r} and {str(path)!r} are the same recording; leave one out.")
         first[real] = path
-
-
-def _parts(source: Source, camera: str | None) -> Sequence[Path]:
-    """A recording, and the folders in it that are an episode each."""
-    inside = episode_folders(source.path, camera) if source.kind is Kind.PICTURES else []
-    return [source.path, *(folder for folder in inside if folder != source.path)]
 
 
 def _is_told_of(path: Path, faults: Mapping[Path, RecordingImportError]) -> bool:
@@ -135,11 +133,11 @@ def _passed_over(folder: Path, taken: Taken) -> PassedOver:
     return passed_over(folder, taken, (*SUFFIXES, *PICTURES), INFO)
 
 
-def _taken(sources: Sequence[Source], camera: str | None, faults: Iterable[Path]) -> Taken:
+def _taken(
+    sources: Sequence[Source], inside: Mapping[Path, Sequence[Path]], camera: str | None, faults: Iterable[Path]
+) -> Taken:
     """What the recordings consist of, and what is told as a fault."""
-    folders = [
-        one for source in sources if source.kind is Kind.PICTURES for one in episode_folders(source.path, camera)
-    ]
+    folders = [folder for each in inside.values() for folder in each]
     return Taken(
         whole=real_paths([*faults, *(source.path for source in sources if source.kind is not Kind.PICTURES)]),
         pictures=real_paths(folders),

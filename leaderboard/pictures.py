@@ -24,7 +24,7 @@ from PIL import Image
 from dmotion_bench.actions import ActionTaken, as_actions
 from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.learning.action_encoding import as_tensor
-from dmotion_bench.learning.data.labels import DEMONSTRATIONS, LabelRequest
+from dmotion_bench.learning.data.label_request import DEMONSTRATIONS, LabelRequest
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.runs.run import Run

@@ -12,7 +12,8 @@ from jaxtyping import Float, Int
 from dmotion_bench.api.settings import SPLIT_PROTOCOLS, require_one_of, whole
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.learning.action_encoding import as_tensor
-from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.specs import SplitName

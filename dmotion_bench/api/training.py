@@ -26,7 +26,7 @@ from dmotion_bench.errors import DmbenchError, ModelContractBroken, RunMissing, 
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.execution.processes import place
-from dmotion_bench.learning.data.labels import first_budget
+from dmotion_bench.learning.data.label_request import first_budget
 from dmotion_bench.learning.data.triplets import SplitProtocol
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.hardware.threads import shortage

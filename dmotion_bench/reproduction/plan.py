@@ -17,7 +17,7 @@ import torch
 
 from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import DatasetError, DmbenchError, RunError, UsageError
-from dmotion_bench.learning.data.labels import LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, default_path, resolve

@@ -12,8 +12,6 @@ once it has been scored for itself (``dmbench score oracle``).
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -26,8 +24,7 @@ import torch
 from dmotion_bench.environment import HasScript
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.learning.runs.checkpoint import weights_hash
-from dmotion_bench.planning.agents import REFERENCES, Agent, ModelAgent, known_actions, make_reference
+from dmotion_bench.planning.agents import REFERENCES, Agent, ModelAgent, make_reference
 from dmotion_bench.planning.choices import (
     DEFAULT_SOLVER,
     SIMULATOR,
@@ -38,8 +35,6 @@ from dmotion_bench.planning.choices import (
     present_name,
 )
 from dmotion_bench.planning.columns import Column, column_named
-from dmotion_bench.planning.dynamics.model import arithmetic_on
-from dmotion_bench.planning.journal import Extent, Journal
 from dmotion_bench.planning.mpc import (
     CONTROL_VERSION,
     GROUP,
@@ -52,19 +47,11 @@ from dmotion_bench.planning.mpc import (
 from dmotion_bench.planning.objectives.base import Objective, taught
 from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.tasks import Judge, Problem, load_problems, task_environment
-from dmotion_bench.scoring.earlier_planning import (
-    LATER,
-    NOT_SETTINGS,
-    earlier_name,
-    earlier_planning,
-    present_settings,
-    without_later,
-)
+from dmotion_bench.scoring.earlier_planning import present_settings
+from dmotion_bench.scoring.kept_control import journal_of, kept_by_reference
 from dmotion_bench.scoring.prediction import MODEL, Execution
-from dmotion_bench.scoring.report import CONTROL_OF_CODE
 from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows
 from dmotion_bench.storage.readable import ReadableDataset
-from dmotion_bench.workspace import cache_folder
 
 QUICK: Final = ("idle", "random", "scripted")
 """References that take seconds."""
@@ -211,7 +198,7 @@ def score_control(
         problems,
         lambda: task_environment(dataset.recipe),
         ControlSettings(steps=scoring.steps, seed=scoring.seed, group=scoring.group),
-        journal=_journal(checkpoint, model, dataset, scoring, device),
+        journal=journal_of(checkpoint, model, dataset, scoring, device),
         on_progress=progress,
     )
 
@@ -234,7 +221,7 @@ def score_reference(
         UnknownName: There is no such reference; else as ``score_control``.
     """
     scoring = scoring or ControlScoring()
-    kept = _kept(name, dataset, scoring)
+    kept = kept_by_reference(name, dataset, scoring)
     return score_control(name, dataset, scoring, progress=progress, checkpoint=kept, problems=problems)
 
 
@@ -288,7 +275,7 @@ def known_references(dataset: ReadableDataset, scoring: ControlScoring, problems
     """
 
     def is_done(name: str) -> bool:
-        journal = _journal(_kept(name, dataset, scoring), name, dataset, scoring, None)
+        journal = journal_of(kept_by_reference(name, dataset, scoring), name, dataset, scoring, None)
         return all(len(record.actions) >= scoring.steps for record in journal.all_records(problems).values())
 
     (env := task_environment(dataset.recipe)).close()
@@ -333,85 +320,3 @@ def agent_of(
     if isinstance(model, str):
         return make_reference(model, dataset.spec, lambda: task_environment(dataset.recipe), solver, objective)
     return ModelAgent(model, dataset.spec, solver, objective, device=device)
-
-
-def _journal(
-    path: Path | None,
-    model: ForwardModel[Any] | str,
-    dataset: ReadableDataset,
-    scoring: ControlScoring,
-    device: torch.device | None,
-) -> Journal:
-    """The journal of a control run; it also accepts results of this version in the words of earlier releases."""
-    key = _key(model, dataset, scoring, device)
-    extent = Extent(actions=known_actions(dataset.spec), tasks=len(dataset.tasks()), steps=scoring.steps)
-    journal = Journal(path, key, extent, earlier=_earlier_keys(key, scoring))
-    for share in () if path is None else shares_of(path):
-        journal.take_over(share)
-    return journal
-
-
-def share_of(journal: Path, first: int) -> Path:
-    """Where a share of a control run is kept: the tasks from number ``first`` on."""
-    return journal.with_name(f"{journal.stem}-{first}{journal.suffix}")
-
-
-def shares_of(journal: Path) -> list[Path]:
-    """The shares of a control run that are there."""
-    return sorted(path for path in journal.parent.glob(f"{journal.stem}-*{journal.suffix}") if path != journal)
-
-
-def _key(
-    model: ForwardModel[Any] | str, dataset: ReadableDataset, scoring: ControlScoring, device: torch.device | None
-) -> dict[str, Any]:
-    """Everything that decides the result of a task."""
-    needs_pixels = None if isinstance(model, str) else model.needs_pixels
-    arithmetic = {} if isinstance(model, str) else {"arithmetic": arithmetic_on(device or torch.device("cpu"))}
-    return arithmetic | {
-        "version": CONTROL_VERSION,
-        "planning": scoring.planning(dataset, needs_pixels=needs_pixels),
-        "dataset": dataset.fingerprint,
-        "who": model if isinstance(model, str) else weights_hash(model.state_dict()),
-        "device": "cpu" if device is None else device.type,
-        "steps": scoring.steps,
-        "seed": scoring.seed,
-        "group": scoring.group,
-    }
-
-
-def _kept(name: str, dataset: ReadableDataset, scoring: ControlScoring) -> Path:
-    """Where a reference's results are kept: in the file of an earlier key, if there is one, or in that of the key."""
-    key = _key(name, dataset, scoring, None)
-    earlier = (_place(name, dataset, one) for one in _earlier_keys(key, scoring))
-    return next((path for path in earlier if path.is_file()), _place(name, dataset, key))
-
-
-def _place(name: str, dataset: ReadableDataset, key: Mapping[str, Any]) -> Path:
-    text = json.dumps(key, sort_keys=True)
-    return cache_folder(dataset.path) / f"control-{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
-
-
-def _earlier_keys(key: Mapping[str, Any], scoring: ControlScoring) -> list[dict[str, Any]]:
-    """The keys by which earlier releases kept the same results.
-
-    At first the version was a hash of the code; then a report said ``planner`` and ``cost`` (``earlier_planning``).
-    The arithmetic in which a model imagines was not named.
-    """
-    found = []
-    if "arithmetic" in key:
-        key = {name: value for name, value in key.items() if name != "arithmetic"}
-        found.append(key)
-    plain, named = without_later(key["planning"]), str(key["planning"]["solver"]["name"])
-    found += [] if plain is None else [dict(key) | {"planning": plain}]
-    planning = None if plain is None and named in LATER else earlier_planning(key["planning"])
-    if planning is None:
-        return found
-    found.append(dict(key) | {"planning": planning})
-    if not scoring.objective_set:
-        fields = {name: value for name, value in planning["planner"].items() if name not in NOT_SETTINGS}
-        planner = f"{planning['planner']['class']}({', '.join(f'{name}={value!r}' for name, value in fields.items())})"
-        cost = None if scoring.objective is None else earlier_name(scoring.objective)
-        common = {name: value for name, value in key.items() if name not in ("version", "planning")}
-        codes = [code for code, version in CONTROL_OF_CODE.items() if version == CONTROL_VERSION]
-        found += [{"code": code, "planner": planner, "cost": cost} | common for code in codes]
-    return found

@@ -22,12 +22,13 @@ from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import TEST, require_fitting_tasks
 from dmotion_bench.planning.contract import using
 from dmotion_bench.planning.dynamics.model import arithmetic_on
-from dmotion_bench.scoring.control import control_tables, require_tasks, shares_of
+from dmotion_bench.scoring.control import control_tables, require_tasks
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.gain import gain_tables, reason_against, require_gain
 from dmotion_bench.scoring.identification import LatentActionModel
+from dmotion_bench.scoring.kept_control import shares_of
 from dmotion_bench.scoring.latent_samples import learned_from_video, score_latent_actions, with_latent_actions
 from dmotion_bench.scoring.prediction import (
     MODEL,

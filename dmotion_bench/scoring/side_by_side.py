@@ -26,7 +26,8 @@ from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training.shared_pretraining import training_of
 from dmotion_bench.planning.mpc import ControlProgress
-from dmotion_bench.scoring.control import score_control, share_of
+from dmotion_bench.scoring.control import score_control
+from dmotion_bench.scoring.kept_control import share_of
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.score import CONTROL_JOURNAL, is_scored, score_run, scored_data
 from dmotion_bench.scoring.settings import Metric, ScoreSettings

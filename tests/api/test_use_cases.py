@@ -30,7 +30,8 @@ from dmotion_bench.errors import (
     UsageError,
     ViewerError,
 )
-from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import TripletBatch

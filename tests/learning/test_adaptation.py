@@ -9,7 +9,8 @@ import torch
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.action_to_latent import ActionToLatent
-from dmotion_bench.learning.data.labels import HELD_BACK, LabelBudget, LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import HELD_BACK, LabelBudget
 from dmotion_bench.learning.data.stored_demonstrations import StoredDemonstrations, in_memory
 from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.demonstrations import Demonstrations

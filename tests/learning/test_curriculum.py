@@ -12,7 +12,8 @@ from torch import Tensor
 from dmotion_bench.learning.data import curriculum
 from dmotion_bench.learning.data.batches import FramesOnDevice
 from dmotion_bench.learning.data.curriculum import TrainingData, demonstrations_of, parts_of, steps_before_labels
-from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import Phase, TrainingConfig

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from dmotion_bench.learning import demonstrations as module
-from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.stored_demonstrations import StoredDemonstrations, in_memory, shown_to_models
 from dmotion_bench.learning.data.triplets import TripletSet
 

@@ -10,7 +10,8 @@ import pytest
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UsageError
-from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.streamed import StreamedTriplets
 from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.specs import Supervision

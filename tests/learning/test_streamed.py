@@ -19,7 +19,8 @@ from walking_square import record_walks
 from dmotion_bench.errors import DatasetCorrupt, UsageError
 from dmotion_bench.learning.data.batches import FramesOnDevice, TripletBatches
 from dmotion_bench.learning.data.curriculum import parts_of
-from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.streamed import WINDOW, StreamedBatches, StreamedTriplets
 from dmotion_bench.learning.data.streamed_order import StreamedOrder, Window
 from dmotion_bench.learning.data.triplets import TripletSet

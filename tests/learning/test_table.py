@@ -13,7 +13,7 @@ from noise_world import noise_episode, noise_spec
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import RunError, StorageFull
 from dmotion_bench.execution.local_executor import local_executor
-from dmotion_bench.learning.data.labels import LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest
 from dmotion_bench.learning.training import table

@@ -17,7 +17,8 @@ from dmotion_bench.execution.local_executor import local_executor
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring import side_by_side
-from dmotion_bench.scoring.control import ControlScoring, shares_of
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.kept_control import shares_of
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings

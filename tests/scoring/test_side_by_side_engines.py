@@ -21,7 +21,8 @@ from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.scoring.control import ControlScoring, shares_of
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.kept_control import shares_of
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.side_by_side import ScoreJob, control_shares, score_side_by_side

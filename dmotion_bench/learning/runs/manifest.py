@@ -20,7 +20,7 @@ from torch.overrides import TorchFunctionMode
 
 from dmotion_bench.actions import MOST_ACTIONS, ActionSpec, Discrete, actions_from_json, actions_to_json
 from dmotion_bench.errors import DmbenchError, InvalidSetting
-from dmotion_bench.learning.data.labels import LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.triplets import SplitProtocol
 from dmotion_bench.learning.hardware.precision import Precision
 from dmotion_bench.learning.model import ForwardModel, ModelInputs, TrainingConfig

@@ -29,7 +29,7 @@ from torch import Tensor
 from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunError, RunMismatch, RunMissing
-from dmotion_bench.learning.data.labels import first_budget
+from dmotion_bench.learning.data.label_request import first_budget
 from dmotion_bench.learning.hardware.precision import AUTO
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs import checkpoint

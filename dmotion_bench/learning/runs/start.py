@@ -11,7 +11,8 @@ from pathlib import Path
 from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.learning.data.curriculum import TrainingData, held_for_validation
-from dmotion_bench.learning.data.labels import LabelBudget, LabelRequest
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.streamed import LOADERS, WINDOW, StreamedTriplets
 from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.learning.model import TrainingConfig

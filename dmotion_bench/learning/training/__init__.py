@@ -10,6 +10,7 @@
     muon.py                Muon
     randomness.py          random numbers that depend on the step alone
     state.py               how far a training has got
+    hardness.py            how hard each triplet was when it was last trained on
     validation.py          what it learns about its model in between
     figures.py             the losses of a step as numbers
     metrics_log.py         ``metrics.jsonl``

@@ -21,20 +21,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
 
-from dmotion_bench.errors import ModelContractBroken, RunError, UsageError
+from dmotion_bench.errors import RunError, UsageError
 from dmotion_bench.interrupts import stop_between_steps
 from dmotion_bench.learning.data.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
 from dmotion_bench.learning.hardware.fabric_setup import set_up
 from dmotion_bench.learning.hardware.threads import using_threads
-from dmotion_bench.learning.model import PER_TRIPLET, TrainingConfig
+from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.manifest import Conditions, RunResult
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training.adaptation import finetune
 from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.conditions import choose_conditions
+from dmotion_bench.learning.training.hardness import Hardness
 from dmotion_bench.learning.training.metrics_log import MetricsLog
 from dmotion_bench.learning.training.optimizer import AveragedWeights, learning_rate, optimizer_of, set_learning_rate
 from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints
@@ -53,7 +53,6 @@ if TYPE_CHECKING:
 
 CHECKPOINT_SECONDS = 60.0
 LOG_ROWS = 200  # rows of metrics.jsonl in a training
-_NO_LOSSES = np.zeros(0, np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,17 +142,13 @@ class _Trainer:
             rank=companions.rank,
         )
         self.average = AveragedWeights(self.model, self.config.ema) if self.config.ema else None
-        self.hardness = {
-            part.phase.name: np.full(len(part.batches), np.nan, np.float32)
-            for part in self.parts
-            if self.config.hard_share or not self.config.window  # streamed triplets may be too many
-        }
+        self.hardness = Hardness(self.parts, self.config)
         self.checkpoints = Checkpoints(
             run=run,
             model=self.model,
             optimizer=self.optimizer,
             average=self.average,
-            hardness=self.hardness,
+            hardness=self.hardness.of_phases,
             config=self.config,
             steps=self.steps,
             starts=frozenset(part.start for part in self.parts),
@@ -259,8 +254,7 @@ class _Trainer:
         began = time.perf_counter()
         progress = (step - part.start) / (part.stop - part.start)
         set_learning_rate(self.optimizer, learning_rate(self.config, progress))
-        hardness = self.hardness.get(part.phase.name, _NO_LOSSES)
-        chosen = part.order.mixed_batch(step - part.start, hardness, self.config.hard_share)
+        chosen = part.order.mixed_batch(step - part.start, self.hardness.of(part), self.config.hard_share)
         companions = self.companions
         index = part.order.share(chosen, companions.rank, companions.world)
         weight = len(index) * companions.world / len(chosen)
@@ -271,34 +265,13 @@ class _Trainer:
             self.average.update(self.model, step)
         terms = figures.terms
         if self.config.hard_share and (each := figures.per_triplet) is not None:
-            self._remember(hardness, chosen, each, terms["loss"])
+            parts, means = zip(*companions.gathered((each, terms["loss"])), strict=True)
+            if np.isfinite(means).all():  # if not, the training has diverged, which the next validation says
+                model, each = type(self.model).__qualname__, np.concatenate(parts)
+                self.hardness.remember(part, chosen, each, model=model, step=self.state.step + 1)
         self.state.seconds += time.perf_counter() - began
         self.state.triplets += part.order.batch_size
         return terms, weight
-
-    def _remember(
-        self,
-        hardness: Float[np.ndarray, " n"],
-        chosen: Int[np.ndarray, " b"],
-        losses: Float[np.ndarray, " s"],
-        loss: float,
-    ) -> None:
-        """Keep each triplet's loss; with several processes each learns the others'.
-
-        Raises:
-            ModelContractBroken: One is below zero, or not finite though the loss of the batch is.
-        """
-        parts, means = zip(*self.companions.gathered((losses, loss)), strict=True)
-        if not np.isfinite(means).all():
-            return  # the training has diverged, which the next validation says
-        each = np.concatenate(parts)
-        wrong = each[~(np.isfinite(each) & (each >= 0))]
-        if len(wrong):
-            raise ModelContractBroken(
-                f"{type(self.model).__qualname__}: losses(batch).per_triplet holds {wrong[0]} at step "
-                f"{self.state.step + 1}; {PER_TRIPLET}, or the model is trained with '--set hard_share=0'."
-            )
-        hardness[chosen] = each
 
     @torch.no_grad()
     def _validate(self, part: Part, log: MetricsLog) -> None:
@@ -352,7 +325,7 @@ class _Trainer:
     def _write_checkpoint(self, path: Path) -> None:
         if self.companions.is_first:
             begun = [part.phase.name for part in self.parts if part.start < self.state.step]
-            self.checkpoints.save(path, self.state.facts(), [name for name in begun if name in self.hardness])
+            self.checkpoints.save(path, self.state.facts(), [name for name in begun if name in self.hardness.of_phases])
 
     def _resume(self) -> None:
         facts = self.checkpoints.restore()

@@ -12,6 +12,7 @@ keep another's, marked. Rollouts and the gain captured that were measured with o
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -58,6 +59,7 @@ class Board:
         environment: Registry name.
         version: Of the environment; data sets of two versions have two boards.
         dataset, fingerprint: Of the data set; empty where only published results are known.
+        recording: The command that records the data set; empty where it is not known, or was no recording.
         split, protocol: Which episodes, and how triplets were split.
         triplets: Single steps that were scored; None where nothing was.
         rows: The best first, then the published rows and the references where their error puts them.
@@ -69,6 +71,7 @@ class Board:
     version: int = 1
     dataset: str = ""
     fingerprint: str = ""
+    recording: str = ""
     split: str = ""
     protocol: str = ""
     triplets: int | None = None
@@ -158,6 +161,7 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         version=every[0].version,
         dataset=dataset,
         fingerprint=fingerprint,
+        recording=next((shlex.join(words) for entry in every if (words := entry.record_words())), ""),
         split=split,
         protocol=protocol,
         triplets=int(max(counts)) if counts else None,

@@ -15,7 +15,7 @@ from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
 from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns, named
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.label_table import label_lines
-from leaderboard.markdown import WIDTH, plain, table
+from leaderboard.markdown import WIDTH, code, plain, table
 from leaderboard.markdown_numbers import TO, between, figure, mean
 from leaderboard.planners import tuned_share
 from leaderboard.row import Row, each
@@ -30,6 +30,9 @@ def board_section(board: Board) -> list[str]:
     protocols = sorted({str(entry.content["protocol"]) for entry in board.entries if entry.is_measured})
     told = [named("Protocol", list(map(plain, protocols))), f"split by {plain(board.protocol)}"]
     lines.append(", ".join([*told, *([f"{board.triplets:,} predicted frames"] if board.triplets else [])]) + ".")
+    if board.recording:
+        words = f"Its data set is recorded by {code(board.recording)}."
+        lines += ["", *textwrap.wrap(words, WIDTH, break_long_words=False, break_on_hyphens=False)]
     if board.measured:
         lines += ["", *_predictions(board)]
     if curves := label_lines(board):

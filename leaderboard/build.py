@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -195,27 +195,34 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         "reference": {name: as_in_an_entry(figures) for name, figures in stored["reference"].items()},
     }
     content |= {"by_episode": sums_by_episode(samples), "control": actions_of(samples), "pictures": []}
-    entry = Entry(content)
+    dataset = _dataset(run, report)
+    entry = Entry(content, b"" if dataset is None else dataset.manifest.identity)
     if not shows_pictures(run.spec.labels):
         return entry
     old = _standing(earlier, entry)
     if old is not None:
-        return old
-    dataset = _dataset(run, report)
-    if dataset is None:
+        return replace(old, identity=old.identity or entry.identity)
+    read = None if dataset is None else _as_read(run, dataset)
+    if read is None:
         return entry  # a page without this model's pictures is still a page
-    return Entry(content | {"pictures": take_pictures(run, dataset, samples)})
+    return replace(entry, content=content | {"pictures": take_pictures(run, read, samples)})
 
 
 def _dataset(run: Run, report: Report) -> Dataset | None:
-    """The data set that a report was scored on, as the run's model reads it, if it still exists unchanged."""
+    """The data set that a report was scored on, if it still exists unchanged."""
     try:
         own = run.dataset_path
         path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
         dataset = Dataset.open(path)
-        if dataset.fingerprint != report.dataset["fingerprint"]:
-            return None
-        return dataset if report.trained_on is None else fitting(run, dataset)
+    except (DatasetError, RunError):
+        return None
+    return dataset if dataset.fingerprint == report.dataset["fingerprint"] else None
+
+
+def _as_read(run: Run, dataset: Dataset) -> Dataset | None:
+    """A data set as the run's model reads it; None if that cannot be told."""
+    try:
+        return dataset if dataset.fingerprint == run.spec.fingerprint else fitting(run, dataset)
     except (DatasetError, RunError):
         return None
 

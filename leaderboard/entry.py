@@ -16,15 +16,18 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.recording.session import SHARD_EPISODES
 from dmotion_bench.scoring.decisive import GAINED, planning_settings
 from dmotion_bench.scoring.references import PublishedResult
 from dmotion_bench.scoring.report import CONTROL_OF_CODE, LABEL_USES, SCORING_OF_CODE, FigureJson, Version
-from dmotion_bench.specs import VERSION
+from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe
+from dmotion_bench.storage.manifest import identified_recipe, record_words
 from leaderboard.json_schema import Schema
 
 FORMAT: Final = "dmbench-entry/1"
@@ -67,15 +70,19 @@ class Entry:
 
     Args:
         content: As in the file, but for references, whose figures stand here where a file has their hash; checked here.
+        identity: What the fingerprint of its data set is the hash of (``Manifest.identity``); empty if not known.
 
     Raises:
-        EntryInvalid: It breaks the schema.
+        EntryInvalid: It breaks the schema, or the identity is another data set's.
     """
 
     content: Mapping[str, Any]
+    identity: bytes = field(default=b"", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         found = schema().violations(self.content)
+        if not found and self.identity:
+            found += self._identity_violations()
         if not found and self.is_measured:
             found = [one for name, sums in self.by_episode.items() for one in _sums_violations(name, sums)]
             shared = (name for name, figures in self.content["reference"].items() if isinstance(figures, str))
@@ -122,6 +129,27 @@ class Entry:
     def actions(self) -> str:
         """The kind of actions that it was measured with, an ``ActionKind``; those of published ones are discrete."""
         return str(self.content["dataset"].get("actions", "discrete")) if self.is_measured else "discrete"
+
+    @property
+    def recipe(self) -> DatasetRecipe | None:
+        """Makes the data set that a measured entry was scored on; None where that is not known."""
+        return _recipe_of(self.identity) if self.identity else None
+
+    def record_words(self, data: Path | str = "data") -> list[str]:
+        """The words of the command that records its data set into a folder of ``data``; none if no command does."""
+        if self.recipe is None or self.recipe.environment == IMPORTED or self.recipe.shard_episodes != SHARD_EPISODES:
+            return []
+        return record_words(self.recipe, Path(data) / _plain(self.content["dataset"]["name"]))
+
+    def _identity_violations(self) -> list[str]:
+        said = self.content["dataset"]
+        if hashlib.sha256(self.identity).hexdigest() != said["fingerprint"]:
+            return ["dataset.fingerprint is not that of the data set that stands beside it"]
+        try:
+            made = _recipe_of(self.identity).environment
+        except ValueError as error:
+            return [f"what stands beside it of its data set cannot be read: {error}"]
+        return [] if made == self.environment else [f"dataset.environment is {said['environment']!r}, not {made!r}"]
 
     @property
     def trained_on(self) -> str | None:
@@ -214,10 +242,21 @@ class Entry:
     @property
     def slug(self) -> str:
         """The entry's name in files and links: plain letters, and different for every result."""
-        plain = re.sub(r"[^A-Za-z0-9_]+", "-", self.name).strip("-")[:80]
+        plain = _plain(self.name)[:80]
         identity = [self.content.get(key) for key in ("run", "weights", "source", "environment")]
         identity += [self.content.get("dataset"), self.content.get("settings"), self.labels, self.model]
         return f"{plain}-{hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:8]}"
+
+
+def _plain(name: str) -> str:
+    """A name as plain letters, for files."""
+    return re.sub(r"[^A-Za-z0-9_]+", "-", name).strip("-")
+
+
+@functools.lru_cache(maxsize=64)
+def _recipe_of(identity: bytes) -> DatasetRecipe:
+    """``identified_recipe``, read once for all entries of a data set."""
+    return identified_recipe(identity)
 
 
 def _sums_violations(name: str, sums: Mapping[str, Any]) -> Iterable[str]:

@@ -2,7 +2,8 @@
 
 The figures of the references (copying the last frame, acting at random ...) and the true frames of the pictures are
 the same in every entry of a data set. So they stand once in ``references/`` beside the entries, in a file that is named
-by its SHA-256, and an entry holds that hash in their place.
+by its SHA-256, and an entry holds that hash in their place. What a data set's fingerprint is the SHA-256 of, its recipe
+and the hashes of its files, stands there, too, where whoever built the leaderboard had the data set.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ def write_entry(entry: Entry, folder: Path) -> Path:
         content["pictures"] = [
             picture | {name: _share(picture[name], folder) for name in TRUE_FRAMES} for picture in content["pictures"]
         ]
+        if entry.identity:
+            _write_shared(entry.identity, folder)
     path = folder / f"{entry.slug}.json"
     write_atomically(path, (to_lines(content) + "\n").encode())
     return path
@@ -46,12 +49,15 @@ def write_entry(entry: Entry, folder: Path) -> Path:
 
 def _share(value: Any, folder: Path) -> Any:
     text = to_lines(value) + "\n"
-    if len(text) < SHARED_FROM:
-        return value
-    digest = hashlib.sha256(text.encode()).hexdigest()
+    return value if len(text) < SHARED_FROM else _write_shared(text.encode(), folder)
+
+
+def _write_shared(content: bytes, folder: Path) -> str:
+    """Write a shared file, unless it is there; its SHA-256, which is its name."""
+    digest = hashlib.sha256(content).hexdigest()
     path = folder / REFERENCES / f"{digest}.json"
-    if not path.is_file() or path.read_bytes() != text.encode():
-        write_atomically(path, text.encode())
+    if not path.is_file() or path.read_bytes() != content:
+        write_atomically(path, content)
     return digest
 
 
@@ -62,13 +68,14 @@ def read_entry(path: Path) -> Entry:
         EntryInvalid: There is none, or it is no entry, or references that it names are not beside it; says what.
     """
     try:
-        content = parse_value(read_bounded(path, largest=LARGEST), exact=True)
+        content, identity = parse_value(read_bounded(path, largest=LARGEST), exact=True), b""
         if isinstance(content, dict) and isinstance(content.get("reference"), dict):
             shared = _Shared(path.parent / REFERENCES)
             content["reference"] = {name: shared.meant(name, one) for name, one in content["reference"].items()}
             for picture in _pictures(content):
                 picture |= {name: shared.meant(name, picture[name]) for name in TRUE_FRAMES if name in picture}
-        return Entry(content)
+            identity = shared.identity(content.get("dataset"))
+        return Entry(content, identity)
     except (OSError, ValueError, EntryInvalid) as error:
         said = error.strerror if isinstance(error, OSError) else error
         raise EntryInvalid(
@@ -119,19 +126,38 @@ class _Shared:
             self._known[value] = self._read(name, value)
         return self._known[value]
 
+    def identity(self, dataset: object) -> bytes:
+        """What the fingerprint of an entry's data set is the hash of; empty where that is not there.
+
+        Raises:
+            ValueError: Its file holds something else, or is too large.
+        """
+        fingerprint = dataset.get("fingerprint") if isinstance(dataset, dict) else None
+        if not isinstance(fingerprint, str) or not HASH.fullmatch(fingerprint):
+            return b""  # the schema refuses such an entry
+        path = self._folder / f"{fingerprint}.json"
+        return self._raw(f"its data set stands in {str(path)!r}", path, fingerprint) if path.is_file() else b""
+
     def _read(self, name: str, digest: str) -> Any:
         path = self._folder / f"{digest}.json"
         where = f"its reference {name!r} stands in {str(path)!r}"
+        raw = self._raw(where, path, digest)
+        try:
+            return parse_value(raw, most_values=MOST_VALUES_SHARED, exact=True)
+        except JsonUnreadable as error:
+            raise ValueError(f"{where}: {error}") from None
+
+    def _raw(self, where: str, path: Path, digest: str) -> bytes:
         try:
             raw = read_bounded(path, largest=self._left)
-            self._left -= len(raw)
-            if hashlib.sha256(raw).hexdigest() != digest:
-                raise ValueError(f"{where}, which holds something else than its name says")
-            return parse_value(raw, most_values=MOST_VALUES_SHARED, exact=True)
         except OSError as error:
             raise ValueError(f"{where}: {error.strerror}") from None
         except JsonUnreadable as error:
             raise ValueError(f"{where}: {error}") from None
+        self._left -= len(raw)
+        if hashlib.sha256(raw).hexdigest() != digest:
+            raise ValueError(f"{where}, which holds something else than its name says")
+        return raw
 
 
 def _pictures(content: dict[str, Any]) -> list[dict[str, Any]]:

@@ -204,6 +204,8 @@ def _described(board: Board) -> list[Markup]:
     told = [escaped(steps)]
     told.append(element("code", board.fingerprint[:12], title=board.fingerprint))
     told.append(escaped("."))
+    if board.recording:
+        told += [escaped(" It is recorded by "), element("code", board.recording), escaped(".")]
     if board.protocol == "paper":
         told.append(
             element("strong", " Split as in the paper: most test frames were seen in training, so these figures leak.")

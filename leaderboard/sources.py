@@ -23,6 +23,7 @@ from dmotion_bench.storage.check import cache_damages
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, shard_path
 from dmotion_bench.storage.split import SPLIT_NAMES
+from dmotion_bench.wording import command
 from dmotion_bench.workspace import Workspace
 from leaderboard.verdict import SHOWN, Findings
 
@@ -61,6 +62,7 @@ def find_dataset(check: Findings, workspace: Workspace, run: Run | None = None) 
     if not found:
         check.missing.append(
             f"data set: none in {str(workspace.data)!r} has the fingerprint {said['fingerprint'][:12]}; {ELSEWHERE}"
+            + (f"; or record it: {command(*words)}" if (words := check.entry.record_words(workspace.data)) else "")
         )
         return None
     chosen = next((dataset for dataset in found if dataset.name == said["name"]), found[0])

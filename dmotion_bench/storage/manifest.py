@@ -28,15 +28,16 @@ from dmotion_bench.registry import environment_versions, usual_policy
 from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe, EnvSpec, ObjectSpec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
-from dmotion_bench.storage.json_file import read_json
+from dmotion_bench.storage.json_file import parse_json, read_json
 from dmotion_bench.storage.limits import LARGEST_MANIFEST
-from dmotion_bench.storage.manifest_check import check_episode_size, check_manifest
+from dmotion_bench.storage.manifest_check import check_episode_size, check_manifest, check_recipe, check_spec
 from dmotion_bench.storage.shard import FileFacts
 from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import DATASET_MANIFEST
 
 FORMAT: Final = "dmbench/1"
 TABLES: Final = ("episodes.parquet", "tasks.parquet")
+_IDENTIFYING: Final = ("format", "recipe", "environment", "shards")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +93,15 @@ class Manifest:
     replay: Replay | None = None
 
     @property
-    def fingerprint(self) -> str:
-        """SHA-256 over format version, recipe, facts and the hashes of all shards."""
+    def identity(self) -> bytes:
+        """What the fingerprint is the SHA-256 of, as JSON: format version, recipe, facts and all shards' hashes."""
         content = self.to_json()
-        parts = {key: content[key] for key in ("format", "recipe", "environment", "shards")}
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+        return json.dumps({key: content[key] for key in _IDENTIFYING}, sort_keys=True).encode()
+
+    @property
+    def fingerprint(self) -> str:
+        """The SHA-256 of ``identity``."""
+        return hashlib.sha256(self.identity).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
         """As plain values."""
@@ -182,6 +187,19 @@ class Manifest:
                 f"go on with it: {command(*record_words(manifest.recipe, dataset))}."
             )
         return manifest
+
+
+def identified_recipe(identity: bytes) -> DatasetRecipe:
+    """The recipe in a data set's ``identity``, which may come from anybody.
+
+    Raises:
+        ValueError: There is none, or there can be no such data set.
+    """
+    content = Fields(parse_json(identity, largest=LARGEST_MANIFEST), "it")
+    recipe, spec = _recipe(content.inner("recipe")), _spec(content.inner("environment"))
+    check_spec(spec)
+    check_recipe(recipe, spec)
+    return recipe
 
 
 def record_words(recipe: DatasetRecipe, dataset: Path | str) -> list[str]:

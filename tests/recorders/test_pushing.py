@@ -82,7 +82,7 @@ def test_a_restored_state_is_what_is_seen(env: PushingEnvironment) -> None:
 @pytest.mark.parametrize("kind", [GridWorld, PlanarPush, RobotPush])
 @pytest.mark.parametrize("shake", [0, 2])
 def test_who_is_told_of_states_may_write_into_them(kind: type[GridWorld | PushingEnvironment], shake: int) -> None:
-    env = kind(shake=shake)  # type: ignore[call-arg]
+    env = kind(shake=shake)
     env.reset(seed=0)
     for tell in (env.agent, env.objects):
         before = dataclasses.asdict(tell())

@@ -148,6 +148,23 @@ def test_a_solver_that_takes_blocked_actions_is_found() -> None:
         check_solver(Stubborn)
 
 
+def test_a_solver_that_remembers_the_first_task_for_all_is_found() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Mixing(Dice):
+        def drawn(self, actions: int, context: Any) -> Any:
+            sequences = super().drawn(actions, context)
+            if context.memory is not None:
+                sequences[:, : context.memory.shape[1]] = context.memory[:1]
+            return sequences
+
+        def plan(self, dynamics: Any, evaluator: Any, context: Any) -> Any:
+            plan = super().plan(dynamics, evaluator, context)
+            return replace(plan, memory=plan.candidates)
+
+    with pytest.raises(PlannerContractBroken, match=r"planned task 1 otherwise when it was alone"):
+        check_solver(Mixing)
+
+
 def test_a_solver_that_takes_the_dearest_sequence_is_warned_of() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Contrary(Dice):

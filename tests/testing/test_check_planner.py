@@ -302,6 +302,17 @@ def test_what_an_objective_breaks_is_found(
         check_objective(Near)
 
 
+def test_an_objective_that_counts_the_predicted_steps_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def begin(self: Any, dynamics: Any) -> Any:
+        self.seen = 0
+        return ()
+
+    monkeypatch.setattr(_Near, "begin", begin)
+    monkeypatch.setattr(_Near, "step", _counting)
+    with pytest.raises(PlannerContractBroken, match=r"found other costs when it was asked for the same states again"):
+        check_objective(Near)
+
+
 def test_an_objective_to_which_all_states_are_equal_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_Near, "apart", lambda self, dynamics, state, task: torch.ones(len(task)))
     with pytest.warns(UserWarning, match="Near: a state at the goal costs no less than one at the start"):

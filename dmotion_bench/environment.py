@@ -244,7 +244,10 @@ class Restorable(Protocol):
         """The present state; fit for every environment with the same parameters that was reset with the same seed."""
 
     def restore(self, snapshot: Any) -> None:
-        """Return to this state, so that ``agent``, ``objects`` and the next ``step`` are as they were there."""
+        """Return to this state, so that ``agent``, ``objects`` and the next ``step`` are as they were there.
+
+        ``pixel`` and ``visible`` may be of what was drawn last, until ``render`` or ``step`` draws again.
+        """
 
 
 @runtime_checkable

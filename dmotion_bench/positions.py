@@ -2,6 +2,7 @@
 
 Scoring reads true and predicted frames with it, planning reads predicted ones; both see what the paper's
 "object centres in the predicted frame and the ground truth frame" (section V-C) leaves to a detector by colour.
+Things of one and the same colour cannot be told apart, so none of them is found.
 
 A table of 32 x 32 x 32 colours says which object a pixel belongs to. Where light does not change the colours it
 is the nearest of the objects' colours, if near enough; where it does, the nearest hue among pixels that are
@@ -35,6 +36,9 @@ COLOR_DISTANCE: Final = 100.0
 
 HUE_DISTANCE: Final = 25 / 360
 """Farthest from an object's hue, of a full turn; less where two objects' hues are closer than twice that."""
+
+ALIKE: Final = 1e-9
+"""Of two colours or hues that are nearer to each other, neither is told from the other."""
 
 LEAST_SATURATION: Final = 0.45
 LEAST_VALUE: Final = 0.15
@@ -229,13 +233,14 @@ def _table_colors() -> Float[np.ndarray, "c 3"]:
 def _nearest(
     distance: Float[np.ndarray, "c k"], between: Float[np.ndarray, "k k"], farthest: float
 ) -> Int[np.ndarray, " c"]:
-    """The nearest thing of each colour, -1 where none is near enough."""
+    """The nearest thing of each colour, -1 where none is near enough, and where that thing looks like another one."""
     if distance.shape[1] == 0:
         return np.full(len(distance), -1)
-    apart = between[~np.eye(len(between), dtype=bool)]
+    alike = between < ALIKE
+    apart = between[~alike]
     limit = min(farthest, float(apart.min()) / 2) if apart.size else farthest
     label: Int[np.ndarray, " c"] = distance.argmin(1)
-    label[distance.min(1) > limit] = -1
+    label[(distance.min(1) > limit) | (alike.sum(1) > 1)[label]] = -1
     return label
 
 

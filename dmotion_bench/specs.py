@@ -197,7 +197,8 @@ class Episode:
 
     Attributes:
         frames: RGB, 0-255.
-        seed: Resetting the environment with it and replaying ``labels.actions`` gives ``frames`` again.
+        seed: Resetting the environment with it, and the recipe's ``vary`` as an option, and replaying
+            ``labels.actions`` gives ``frames`` again.
         ended: ``"truncated"`` at the step limit, ``"terminated"`` by the environment (an object fell).
     """
 

@@ -323,7 +323,8 @@ class GridWorld(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def _states(self, things: slice | list[int]) -> ObjectStates:
         seen = self._seen
-        return states(self._cells[things], self._there[things], seen.pixel[things], seen.visible[things])
+        pixel, visible = seen.pixel[things].copy(), seen.visible[things].copy()
+        return states(self._cells[things], self._there[things], pixel, visible)
 
     @classmethod
     def generate(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -188,9 +188,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             InvalidSetting: It is no action, or has a number outside of its bounds.
         """
         illegal = self.advance(action)
-        if not self._drawn_as_is:
-            self._show()
-        return self._frame.copy(), 0.0, self._terminated(), False, {"illegal": illegal}
+        return self.render(), 0.0, self._terminated(), False, {"illegal": illegal}
 
     def advance(self, action: Any) -> bool:
         """Move the pusher as ``step`` does, without drawing it; whether the move would have left its area.
@@ -209,6 +207,11 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             if self._video is not None and self._video.delay:  # this moment is to be shown later
                 self._show()
         return illegal
+
+    def _refresh(self) -> None:
+        """Draw the present moment, unless that has been done."""
+        if not self._drawn_as_is:
+            self._show()
 
     def _show(self) -> None:
         """Draw the present moment, and what its frame shows."""
@@ -255,6 +258,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def render(self) -> UInt8[np.ndarray, "h w 3"]:
         """The present frame."""
+        self._refresh()
         return self._frame.copy()
 
     def legal_actions(self) -> Bool[np.ndarray, " a"]:
@@ -263,6 +267,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def masks(self) -> UInt8[np.ndarray, "h w"]:
         """What each pixel's centre shows: 0 background, 1 agent, 2 + k object k."""
+        self._refresh()
         return self._masks.copy()
 
     def agent(self) -> ObjectStates:
@@ -274,9 +279,16 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         return self._as_seen(self._objects(), slice(1, None))
 
     def _as_seen(self, states: ObjectStates, things: slice) -> ObjectStates:
-        if self._video is None or self._seen is None:
-            return states
-        return replace(states, pixel=self._seen.pixel[things].copy(), visible=self._seen.visible[things].copy())
+        """A copy of states, with what the frame shows of them: whoever is told may write into it."""
+        pixel, visible = states.pixel, states.visible
+        if self._video is not None and self._seen is not None:
+            pixel, visible = self._seen.pixel[things], self._seen.visible[things]
+        return ObjectStates(
+            position=states.position.copy(),
+            orientation=states.orientation.copy(),
+            pixel=pixel.copy(),
+            visible=visible.copy(),
+        )
 
     def memory(self) -> bytes:
         """What the next frames depend on besides where everything is."""
@@ -295,7 +307,7 @@ class PushingEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Put everything where it was; it is drawn at the next step."""
+        """Put everything where it was; it is drawn when it is looked at."""
         self._place, self._moment = snapshot.place, snapshot.moment
         self._put(snapshot, self.lattice.at(snapshot.place))
         if self._video is not None and snapshot.video is not None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from dmotion_bench.addresses import remote_address
-from dmotion_bench.errors import PackageNotInstalled, UsageError
+from dmotion_bench.errors import PackageNotInstalled, RecordingFailed, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.policies import OWN
@@ -115,7 +115,7 @@ def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor)
                 for index in shards:
                     shard_path(staging, kind, index).replace(shard_path(path, kind, index))
                 sync_folder(path / kind)
-        except (PackageNotInstalled, UsageError):  # the environment cannot be made here
+        except (PackageNotInstalled, RecordingFailed, UsageError):  # the environment cannot be made here, or fails
             return False
         finally:
             shutil.rmtree(staging, ignore_errors=True)

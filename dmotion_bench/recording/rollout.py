@@ -37,6 +37,7 @@ from dmotion_bench.specs import (
     episode_seed,
     unplaced_labels,
 )
+from dmotion_bench.wording import shown
 
 _POLICY_STREAM: Final = 0x70F1  # sets the policy's random numbers apart from the environment's
 _TELLING: Final = "what it tells of its state"
@@ -99,7 +100,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     with guard("'reset'"):
         frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
     _require_picture(env.facts, frame)
-    factors = {name: _plain(value) for name, value in info.get("factors", {}).items()}
+    factors = _factors(env.facts, info)
     with guard(_TELLING):
         images, witness = _Film(frame), _Witness(env)
     ended: Literal["truncated", "terminated"] = "truncated"
@@ -135,6 +136,28 @@ def _require_picture(facts: EnvSpec, picture: object) -> None:
     raise RecordingFailed(
         f"the environment {facts.id!r} draws {drawn}; by its facts a picture is a uint8 array of {wanted}."
     )
+
+
+def _factors(facts: EnvSpec, info: object) -> dict[str, Scalar]:
+    """An episode's factors of variation, out of what ``reset`` tells beside the frame.
+
+    Raises:
+        RecordingFailed: It is no dictionary, or a factor is neither a number nor a text.
+    """
+    told = info.get("factors", {}) if isinstance(info, Mapping) else info
+    if not isinstance(told, Mapping):
+        raise RecordingFailed(
+            f"the environment {facts.id!r} tells {shown(told)} in 'reset' beside the frame; that and its 'factors' are "
+            "to be dictionaries."
+        )
+    factors = {name: _plain(value) for name, value in told.items()}
+    for name, value in factors.items():
+        if not isinstance(value, Scalar):
+            raise RecordingFailed(
+                f"the environment {facts.id!r} tells a {type(value).__name__} as its factor {shown(name)}; it is to be "
+                "a number, a text or a truth value."
+            )
+    return factors
 
 
 class _Witness:
@@ -209,6 +232,11 @@ def _told(facts: EnvSpec, what: str, states: object, count: int) -> ObjectStates
         )
     copied = {name: np.array(getattr(states, name)) for name in _STATE_WIDTHS}
     for name, width in _STATE_WIDTHS.items():
+        if copied[name].dtype.kind not in "fiub":
+            raise RecordingFailed(
+                f"the environment {facts.id!r} tells {name!r} of its {what} as an array of {copied[name].dtype}; it is "
+                "to be one of numbers."
+            )
         found, wanted = copied[name].shape, (count, *width)
         if found[1:] == width and len(found) == len(wanted) and found != wanted:
             raise RecordingFailed(

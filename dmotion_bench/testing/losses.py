@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import torch
 from torch import Tensor
@@ -13,6 +13,8 @@ from dmotion_bench.learning.model import PER_TRIPLET, ForwardModel, Losses, Phas
 from dmotion_bench.specs import Supervision
 from dmotion_bench.testing.trial import BATCH, ModelTrial, differing, same
 from dmotion_bench.wording import shown
+
+NEAR: Final = 1e-5  # relative: how a loss is rounded depends on where in memory the weights lie
 
 
 def entered(subject: ModelTrial, phase: Phase, *, training: bool) -> ForwardModel[Any]:
@@ -86,7 +88,7 @@ def _require_tensor(subject: ModelTrial, name: str, value: Any) -> None:
 
 
 def check_losses(subject: ModelTrial, phase: Phase) -> None:
-    """Check losses in training: finite, differentiable, also in bfloat16, and independent of unpaid labels."""
+    """Check losses in training: finite, differentiable, repeatable, in bfloat16, and independent of unpaid labels."""
     batch = batch_of(subject, phase)
     model = entered(subject, phase, training=True)
     for share in (0.0, 0.5, 0.999):
@@ -111,9 +113,14 @@ def check_losses(subject: ModelTrial, phase: Phase) -> None:
         f"a gradient is not finite in the phase {phase.name!r}",
     )
     _check_still(subject, phase, batch)
+    blind, again = (losses_of(subject, entered(subject, phase, training=True), batch) for _ in range(2))
+    subject.require(
+        torch.allclose(blind.total, again.total, rtol=NEAR, atol=0),
+        f"losses(batch) of two equal models differ after the same torch.manual_seed, in the phase {phase.name!r}; a "
+        "run must repeat, so random numbers must come from torch's own generator: torch.rand, not numpy or random",
+    )
     if subject.kind.supervision is Supervision.NONE:
         told = subject.batch(BATCH, actions=True, earlier=phase.earlier)
-        blind = losses_of(subject, entered(subject, phase, training=True), batch)
         seeing = losses_of(subject, entered(subject, phase, training=True), told)
         subject.require(
             torch.equal(blind.total, seeing.total), "its supervision is NONE but losses(batch) depends on batch.action"

@@ -70,7 +70,7 @@ class _Trial:
         """Predicted steps may be asked for in any order and again, and what is shown stays as it is."""
         evaluator = self._begun(self._every)
         first = self._costs(evaluator, self._every)
-        again = self._costs(evaluator, self._every)
+        again = self._costs(evaluator, self._every, times=2)
         self._require_alike(
             evaluator,
             first,
@@ -135,8 +135,10 @@ class _Trial:
             self._require(evaluator, "observe", untouched, "wrote into the images that it was given; take copies")
         return evaluator
 
-    def _costs(self, evaluator: CheckedEvaluator, tasks: list[int], *, reverse: bool = False) -> Float[Tensor, "b s t"]:
-        """Of each task's sequences the cost of each step, after the real one."""
+    def _costs(
+        self, evaluator: CheckedEvaluator, tasks: list[int], *, reverse: bool = False, times: int = 1
+    ) -> Float[Tensor, "b s t"]:
+        """Of each task's sequences the cost of each step after the real one, asked for so many times in a row."""
         rows = torch.arange(len(tasks) * CANDIDATES)
         rows = rows.flip(0) if reverse else rows
         task, which = rows // CANDIDATES, torch.tensor(tasks)
@@ -148,7 +150,7 @@ class _Trial:
             for step in range(HORIZON):
                 action = self._tried(which[task], rows % CANDIDATES + step)
                 state = self._world.step(state, action)
-                cost, carried = self._step(evaluator, state, task, action, carried)
+                cost, carried = [self._step(evaluator, state, task, action, carried) for _ in range(times)][-1]
                 costs.append(cost.total.detach())
         found = torch.empty(len(rows), HORIZON)
         found[rows] = torch.stack(costs, dim=1).float()

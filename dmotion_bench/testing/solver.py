@@ -97,16 +97,20 @@ class _Trial:
             memory = plan.memory
 
     def check_alone(self) -> None:
-        """Each task is planned as if it were alone."""
-        together = self._plan(self._context(self._tasks), self._tasks)
-        for task in self._tasks:
-            alone = self._plan(self._context([task]), [task])
-            self._require_same(
-                _of_task(together, task),
-                alone,
-                f"planned task {task} otherwise when it was alone; each task must draw from its own generator of "
-                "context.generators, and depend on no other",
-            )
+        """Each task is planned as if it were alone, at the first step and at one with a memory."""
+        memory = None
+        for step in range(2):
+            together = self._plan(self._context(self._tasks, step=step, memory=memory), self._tasks)
+            for task in self._tasks:
+                own = None if memory is None else memory[task : task + 1]
+                alone = self._plan(self._context([task], step=step, memory=own), [task])
+                self._require_same(
+                    _of_task(together, task),
+                    alone,
+                    f"planned task {task} otherwise when it was alone; each task must draw from its own generator of "
+                    "context.generators, and depend on no other",
+                )
+            memory = together.memory
 
     def check_blocked(self) -> None:
         """No action that is blocked comes first."""

@@ -119,11 +119,12 @@ def _read(folder: Path) -> Pictures:
     clips = []
     with Confinement(options) as confinement:
         sources = sources_in([folder], None)
+        most = max(FEWEST_PICTURES, MOST_PICTURES // len(sources))
         for source in sources:
             recording = open_recording(source, options, confinement)
             for number, segment in enumerate(recording.survey().segments):
                 times = segment.times_ns - segment.times_ns[0]
-                moments = np.arange(0, int(times[-1]) + 1, STEP_NS)[: MOST_PICTURES // len(sources)]
+                moments = np.arange(0, int(times[-1]) + 1, STEP_NS)[:most]
                 wanted = np.unique(np.searchsorted(times, moments, side="right") - 1)
                 frames = [muted(fitted(picture, SIZE, Fit.CROP)) for picture in recording.pictures(number, wanted)]
                 if len(frames) >= FEWEST_PICTURES:

@@ -17,6 +17,7 @@ from dmotion_bench.recording.session import environment_facts, record_dataset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.fitting import Fit, fitted
 from dmotion_bench.storage.manifest import record_words
+from recorders.distractors import clips
 from recorders.distractors.background import muted
 from recorders.distractors.clips import EDGE, SIZE, load_clips, prepared_clips
 from recorders.grid_world import GridWorld
@@ -95,6 +96,11 @@ def test_a_path_in_a_recipe_is_never_read(folder: Path) -> None:
     env = GridWorld(clips=prepared_clips(str(folder)))
     with pytest.raises(UnknownName, match="known: clips"):
         env.reset(seed=0, options={"background/texture": "leaves"})
+
+
+def test_of_too_many_clips_the_first_ones_are_taken(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clips, "MOST_PICTURES", 3)  # not two for each of the clips
+    assert load_clips(prepared_clips(str(folder))).lengths.tolist() == [2]
 
 
 @pytest.mark.parametrize("bad", ["absent", "empty", "text", "cut", "still"])

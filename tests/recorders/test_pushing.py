@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import dataclasses
 import hashlib
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.recording.rollout import record_episode
 from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT, Episode
 from recorders.distractors.scenes import NAMES as VIDEO_FACTORS
+from recorders.grid_world import GridWorld
 from recorders.planar_push import PlanarPush
 from recorders.push_policy import PushPolicy
 from recorders.pushing import PushingEnvironment
@@ -63,6 +65,31 @@ def has_hue_of(pixels: UInt8[np.ndarray, "n 3"], color: tuple[int, int, int]) ->
     hsv = np.array([colorsys.rgb_to_hsv(*pixel) for pixel in pixels / 255]).reshape(-1, 3)
     away = np.abs(hsv[:, 0] - wanted)
     return (np.minimum(away, 1 - away) < 25 / 360) & (hsv[:, 1] > 0.45)
+
+
+def test_a_restored_state_is_what_is_seen(env: PushingEnvironment) -> None:
+    frame, _ = env.reset(seed=3)
+    kept, masks, objects = env.snapshot(), env.masks(), env.objects()
+    policy, generator = PushPolicy(), np.random.default_rng(0)
+    for _ in range(30):
+        env.step(policy(env, generator))
+    env.restore(kept)
+    assert (env.render() == frame).all()
+    assert (env.masks() == masks).all()
+    np.testing.assert_allclose(env.objects().pixel, objects.pixel, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [GridWorld, PlanarPush, RobotPush])
+@pytest.mark.parametrize("shake", [0, 2])
+def test_who_is_told_of_states_may_write_into_them(kind: type[GridWorld | PushingEnvironment], shake: int) -> None:
+    env = kind(shake=shake)
+    env.reset(seed=0)
+    for tell in (env.agent, env.objects):
+        before = dataclasses.asdict(tell())
+        for told in dataclasses.asdict(tell()):
+            np.negative(getattr(tell(), told), out=getattr(tell(), told))
+            np.testing.assert_array_equal(getattr(tell(), told), before[told])
+    env.close()
 
 
 def test_it_is_an_environment_that_can_be_recorded(env: PushingEnvironment) -> None:

@@ -14,7 +14,7 @@ import pyarrow.parquet as parquet
 import pytest
 from noise_world import files_of
 
-from dmotion_bench.errors import DatasetCorrupt
+from dmotion_bench.errors import DatasetCorrupt, RecordingFailed
 from dmotion_bench.recording import restore
 from dmotion_bench.recording.restore import repair_dataset
 from dmotion_bench.recording.session import record_dataset
@@ -130,6 +130,16 @@ def test_an_environment_that_is_not_installed_is_no_obstacle(dataset: Path, monk
     done = repair_dataset(dataset)
     assert done.salvaged is not None
     assert done.salvaged.kept == (0, 1, 2, 3, 8, 9)
+
+
+def test_an_environment_that_fails_now_is_no_obstacle(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(job: restore.ShardJob) -> object:
+        raise RecordingFailed("the environment 'grid_world' raised KeyError in 'step'.")
+
+    monkeypatch.setattr(restore, "record_shard", failing)
+    (dataset / "video" / "shard-00001.mcap").unlink()
+    assert repair_dataset(dataset).how == "salvaged"
+    assert check_dataset(dataset).damages == ()
 
 
 def test_a_repair_that_was_killed_leaves_nothing_in_the_way(dataset: Path) -> None:

@@ -82,6 +82,15 @@ def test_a_sliver_is_not_an_object() -> None:
     assert finder.find(frame).found.tolist() == [True, False, False, False]
 
 
+@pytest.mark.parametrize("shaded", [False, True])
+def test_of_things_of_one_colour_none_is_found_and_the_others_are(shaded: bool) -> None:
+    frame = torch.zeros(1, 128, 128, 3, dtype=torch.uint8)
+    frame[0, 20:30, 20:30] = torch.tensor((255, 0, 0))
+    frame[0, 60:70, 60:70] = torch.tensor((0, 0, 255))
+    twins = dataclasses.replace(spec_of(((255, 0, 0), (0, 0, 255), (255, 0, 0))), shaded=shaded)
+    assert PositionFinder(twins).find(frame).found.tolist() == [[False, True, False]]
+
+
 def test_shade_changes_no_hue_and_grey_has_none() -> None:
     colors = ((220, 40, 40), (40, 200, 60), (40, 60, 220), (230, 210, 30), (200, 40, 200), (40, 200, 210))
     finder = PositionFinder(dataclasses.replace(spec_of(colors), shaded=True))

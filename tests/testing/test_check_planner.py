@@ -148,6 +148,23 @@ def test_a_solver_that_takes_blocked_actions_is_found() -> None:
         check_solver(Stubborn)
 
 
+def test_a_solver_that_remembers_the_first_task_for_all_is_found() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Mixing(Dice):
+        def drawn(self, actions: int, context: Any) -> Any:
+            sequences = super().drawn(actions, context)
+            if context.memory is not None:
+                sequences[:, : context.memory.shape[1]] = context.memory[:1]
+            return sequences
+
+        def plan(self, dynamics: Any, evaluator: Any, context: Any) -> Any:
+            plan = super().plan(dynamics, evaluator, context)
+            return replace(plan, memory=plan.candidates)
+
+    with pytest.raises(PlannerContractBroken, match=r"planned task 1 otherwise when it was alone"):
+        check_solver(Mixing)
+
+
 def test_a_solver_that_takes_the_dearest_sequence_is_warned_of() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Contrary(Dice):
@@ -282,6 +299,17 @@ def test_what_an_objective_breaks_is_found(
     check_objective(Near)
     monkeypatch.setattr(_Near, method, instead)
     with pytest.raises(PlannerContractBroken, match=said):
+        check_objective(Near)
+
+
+def test_an_objective_that_counts_the_predicted_steps_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def begin(self: Any, dynamics: Any) -> Any:
+        self.seen = 0
+        return ()
+
+    monkeypatch.setattr(_Near, "begin", begin)
+    monkeypatch.setattr(_Near, "step", _counting)
+    with pytest.raises(PlannerContractBroken, match=r"found other costs when it was asked for the same states again"):
         check_objective(Near)
 
 

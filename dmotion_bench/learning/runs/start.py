@@ -24,6 +24,7 @@ from dmotion_bench.specs import IMPORTED, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.split import FEWEST_EPISODES
 from dmotion_bench.versions import versions
+from dmotion_bench.wording import counted
 from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 
 _log = logging.getLogger(__name__)
@@ -257,7 +258,7 @@ def training_data(run: Run, dataset: Dataset, loaders: int | None = None) -> Tra
                 "model learns from; record longer ones."
             )
         raise UsageError(
-            f"{dataset.name!r} has {count} episodes, too few to train and validate; {_MORE_EPISODES[imported]}"
+            f"{dataset.name!r} has {counted(count, 'episode')}, too few to train and validate; {_MORE_EPISODES[imported]}"
         )
     budget = LabelBudget(dataset, LabelRequest.parse(run.spec.labels), run.spec.seed)
     return TrainingData(train=train, validation=validation, budget=budget)

@@ -58,6 +58,8 @@ from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.scoring.true_factors import true_factors
 
 LEVELS = 256  # of Otsu's histogram
+ROUNDING = 1e-12
+"""A variance between actions below this share of the whole is rounding, as where one action alone is taken."""
 
 
 @runtime_checkable
@@ -367,7 +369,7 @@ def motion_within_over_between(
     """Variance of phi^0 within an action over its variance between actions, summed over phi^0's numbers.
 
     The figure is the mean over triplets of |phi - mean of its action|^2 / variance between, and std that of these
-    values; the interval is of the whole ratio. None where the actions' means do not differ.
+    values; the interval is of the whole ratio. None where the actions' means do not differ, or there is one action.
     """
     known, index = np.unique(action, return_inverse=True)
     of_action = np.eye(len(known))[index]
@@ -375,7 +377,7 @@ def motion_within_over_between(
     vectors = motion.astype(np.float64) - motion.mean(0, dtype=np.float64)
     means = of_action.T @ vectors / count[:, None]
     between = float((count @ means**2).sum() / len(vectors))
-    if between <= 0:
+    if between <= ROUNDING * float((vectors**2).sum() / len(vectors)):
         return None
     ratio = ((vectors - means[index]) ** 2).sum(1) / between
     size = vectors.shape[1]
@@ -389,8 +391,9 @@ def motion_within_over_between(
         by_action = totals.reshape(len(sums), len(known), size)
         explained = np.nansum(by_action**2 / counts[:, :, None], axis=1) / everything
         total = squares / everything
-        across = explained - (by_action.sum(1) / everything) ** 2
-        return np.asarray((total - explained).sum(1) / across.sum(1))
+        across = (explained - (by_action.sum(1) / everything) ** 2).sum(1)
+        across[across <= ROUNDING * total.sum(1)] = np.nan
+        return np.asarray((total - explained).sum(1) / across)
 
     low, high = bootstrap.interval(bootstrap.totals(columns), statistic)
     return Estimate(

@@ -188,3 +188,14 @@ def test_variance_within_over_between_by_its_definition() -> None:
     assert steady is not None
     assert steady.mean == pytest.approx(0, abs=1e-12)
     assert motion_within_over_between(np.ones((300, 2)), action, bootstrap) is None
+
+
+def test_where_one_action_alone_is_taken_there_is_no_variance_between_actions() -> None:
+    motion, episode = np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32), np.repeat(np.arange(10), 20)
+    bootstrap = EpisodeBootstrap(episode)
+    assert motion_within_over_between(motion, np.zeros(200, np.int64), bootstrap) is None
+
+    rare = (episode == 0).astype(np.int64)  # a third of the draws have one action alone
+    estimate = motion_within_over_between(motion + 3 * rare[:, None], rare, bootstrap)
+    assert estimate is not None
+    assert 0 < estimate.low < estimate.mean < estimate.high < 10 * estimate.mean

@@ -50,6 +50,7 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_to_latent import ridge
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.scoring.probes import LEAST_VARIANCE, probe
@@ -171,13 +172,20 @@ class Identification:
 
 
 def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, device: torch.device) -> Identification:
-    """Ask a model about every held-out triplet, in the order of ``held_out.batches``."""
+    """Ask a model about every held-out triplet, in the order of ``held_out.batches``.
+
+    Raises:
+        ModelContractBroken: A latent action holds NaN or infinity.
+    """
     motions, together, overlaps, shift_errors, actions, episodes, steps = [], [], [], [], [], [], []
     codes = list[Tensor]()
     for batch in held_out.batches(batch_size):
         stored = torch.from_numpy(batch.frames).to(device)
         previous, current, following = (to_model(stored[:, place]) for place in range(3))
         motion = model.latent_action(previous, current, following)
+        if not bool(torch.isfinite(motion).all()):
+            kind = type(model).__name__
+            raise ModelContractBroken(f"the latent actions of {kind} hold NaN or infinity; its training diverged.")
         agents = torch.from_numpy(batch.agents[:, 0]).to(device)
         whole, each = _overlaps(model, current, agents, batch.shifts.shape[1])
         together.append(whole.cpu())

@@ -11,6 +11,7 @@ from known_model import Known, NoConfig
 from torch import Tensor
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.scoring.identification import (
     above_otsu,
@@ -100,6 +101,17 @@ def test_the_report_has_what_identification_found(grid: Dataset) -> None:
     assert scores.figures["motion_within_over_between"].mean < 0.01
     assert scores.figures["mse_true_motion"].mean > scores.figures["mse"].mean
     assert not any(name.startswith("agent_iou") for name in scores.reference["copy_last"])
+
+
+def test_a_latent_action_that_is_no_number_is_refused(grid: Dataset) -> None:
+    class Diverged(KnowsNoPlace):
+        def latent_action(self, previous: Tensor, current: Tensor, following: Tensor) -> Tensor:
+            latent = super().latent_action(previous, current, following)
+            latent[-1] = torch.nan
+            return latent
+
+    with pytest.raises(ModelContractBroken, match="the latent actions of Diverged hold NaN or infinity"):
+        identify(Diverged(), HeldOut(grid, "test"), batch_size=256, device=torch.device("cpu"))
 
 
 def test_figures_do_not_depend_on_the_size_of_batches(grid: Dataset) -> None:

@@ -175,7 +175,7 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
     """Ask a model about every held-out triplet, in the order of ``held_out.batches``.
 
     Raises:
-        ModelContractBroken: A latent action holds NaN or infinity.
+        ModelContractBroken: A latent action, or a map of an agent, holds NaN or infinity.
     """
     motions, together, overlaps, shift_errors, actions, episodes, steps = [], [], [], [], [], [], []
     codes = list[Tensor]()
@@ -183,9 +183,7 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
         stored = torch.from_numpy(batch.frames).to(device)
         previous, current, following = (to_model(stored[:, place]) for place in range(3))
         motion = model.latent_action(previous, current, following)
-        if not bool(torch.isfinite(motion).all()):
-            kind = type(model).__name__
-            raise ModelContractBroken(f"the latent actions of {kind} hold NaN or infinity; its training diverged.")
+        _require_numbers(model, "latent actions", motion)
         agents = torch.from_numpy(batch.agents[:, 0]).to(device)
         whole, each = _overlaps(model, current, agents, batch.shifts.shape[1])
         together.append(whole.cpu())
@@ -230,12 +228,18 @@ def _overlaps(
         maps = model.agent_map(current)[:, None]
     else:
         return torch.full((len(current),), torch.nan), torch.full((len(current), count), torch.nan)
+    _require_numbers(model, "maps of agents", maps)
     shown = torch.stack([above_otsu(resized(one, agents.shape[1:])) for one in maps.unbind(1)], dim=1)
     whole = overlap_of(shown.any(1), agents > 0)
     if shown.shape[1] not in (1, count):
         return whole, torch.full((len(current), count), torch.nan)
     shown = shown.expand(-1, count, -1, -1)
     return whole, torch.stack([overlap_of(shown[:, number], agents == number + 1) for number in range(count)], dim=1)
+
+
+def _require_numbers(model: object, name: str, values: Tensor) -> None:
+    if not bool(torch.isfinite(values).all()):
+        raise ModelContractBroken(f"the {name} of {type(model).__name__} hold NaN or infinity; its training diverged.")
 
 
 def motions_of(model: LatentActionModel, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b k e"]:

@@ -103,15 +103,23 @@ def test_the_report_has_what_identification_found(grid: Dataset) -> None:
     assert not any(name.startswith("agent_iou") for name in scores.reference["copy_last"])
 
 
-def test_a_latent_action_that_is_no_number_is_refused(grid: Dataset) -> None:
+def test_latent_actions_and_maps_that_hold_no_numbers_are_refused(grid: Dataset) -> None:
     class Diverged(KnowsNoPlace):
         def latent_action(self, previous: Tensor, current: Tensor, following: Tensor) -> Tensor:
             latent = super().latent_action(previous, current, following)
             latent[-1] = torch.nan
             return latent
 
-    with pytest.raises(ModelContractBroken, match="the latent actions of Diverged hold NaN or infinity"):
-        identify(Diverged(), HeldOut(grid, "test"), batch_size=256, device=torch.device("cpu"))
+    class SeesNothing(KnowsNoPlace):
+        def agent_map(self, current: Tensor) -> Tensor:
+            return torch.full_like(current[:, 0], torch.nan)
+
+    for model, said in (
+        (Diverged(), "the latent actions of Diverged hold NaN or infinity"),
+        (SeesNothing(), "the maps of agents of SeesNothing hold NaN or infinity"),
+    ):
+        with pytest.raises(ModelContractBroken, match=said):
+            identify(model, HeldOut(grid, "test"), batch_size=256, device=torch.device("cpu"))
 
 
 def test_figures_do_not_depend_on_the_size_of_batches(grid: Dataset) -> None:

@@ -116,8 +116,10 @@ class DMotionConfig(UNetConfig):
             raise InvalidSetting(
                 f"agents is {self.agents}; it can be 1 to {min(self.maps, MOST_AGENTS)}, with {self.maps} maps."
             )
-        if self.blur < 1 or self.jitter < 0 or not 0 < self.anneal <= 1:
-            raise InvalidSetting("blur must be 1 or more, jitter 0 or more, anneal above 0 and at most 1.")
+        if self.blur < 1 or min(self.jitter, self.jitter_end) < 0 or not 0 < self.anneal <= 1:
+            raise InvalidSetting(
+                "blur must be 1 or more, jitter and jitter_end 0 or more, anneal above 0 and at most 1."
+            )
         if self.guide < 0 or not 0 < self.guided <= 1:
             raise InvalidSetting("guide must be 0 or more, guided above 0 and at most 1.")
         OwnFrames(self.own_frames, self.own_steps)  # refuses what cannot be

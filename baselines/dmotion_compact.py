@@ -5,7 +5,7 @@ What differs from ``dmotion_paper.py``, and what each difference bought, is meas
 - Everything runs on 4 x 4 patches of the frame as 48 channels, at 32 x 32 and below: wide convolutions on small maps
   keep the CPU's bfloat16 units busy, narrow ones on large maps wait for memory.
 - No normalisation: scaled initial weights and residual connections do without.
-- The object extractor cannot know where in the picture it looks: its convolutions go round the edges, and the motion
+- The two encoders cannot know where in the picture they look: their convolutions go round the edges, and the motion
   encoder sums its features instead of flattening them. And phi(a, b) = -phi(b, a): going back undoes going there.
   Without this phi^0 becomes a function of the agent's place, and one demonstration per action is not enough.
 - The interaction learner is a U-Net whose output is blended into x_t by a gate per pixel: what does not move is copied.

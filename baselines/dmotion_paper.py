@@ -2,9 +2,9 @@
 
 ``docs/models`` says how everything that the paper leaves open is settled.
 
-Every convolution but the last of a network is followed by batch normalisation (gain 1) and a LeakyReLU of slope 0.2,
-and has no bias of its own. 2,684,142 parameters with eight maps, six-parameter motions and three entries
-of the agent's map.
+Every convolution is followed by batch normalisation (gain 1) and a LeakyReLU of slope 0.2, and has no bias of its own,
+but for the last one of the image encoder, of the decoder and of the interaction learner. 2,684,142 parameters with
+eight maps, six-parameter motions and three entries of the agent's map.
 """
 
 from __future__ import annotations

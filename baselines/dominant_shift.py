@@ -9,6 +9,9 @@ place is found at its old one, and what it uncovers where it came from. Where p 
 the term counts as much as without a shift. The two terms together make the shift from b to a the opposite of that from
 a to b, and tell a thing that comes from a corner from one that comes from nowhere.
 
+Of a thing of one colour that moves by less than its size, every shift from its step to its size explains all of the
+change: the pixels in between do not change and have no say. Which of these shifts is found, rounding decides.
+
 All shifts are tried at once: each sum is a correlation, a product of spectra (Lewis 1995, "Fast normalized
 cross-correlation", has the method). The least one is refined by a parabola through its neighbours.
 """

@@ -30,6 +30,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -41,10 +42,12 @@ import torch
 import torch.nn.functional as F
 from einops import rearrange
 from jaxtyping import Float, Int
+from scipy.special import stdtrit
 from torch import Tensor, nn
 
 from baselines.lapo import LapoConfig, VectorQuantizer
 from baselines.published.descent import descend
+from dmotion_bench.scoring.statistics import LEVEL
 
 ROWS, COLUMNS, ACTIONS = 3, 4, 5
 CELLS, NOISY = ROWS * COLUMNS, COLUMNS
@@ -313,9 +316,9 @@ def half_width(values: Sequence[float]) -> float:
     """Half of the 95% interval of a mean, by Student's t; infinite for one value."""
     if len(values) < 2:
         return float("inf")
-    quantile = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776, 6: 2.571, 7: 2.447, 8: 2.365, 9: 2.306, 10: 2.262}
+    quantile = float(stdtrit(len(values) - 1, (1 + LEVEL) / 2))
     spread = float(np.std(values, ddof=1))
-    return float(quantile.get(len(values), 1.96) * spread / len(values) ** 0.5)
+    return quantile * spread / math.sqrt(len(values))
 
 
 def written(found: dict[Condition, list[tuple[float, float]]]) -> str:

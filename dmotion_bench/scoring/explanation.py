@@ -16,11 +16,11 @@ import torch
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
-from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.identification import LatentActionModel
 from dmotion_bench.scoring.pixels import mean_squared_error
-from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.prediction import MODEL, Execution, predicted_pixels
 from dmotion_bench.scoring.samples import SampleRows
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
@@ -39,6 +39,7 @@ def explain_steps(
     Raises:
         LabelsNotAvailable: The model has no latent action.
         DatasetError: The split is empty.
+        ModelContractBroken: As ``predicted_pixels``.
     """
     if not isinstance(model, LatentActionModel):
         raise LabelsNotAvailable(
@@ -57,7 +58,7 @@ def explain_steps(
         stored = torch.from_numpy(triplets.gather(part)).to(how.device)
         previous, current, following = (to_model(stored[:, place]) for place in range(3))
         latent = model.latent_action(previous, current, following)
-        drawn = to_pixels(model.predict_with_latent(previous, current, latent))
+        drawn = predicted_pixels(model, model.predict_with_latent(previous, current, latent), current.shape)
         known = {
             "episode": triplets.episode[part],
             "step": triplets.step[part],

@@ -50,6 +50,7 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_to_latent import ridge
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.scoring.probes import LEAST_VARIANCE, probe
@@ -58,6 +59,8 @@ from dmotion_bench.scoring.transitions import HeldOut
 from dmotion_bench.scoring.true_factors import true_factors
 
 LEVELS = 256  # of Otsu's histogram
+ROUNDING = 1e-12
+"""A variance between actions below this share of the whole is rounding, as where one action alone is taken."""
 
 
 @runtime_checkable
@@ -169,13 +172,18 @@ class Identification:
 
 
 def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, device: torch.device) -> Identification:
-    """Ask a model about every held-out triplet, in the order of ``held_out.batches``."""
+    """Ask a model about every held-out triplet, in the order of ``held_out.batches``.
+
+    Raises:
+        ModelContractBroken: A latent action, or a map of an agent, holds NaN or infinity.
+    """
     motions, together, overlaps, shift_errors, actions, episodes, steps = [], [], [], [], [], [], []
     codes = list[Tensor]()
     for batch in held_out.batches(batch_size):
         stored = torch.from_numpy(batch.frames).to(device)
         previous, current, following = (to_model(stored[:, place]) for place in range(3))
         motion = model.latent_action(previous, current, following)
+        _require_numbers(model, "latent actions", motion)
         agents = torch.from_numpy(batch.agents[:, 0]).to(device)
         whole, each = _overlaps(model, current, agents, batch.shifts.shape[1])
         together.append(whole.cpu())
@@ -220,12 +228,18 @@ def _overlaps(
         maps = model.agent_map(current)[:, None]
     else:
         return torch.full((len(current),), torch.nan), torch.full((len(current), count), torch.nan)
+    _require_numbers(model, "maps of agents", maps)
     shown = torch.stack([above_otsu(resized(one, agents.shape[1:])) for one in maps.unbind(1)], dim=1)
     whole = overlap_of(shown.any(1), agents > 0)
     if shown.shape[1] not in (1, count):
         return whole, torch.full((len(current), count), torch.nan)
     shown = shown.expand(-1, count, -1, -1)
     return whole, torch.stack([overlap_of(shown[:, number], agents == number + 1) for number in range(count)], dim=1)
+
+
+def _require_numbers(model: object, name: str, values: Tensor) -> None:
+    if not bool(torch.isfinite(values).all()):
+        raise ModelContractBroken(f"the {name} of {type(model).__name__} hold NaN or infinity; its training diverged.")
 
 
 def motions_of(model: LatentActionModel, motion: Float[Tensor, "b d"]) -> Float[Tensor, "b k e"]:
@@ -367,7 +381,7 @@ def motion_within_over_between(
     """Variance of phi^0 within an action over its variance between actions, summed over phi^0's numbers.
 
     The figure is the mean over triplets of |phi - mean of its action|^2 / variance between, and std that of these
-    values; the interval is of the whole ratio. None where the actions' means do not differ.
+    values; the interval is of the whole ratio. None where the actions' means do not differ, or there is one action.
     """
     known, index = np.unique(action, return_inverse=True)
     of_action = np.eye(len(known))[index]
@@ -375,7 +389,7 @@ def motion_within_over_between(
     vectors = motion.astype(np.float64) - motion.mean(0, dtype=np.float64)
     means = of_action.T @ vectors / count[:, None]
     between = float((count @ means**2).sum() / len(vectors))
-    if between <= 0:
+    if between <= ROUNDING * float((vectors**2).sum() / len(vectors)):
         return None
     ratio = ((vectors - means[index]) ** 2).sum(1) / between
     size = vectors.shape[1]
@@ -389,8 +403,9 @@ def motion_within_over_between(
         by_action = totals.reshape(len(sums), len(known), size)
         explained = np.nansum(by_action**2 / counts[:, :, None], axis=1) / everything
         total = squares / everything
-        across = explained - (by_action.sum(1) / everything) ** 2
-        return np.asarray((total - explained).sum(1) / across.sum(1))
+        across = (explained - (by_action.sum(1) / everything) ** 2).sum(1)
+        across[across <= ROUNDING * total.sum(1)] = np.nan
+        return np.asarray((total - explained).sum(1) / across)
 
     low, high = bootstrap.interval(bootstrap.totals(columns), statistic)
     return Estimate(

@@ -6,8 +6,9 @@ A rollout ahead in that space is held against the true states of all rollouts af
 - ``reciprocal_rank``: 1 / the place of its own true state among all. The mean is MRR.
 
 One that is just as near counts half a place, unless its picture is the same. So a state that is the same for all
-pictures has no hit, and a board that is reached twice does no harm. No decoder has a part in this, so a model whose
-pictures are bad can be seen to know what comes, and the other way round.
+pictures has no hit, and a board that is reached twice does no harm where a state is of one frame. A state of two frames
+is another one if the frame before is another, and counts in full where it is nearer. No decoder has a part in this, so
+a model whose pictures are bad can be seen to know what comes, and the other way round.
 """
 
 from __future__ import annotations

@@ -17,12 +17,12 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from dmotion_bench.learning.action_to_latent import ActionToLatent
-from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.checkpoint import weights_hash
 from dmotion_bench.scoring.identification import Identification, LatentActionModel, identify
 from dmotion_bench.scoring.pixels import mean_squared_error
-from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.prediction import MODEL, Execution, predicted_pixels
 from dmotion_bench.scoring.samples import EACH, LATENT_COLUMNS, PROBE, SCHEMA, SampleRows
 from dmotion_bench.scoring.transitions import HeldOut
 
@@ -125,7 +125,9 @@ def _with_latents(
 ) -> list[UInt8[Tensor, "b h w 3"]]:
     """What a model predicts under some latent actions; what they have in common is computed once, if it can do so."""
     if not isinstance(model, LatentBranchingModel):
-        return [to_pixels(model.predict_with_latent(previous, current, latent)) for latent in latents]
-    parent = torch.arange(len(current), device=current.device).repeat(len(latents))
-    after = model.branch_with_latent(model.begin(previous, current), parent, torch.cat(list(latents)))
-    return list(to_pixels(model.frame(after)).chunk(len(latents)))
+        drawn = [model.predict_with_latent(previous, current, latent) for latent in latents]
+    else:
+        parent = torch.arange(len(current), device=current.device).repeat(len(latents))
+        after = model.branch_with_latent(model.begin(previous, current), parent, torch.cat(list(latents)))
+        drawn = list(model.frame(after).chunk(len(latents)))
+    return [predicted_pixels(model, frames, current.shape) for frames in drawn]

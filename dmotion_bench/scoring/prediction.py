@@ -81,7 +81,7 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
         stored = torch.from_numpy(batch.frames).to(how.device)
         previous, current = to_model(stored[:, 0]), to_model(stored[:, 1])
         action = as_tensor(batch.action, how.device)
-        predicted = _pixels(model, model.predict(previous, current, action), current.shape)
+        predicted = predicted_pixels(model, model.predict(previous, current, action), current.shape)
         truth = stored[:, 2]
         columns = measures.compare(predicted, truth, measures.positions(truth))
         if isinstance(model, InverseModel):
@@ -103,7 +103,7 @@ def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, 
         )
         actions = as_tensor(batch.actions, how.device)
         frames = model.rollout(previous, current, actions)
-        return _pixels(model, frames, (len(current), actions.shape[1], *current.shape[1:]))
+        return predicted_pixels(model, frames, (len(current), actions.shape[1], *current.shape[1:]))
 
     size = _rollouts_at_once(how, horizon)
     ranked = rank_rollouts(model, held_out, horizon=horizon, batch_size=size, device=how.device)
@@ -173,8 +173,8 @@ def _rollouts_at_once(how: Execution, horizon: int) -> int:
     return max(1, how.batch_size // horizon)
 
 
-def _pixels(
-    model: ForwardModel[Any], images: Float[Tensor, "*b c h w"], shape: tuple[int, ...]
+def predicted_pixels(
+    model: object, images: Float[Tensor, "*b c h w"], shape: tuple[int, ...]
 ) -> UInt8[Tensor, "*b h w c"]:
     """What a model predicted, as whole pixel values.
 

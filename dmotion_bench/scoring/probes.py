@@ -7,7 +7,8 @@ with the factor's values shuffled among the triplets. What the control reaches i
 =============  ==========================================================================================
 linear         discriminant analysis for names, a ridge regression with leave-one-out penalty for numbers
 mlp            one hidden layer of 32; it begins as the mean, or the classes' shares, and ends where the loss on other
-               episodes than those it is fitted on was least. So a latent that tells nothing leaves it at chance
+               episodes than those it is fitted on was least. So a latent that tells nothing leaves it at chance. Of
+               two episodes in all, other rows of the same one say where it ends
 =============  ==========================================================================================
 
 A score is 1 - sum of errors / sum of wholes, over all triplets. For names an error is 0 or 1 and a whole is 1: the

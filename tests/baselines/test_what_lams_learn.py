@@ -108,6 +108,7 @@ def test_networks_beside_each_other_are_each_their_own() -> None:
 
 def test_half_of_an_interval_is_students() -> None:
     assert half_width([1.0, 2.0, 3.0]) == pytest.approx(4.303 / 3**0.5, rel=1e-3)
+    assert half_width([0.0, 1.0] * 6) == pytest.approx(2.201 * (3 / 11) ** 0.5 / 12**0.5, rel=1e-3)
     assert half_width([1.0]) == float("inf")
 
 

@@ -7,8 +7,9 @@ import dataclasses
 import pytest
 import torch
 from known_model import Known
+from torch import Tensor
 
-from dmotion_bench.errors import DatasetError, LabelsNotAvailable
+from dmotion_bench.errors import DatasetError, LabelsNotAvailable, ModelContractBroken
 from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.score import score_model
 from dmotion_bench.scoring.settings import ScoreSettings
@@ -49,3 +50,15 @@ def test_too_little_video_is_said(nameless: Dataset) -> None:
     nameless.split = lambda name: torch.zeros(0, dtype=torch.long).numpy()  # type: ignore[method-assign]
     with pytest.raises(DatasetError, match=r"has no triplet; .*--frames-per-episode"):
         score_model(SeesGreen(), nameless, settings=QUICK)
+
+
+def test_frames_that_hold_no_numbers_are_refused_with_actions_and_without(grid: Dataset, nameless: Dataset) -> None:
+    """As pixels they would be black."""
+
+    class Diverged(SeesGreen):
+        def predict_with_latent(self, previous: Tensor, current: Tensor, latent: Tensor) -> Tensor:
+            return torch.full_like(current, torch.nan)
+
+    for dataset in (grid, nameless):
+        with pytest.raises(ModelContractBroken, match="Diverged predicted frames that hold NaN or infinity"):
+            score_model(Diverged(), dataset, metrics=("prediction",), settings=QUICK)

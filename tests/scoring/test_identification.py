@@ -11,6 +11,7 @@ from known_model import Known, NoConfig
 from torch import Tensor
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.scoring.identification import (
     above_otsu,
@@ -102,6 +103,25 @@ def test_the_report_has_what_identification_found(grid: Dataset) -> None:
     assert not any(name.startswith("agent_iou") for name in scores.reference["copy_last"])
 
 
+def test_latent_actions_and_maps_that_hold_no_numbers_are_refused(grid: Dataset) -> None:
+    class Diverged(KnowsNoPlace):
+        def latent_action(self, previous: Tensor, current: Tensor, following: Tensor) -> Tensor:
+            latent = super().latent_action(previous, current, following)
+            latent[-1] = torch.nan
+            return latent
+
+    class SeesNothing(KnowsNoPlace):
+        def agent_map(self, current: Tensor) -> Tensor:
+            return torch.full_like(current[:, 0], torch.nan)
+
+    for model, said in (
+        (Diverged(), "the latent actions of Diverged hold NaN or infinity"),
+        (SeesNothing(), "the maps of agents of SeesNothing hold NaN or infinity"),
+    ):
+        with pytest.raises(ModelContractBroken, match=said):
+            identify(model, HeldOut(grid, "test"), batch_size=256, device=torch.device("cpu"))
+
+
 def test_figures_do_not_depend_on_the_size_of_batches(grid: Dataset) -> None:
     small, large = (
         score_model(
@@ -188,3 +208,14 @@ def test_variance_within_over_between_by_its_definition() -> None:
     assert steady is not None
     assert steady.mean == pytest.approx(0, abs=1e-12)
     assert motion_within_over_between(np.ones((300, 2)), action, bootstrap) is None
+
+
+def test_where_one_action_alone_is_taken_there_is_no_variance_between_actions() -> None:
+    motion, episode = np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32), np.repeat(np.arange(10), 20)
+    bootstrap = EpisodeBootstrap(episode)
+    assert motion_within_over_between(motion, np.zeros(200, np.int64), bootstrap) is None
+
+    rare = (episode == 0).astype(np.int64)  # a third of the draws have one action alone
+    estimate = motion_within_over_between(motion + 3 * rare[:, None], rare, bootstrap)
+    assert estimate is not None
+    assert 0 < estimate.low < estimate.mean < estimate.high < 10 * estimate.mean

@@ -15,6 +15,7 @@
     frame_measures.py    everything that is measured on a predicted frame
     pixels.py            MSE, PSNR and SSIM of two pictures
     position_errors.py   distances between predicted and true objects
+    latent_models.py     what a model may tell of the agent and of what it does
     identification.py    whether a model found the agent and its motion
     inverse.py           how often a model names the action between two frames
     label_use.py         labels that were used otherwise than is usual

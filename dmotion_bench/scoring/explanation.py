@@ -18,7 +18,7 @@ from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.scoring.identification import LatentActionModel
+from dmotion_bench.scoring.latent_models import LatentActionModel
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.prediction import MODEL, Execution, predicted_pixels
 from dmotion_bench.scoring.samples import SampleRows

@@ -20,7 +20,8 @@ from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.checkpoint import weights_hash
-from dmotion_bench.scoring.identification import Identification, LatentActionModel, identify
+from dmotion_bench.scoring.identification import Identification, identify
+from dmotion_bench.scoring.latent_models import LatentActionModel
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.prediction import MODEL, Execution, predicted_pixels
 from dmotion_bench.scoring.samples import EACH, LATENT_COLUMNS, PROBE, SCHEMA, SampleRows

@@ -27,8 +27,8 @@ from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.gain import gain_tables, reason_against, require_gain
-from dmotion_bench.scoring.identification import LatentActionModel
 from dmotion_bench.scoring.kept_control import shares_of
+from dmotion_bench.scoring.latent_models import LatentActionModel
 from dmotion_bench.scoring.latent_samples import learned_from_video, score_latent_actions, with_latent_actions
 from dmotion_bench.scoring.prediction import (
     MODEL,

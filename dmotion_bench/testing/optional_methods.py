@@ -9,7 +9,7 @@ from torch import Tensor
 
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.planning.dynamics.model import BranchingModel, FeatureModel, PixelModel
-from dmotion_bench.scoring.identification import LatentActionModel
+from dmotion_bench.scoring.latent_models import LatentActionModel
 from dmotion_bench.scoring.latent_ranking import EmbeddingModel
 from dmotion_bench.scoring.latent_samples import LatentBranchingModel
 from dmotion_bench.testing.prediction import check_frames

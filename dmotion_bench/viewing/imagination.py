@@ -24,7 +24,8 @@ from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.positions import PositionFinder
-from dmotion_bench.scoring.identification import LatentActionModel, ShiftModel, motions_of
+from dmotion_bench.scoring.identification import motions_of
+from dmotion_bench.scoring.latent_models import LatentActionModel, ShiftModel
 from dmotion_bench.scoring.pixels import mean_squared_error
 from dmotion_bench.scoring.position_errors import position_errors
 from dmotion_bench.scoring.prediction import predicting

@@ -258,7 +258,8 @@ def training_data(run: Run, dataset: Dataset, loaders: int | None = None) -> Tra
                 "model learns from; record longer ones."
             )
         raise UsageError(
-            f"{dataset.name!r} has {counted(count, 'episode')}, too few to train and validate; {_MORE_EPISODES[imported]}"
+            f"{dataset.name!r} has {counted(count, 'episode')}, too few to train and validate; "
+            f"{_MORE_EPISODES[imported]}"
         )
     budget = LabelBudget(dataset, LabelRequest.parse(run.spec.labels), run.spec.seed)
     return TrainingData(train=train, validation=validation, budget=budget)

@@ -138,6 +138,7 @@ def test_the_readme_is_one_page() -> None:
     assert len(text.split()) <= MOST_WORDS
 
 
+@pytest.mark.slow
 def test_results_in_pages_are_those_of_the_entries() -> None:
     differing = write_results(ROOT / "docs" / "leaderboard", WITH_RESULTS, check=True)
     assert not differing, "write them with 'make results'"
@@ -171,6 +172,7 @@ def test_the_citation_is_of_this_version() -> None:
     assert f"version = {{{version}}}" in README.read_text()
 
 
+@pytest.mark.slow
 def test_the_readmes_road_leads_from_nothing_to_a_report_and_a_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

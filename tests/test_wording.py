@@ -16,6 +16,7 @@ from dmotion_bench.wording import SENTENCE_LIMIT, command, rounded, shown
 from leaderboard.columns import number
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=200)
 @given(words=st.lists(st.text(min_size=1), min_size=1))
 def test_a_command_is_read_by_a_shell_as_it_was_meant(words: list[str]) -> None:
@@ -39,6 +40,7 @@ def test_a_value_is_shown_shortly(value: object) -> None:
     assert shown("cwsm") == "'cwsm'"
 
 
+@pytest.mark.slow
 def test_a_sentence_stays_short_and_keeps_its_advice() -> None:
     error = DatasetCorrupt(f"{'x' * 600_000!r} is damaged; see 'dmbench data check'.")
     assert len(str(error)) < SENTENCE_LIMIT + 50

@@ -46,6 +46,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFUSED)
 def test_numbers_out_of_the_command_line_s_bounds_are_refused(workspace: Path, name: str) -> None:
     call, said = REFUSED[name]
@@ -80,6 +81,7 @@ OTHER_KINDS: dict[str, tuple[Callable[[], Any], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHER_KINDS)
 def test_what_is_of_another_kind_costs_a_sentence(workspace: Path, name: str) -> None:
     call, said = OTHER_KINDS[name]
@@ -88,6 +90,7 @@ def test_what_is_of_another_kind_costs_a_sentence(workspace: Path, name: str) ->
     assert not [*workspace.glob("new*")]
 
 
+@pytest.mark.slow
 def test_whole_numbers_may_be_numpy_s(workspace: Path) -> None:
     recorded = dm.record(
         "grid_world",

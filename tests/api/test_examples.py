@@ -34,6 +34,7 @@ def test_there_are_examples() -> None:
     assert len(EXAMPLES) >= LEAST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name.removeprefix("dmotion_bench."))
 def test_an_example_gives_what_it_says(example: doctest.DocTest, workspace: Path) -> None:
     said: list[str] = []

@@ -42,6 +42,7 @@ def test_importing_loads_no_torch_no_simulator_and_no_model() -> None:
     assert {name for name in loaded if name.startswith("recorders")} == {"recorders", "recorders.gymnasium_ids"}
 
 
+@pytest.mark.slow
 def test_what_opens_and_scores_any_model_loads_no_compiler() -> None:
     told = _in_a_new_process(
         "import sys\n"
@@ -60,6 +61,7 @@ def test_what_opens_and_scores_any_model_loads_no_compiler() -> None:
     assert not told.strip()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(IDS))
 def test_gymnasium_makes_an_environment_after_the_import_alone(name: str) -> None:
     told = _in_a_new_process(

@@ -52,6 +52,7 @@ def test_what_is_wrong_is_said_and_nothing_is_written(
     assert not Path("data").exists()
 
 
+@pytest.mark.slow
 def test_labels_that_are_not_there_are_exported_only_if_nobody_asks_for_them(files: list[Path]) -> None:
     imported = dm.import_recordings(files, size=16)
     exported = dm.export_dataset(imported)

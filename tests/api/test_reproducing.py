@@ -101,6 +101,7 @@ def content(root: Path) -> dict[str, object]:
     return found
 
 
+@pytest.mark.slow
 def test_a_dry_run_counts_what_is_done_and_nothing_is_done_twice(tmp_path: Path, done: Counter[str]) -> None:
     told = dm.reproduce(TABLE, workspace=tmp_path, dry_run=True).cost
     assert not list(tmp_path.iterdir())
@@ -126,6 +127,7 @@ def test_a_dry_run_counts_what_is_done_and_nothing_is_done_twice(tmp_path: Path,
     assert not any(line.jobs for line in again.cost.lines)
 
 
+@pytest.mark.slow
 def test_one_that_is_stopped_in_each_part_goes_on_and_ends_the_same(whole: Path, tmp_path: Path) -> None:
     for part in ("recording", "training", "scoring prediction", "building own"):
         seen: list[str] = []
@@ -166,6 +168,7 @@ def test_one_that_is_killed_three_times_ends_with_the_same_bytes(whole: Path, tm
     assert content(tmp_path) == content(whole)
 
 
+@pytest.mark.slow
 def test_each_column_of_control_keeps_its_page(tmp_path: Path, done: Counter[str]) -> None:
     told = dm.reproduce(CONTROL, workspace=tmp_path, dry_run=True).cost
 
@@ -272,6 +275,7 @@ def test_ctrl_c_says_how_to_go_on(
     assert "run the same command again to go on where it stopped, with '--dry-run' to see what is left" in outcome.err
 
 
+@pytest.mark.slow
 def test_a_data_set_of_another_recipe_is_not_taken(tmp_path: Path) -> None:
     other = dm.record("grid_world", "tiny", episodes=12, frames=6, seed=1, out=tmp_path / "data" / "grid_world-tiny")
     with pytest.raises(dm.DmbenchError, match="another"):

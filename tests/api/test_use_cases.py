@@ -49,6 +49,7 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.mcap")}
 
 
+@pytest.mark.slow
 def test_a_recording_has_the_bytes_of_the_command_s(
     workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -63,6 +64,7 @@ def test_a_recording_has_the_bytes_of_the_command_s(
     assert (told[-1].done, told[-1].total) == (4, 4)
 
 
+@pytest.mark.slow
 def test_a_training_has_the_weights_of_the_command_s(
     workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,6 +90,7 @@ def test_the_same_call_returns_a_finished_training_and_mends_a_damaged_one(works
         assert torch.equal(value, before[name]), name
 
 
+@pytest.mark.slow
 def test_another_label_budget_takes_over_the_training_on_video(
     workspace: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -97,6 +100,7 @@ def test_another_label_budget_takes_over_the_training_on_video(
     assert run.result["labels_total"] == 8
 
 
+@pytest.mark.slow
 def test_what_progress_raises_stops_a_training_that_the_same_call_ends(workspace: Path) -> None:
     class Enough(Exception):
         """The caller's own."""
@@ -131,6 +135,7 @@ def test_triplets_are_three_consecutive_frames_of_the_split(workspace: Path) -> 
             triplets[len(triplets)]
 
 
+@pytest.mark.slow
 def test_a_plain_data_loader_makes_batches_that_a_model_learns_from(workspace: Path) -> None:
     triplets = dm.open_dataset().triplets("train", labels="all")
     batch = next(iter(DataLoader(triplets, batch_size=4, shuffle=False)))
@@ -207,6 +212,7 @@ def test_images_that_a_model_would_take_wrongly_are_refused(workspace: Path) -> 
         run.predict(frames[:0], frames[:0], "up")
 
 
+@pytest.mark.slow
 def test_a_rollout_begins_with_the_prediction_and_takes_a_sequence_for_each(workspace: Path) -> None:
     run = dm.load_run("tiny")
     frames = run.dataset.video(0)
@@ -229,6 +235,7 @@ def _run_of(workspace: Path) -> dm.Run:
     return run
 
 
+@pytest.mark.slow
 def test_a_run_predicts_by_the_names_that_it_keeps_without_its_data_set(workspace: Path) -> None:
     run = _run_of(workspace)
     frames = run.dataset.video(0)
@@ -245,6 +252,7 @@ def test_a_run_predicts_by_the_names_that_it_keeps_without_its_data_set(workspac
         before.predict(frames[0], frames[1], "left")
 
 
+@pytest.mark.slow
 def test_another_data_set_in_the_place_of_a_run_s_own_is_noticed(workspace: Path) -> None:
     run = _run_of(workspace)
     frames = run.dataset.video(0)
@@ -269,6 +277,7 @@ def test_actions_of_tensors_are_checked(workspace: Path) -> None:
             run.rollout(frames[0], frames[1], torch.tensor([[0, number]]))
 
 
+@pytest.mark.slow
 def test_a_model_that_was_first_asked_for_a_prediction_can_be_trained_further(workspace: Path) -> None:
     run = dm.load_run("tiny")
     frames = run.dataset.video(0)
@@ -289,6 +298,7 @@ def test_a_run_and_a_data_set_say_what_they_are(workspace: Path) -> None:
     assert repr(run.dataset) == "<Dataset 'grid_world-tiny': 20 episodes, 240 frames, grid_world>"
 
 
+@pytest.mark.slow
 def test_latent_actions_are_the_model_s_and_not_every_model_has_them(workspace: Path) -> None:
     run = dm.load_run("tiny")
     frames = run.dataset.video(0)
@@ -302,6 +312,7 @@ def test_latent_actions_are_the_model_s_and_not_every_model_has_them(workspace: 
         other.latent_action(*frames[:3])
 
 
+@pytest.mark.slow
 def test_a_run_without_labels_says_how_to_tell_it_the_actions(workspace: Path) -> None:
     run = dm.train("dmotion", labels="none", settings=SHORT, threads=1)
     frames = run.dataset.video(0)
@@ -310,6 +321,7 @@ def test_a_run_without_labels_says_how_to_tell_it_the_actions(workspace: Path) -
     assert run.latent_action(*frames[:3]).shape == (1, 2)
 
 
+@pytest.mark.slow
 def test_a_report_is_that_of_the_command(
     workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -328,6 +340,7 @@ def test_a_report_is_that_of_the_command(
         dm.score("tiny", "predicton")
 
 
+@pytest.mark.slow
 def test_a_task_is_planned_as_the_command_plans_it(
     workspace: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -341,6 +354,7 @@ def test_a_task_is_planned_as_the_command_plans_it(
         dm.plan("tiny", save="planned.gif")
 
 
+@pytest.mark.slow
 def test_views_are_written_to_files(workspace: Path) -> None:
     assert dm.view(dm.load_run("tiny"), save="run.rrd", episodes=[0]) == Path("run.rrd")
     assert dm.view("tiny", save="run.gif", steps=2, episodes=[0]) == Path("run.gif")
@@ -381,6 +395,7 @@ def test_what_cannot_be_shown_is_refused(
     assert not list(workspace.glob("x.*"))
 
 
+@pytest.mark.slow
 def test_the_demo_is_done_once_and_leaves_a_workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demonstration, "EPISODES", 12)
     monkeypatch.setattr(demonstration, "EPOCHS", 0.01)
@@ -392,6 +407,7 @@ def test_the_demo_is_done_once_and_leaves_a_workspace(tmp_path: Path, monkeypatc
     assert done.recording.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_model_of_a_notebook_is_trained_and_scored_by_its_name(
     workspace: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -444,6 +460,7 @@ class _Indifferent(Memoryless):
         return StepCost.of(torch.zeros(len(task))), ()
 
 
+@pytest.mark.slow
 def test_a_planner_of_a_notebook_plans_and_scores_by_its_name(workspace: Path) -> None:
     dm.register_solver("always", Always)
     dm.register_objective("indifferent", Always)
@@ -494,6 +511,7 @@ def test_settings_that_are_none_are_refused(settings: Any) -> None:
         as_texts(settings)
 
 
+@pytest.mark.slow
 def test_a_report_computed_by_the_library_is_the_same(workspace: Path) -> None:
     assert (
         score_run(workspace / "runs" / "tiny", metrics=("prediction",)).figures
@@ -501,6 +519,7 @@ def test_a_report_computed_by_the_library_is_the_same(workspace: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_run_in_use_is_refused(workspace: Path) -> None:
     (workspace / "runs" / "busy").mkdir()
     lock = FolderLock(workspace / "runs" / "busy")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from baselines.clasp import Clasp
@@ -72,6 +73,7 @@ def test_the_predictor_remembers(build, batch, demonstrations) -> None:
     assert not torch.equal(again[0], forgetful[0])
 
 
+@pytest.mark.slow
 def test_it_learns(build, step, video) -> None:
     model = build(Clasp)
     first = model.losses(video).total.item()

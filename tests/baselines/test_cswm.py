@@ -72,6 +72,7 @@ def test_a_slots_change_depends_on_every_other_slot(build) -> None:
     assert (slope[0].abs().sum(1) > 0).all()
 
 
+@pytest.mark.slow
 def test_the_decoder_learns_apart(build, step, batch, video) -> None:
     model = build(ContrastiveWorldModel)
     model.enter(CONTRAST)

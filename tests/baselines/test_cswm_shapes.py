@@ -84,6 +84,7 @@ class _Known(ShapesModel):
         return drawn(state[0][:, :, 0].long(), self.tiles)
 
 
+@pytest.mark.slow
 def test_figures_are_perfect_for_a_model_that_knows_the_rules_and_not_for_another() -> None:
     data = recorded(300, 10, torch.Generator().manual_seed(1))
     known, other = figures(_Known(True), data), figures(_Known(False), data)
@@ -95,6 +96,7 @@ def test_figures_are_perfect_for_a_model_that_knows_the_rules_and_not_for_anothe
     assert other.error > 0
 
 
+@pytest.mark.slow
 def test_one_command_trains_and_prints_the_paper_beside_it(capsys) -> None:
     short = ["--passes", "1", "--episodes", "3", "--asked", "20", "--decoder-steps", "2"]
     main(short)

@@ -34,6 +34,7 @@ def test_the_papers_architecture_has_the_papers_size() -> None:
     assert sum(parameter.numel() for parameter in model.parameters()) == 2_684_142
 
 
+@pytest.mark.slow
 def test_the_papers_architecture_has_the_papers_shapes() -> None:
     maps = dmotion_paper.ImageEncoder(8)
     shapes = []
@@ -84,6 +85,7 @@ def test_before_training_the_papers_motions_are_the_identity() -> None:
     torch.testing.assert_close(motion, torch.tensor([[1.0, 0, 0, 0, 1, 0]] * 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arch", ["compact", "paper"])
 def test_the_next_frame_reaches_the_prediction_through_the_agents_motion_alone(arch: str) -> None:
     model = _model(INPUTS if arch == "paper" else SMALL, arch=arch, jitter=0.0, jitter_end=0.0).eval()
@@ -100,6 +102,7 @@ def test_the_next_frame_reaches_the_prediction_through_the_agents_motion_alone(a
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arch", "warp"), [("compact", False), ("compact", True), ("paper", False)])
 def test_every_parameter_learns(arch: str, warp: bool) -> None:
     model = _model(INPUTS if arch == "paper" else SMALL, arch=arch, warp=warp)
@@ -207,6 +210,7 @@ JOINT = Discrete.joint(("up", "down"), ("left", "right"))
 TWO = ModelInputs(height=32, width=32, actions=JOINT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arch", ["compact", "paper"])
 def test_of_two_agents_each_is_seen_through_its_own_map_and_motion(arch: str) -> None:
     """The prediction depends on both maps' motions and, of the next frame, on nothing else."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from baselines.encoder_decoder import EncoderDecoder
 
 
+@pytest.mark.slow
 def test_it_learns_what_an_action_does(build, step, batch) -> None:
     model = build(EncoderDecoder)
     first = model.losses(batch).total.item()

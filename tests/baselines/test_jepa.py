@@ -34,6 +34,7 @@ def test_sigreg_tells_a_gaussian_from_a_collapse() -> None:
     assert 5 * good < partly < wholly
 
 
+@pytest.mark.slow
 def test_each_phase_changes_its_own_part(build, step, batch, video) -> None:
     model = build(LatentWorldModel, projections=8)
     for phase, given, own in (

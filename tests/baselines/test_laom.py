@@ -108,6 +108,7 @@ def test_labels_are_one_weighted_term_of_the_loss(build, video) -> None:
     assert "labels" not in alone.terms
 
 
+@pytest.mark.slow
 def test_a_few_labels_put_the_action_into_the_latent(build, step) -> None:
     video, unseen = walking_dot(32, seed=1), walking_dot(64, seed=2)
     model = build(LaomWithLabels, label_weight=1.0, label_shift=4, **SMALL)

@@ -136,6 +136,7 @@ def test_beta_is_paid_in_units_of_images_between_0_and_1(build, video) -> None:
     torch.testing.assert_close(losses.total / 4, in_unit_range + 0.25 * losses.terms["divergence"])
 
 
+@pytest.mark.slow
 def test_both_learn(build, step, video) -> None:
     for kind in (Lapo, LatentActionVAE):
         model = build(kind)

@@ -173,6 +173,7 @@ def short_search(monkeypatch) -> None:
     monkeypatch.setattr(lewm_two_room, "PLANNER", replace(PLANNER, samples=60, iterations=8, elites=8))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_search")
 def test_plans_of_a_model_that_knows_the_rules_reach_their_goals() -> None:
     tasks = Tasks(
@@ -188,6 +189,7 @@ def test_plans_of_a_model_that_knows_the_rules_reach_their_goals() -> None:
     assert not torch.equal(again, others)
 
 
+@pytest.mark.slow
 def test_the_probe_is_perfect_where_the_embedding_is_the_place_and_blind_where_it_is_a_constant(data) -> None:
     other = recorded(50, torch.Generator().manual_seed(1))
     assert place_correlation(_Known(True), data, other) > 0.999
@@ -199,6 +201,7 @@ def test_the_probe_is_perfect_where_the_embedding_is_the_place_and_blind_where_i
     assert 0.4 < place_correlation(Turned(True), data, other) < 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_search")
 def test_one_command_trains_and_prints_the_published_shares_below(capsys) -> None:
     short = ["--steps", "2", "--episodes", "30", "--tasks", "2", "--development"]

@@ -93,6 +93,7 @@ def _model(**settings: float) -> DMotion:
         return DMotion(config, ModelInputs(height=32, width=32, actions=Discrete.numbered(4)))
 
 
+@pytest.mark.slow
 def test_dmotion_predicts_the_recorded_frame_from_its_own_ones_in_training_alone() -> None:
     batch, model, plain = _batch(), _model(own_frames=0.5, own_steps=EARLIER), _model()
     for one in (model, plain):
@@ -123,6 +124,7 @@ def _told(batch: TripletBatch) -> TripletBatch:
     return replace(batch, action=actions[:, -1], earlier_action=actions[:, :-1], history=history)
 
 
+@pytest.mark.slow
 def test_a_model_that_is_told_actions_replays_those_that_led_to_x_t() -> None:
     with torch.random.fork_rng():
         torch.manual_seed(0)

@@ -16,6 +16,7 @@ from dmotion_bench.learning.model import ModelInputs
 MOVES = Continuous(names=("dx", "dy"), low=(-4.0, 0.0), high=(4.0, 2.0), units=("px", "px"))
 
 
+@pytest.mark.slow
 def test_an_inverse_model_of_few_labels_names_a_walk_that_it_has_not_seen(build, step) -> None:
     model = build(InverseRelabelling)
     model.enter(INVERSE)
@@ -49,6 +50,7 @@ def test_labels_reach_only_the_inverse_model_and_names_only_the_forward_model(bu
         assert {id(one) for one in model.parameters() if one.grad is not None} == own
 
 
+@pytest.mark.slow
 def test_an_action_that_is_never_shown_is_never_named(build, step) -> None:
     shown = walking_dot(32, seed=0)
     known = shown.action != 3

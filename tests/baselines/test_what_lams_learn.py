@@ -62,6 +62,7 @@ def test_the_least_error_without_a_latent_is_that_of_the_mean_of_what_may_follow
     assert found[1] == pytest.approx(float((noise - noise.mean(0)).square().sum(1).mean()), rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("infer", "controllable", "stochastic"),
     [
@@ -86,6 +87,7 @@ def test_rolling_moves_both_parts_round() -> None:
     assert torch.equal(found[3], picture[3].roll(3))
 
 
+@pytest.mark.slow
 def test_without_noise_the_latent_holds_the_action_and_with_it_the_noise() -> None:
     torch.manual_seed(0)
     data = beside([recorded(4000, noise, False, torch.Generator().manual_seed(0)) for noise in (0.0, 2.0)])
@@ -112,6 +114,7 @@ def test_half_of_an_interval_is_students() -> None:
     assert half_width([1.0]) == float("inf")
 
 
+@pytest.mark.slow
 def test_one_command_prints_a_row_for_each_condition(capsys) -> None:
     main(["--seeds", "1", "--steps", "2", "--probe-steps", "2"])
     printed = capsys.readouterr().out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from baselines.gaussian import Gaussian
@@ -23,6 +24,7 @@ def test_each_phase_changes_its_own_part(build, step, batch, video) -> None:
         assert _after(model, step, batch, TRANSITION) == {"transition"}
 
 
+@pytest.mark.slow
 def test_both_phases_learn(build, step, batch, video) -> None:
     model = build(AutoencoderWorldModel)
     for phase, given in ((AUTOENCODER, video), (TRANSITION, batch)):
@@ -60,6 +62,7 @@ def test_draws_have_the_moments_they_are_asked_for() -> None:
     assert abs(drawn.std().item() - torch.tensor(-0.5).exp().item()) < 0.02
 
 
+@pytest.mark.slow
 def test_a_heavier_divergence_leaves_less_in_the_code(build, step, video) -> None:
     divergences = []
     for beta in (0.0, 1000.0):

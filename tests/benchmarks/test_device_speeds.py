@@ -19,6 +19,7 @@ NO_GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no C
 DEVICES = [CPU, pytest.param(torch.device("cuda"), marks=[pytest.mark.gpu, NO_GPU])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES, ids=str)
 def test_training_loading_and_planning_are_measured_on_the_device(
     device: torch.device, monkeypatch: pytest.MonkeyPatch

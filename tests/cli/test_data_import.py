@@ -27,6 +27,7 @@ def typed(*words: str | Path) -> Result:
     return CliRunner().invoke(app, ["data", *map(str, words)], catch_exceptions=True)
 
 
+@pytest.mark.slow
 def test_in_and_out_again(workspace: Path) -> None:
     times = steady(30, hz=20)
     actions = [(t_ns, "stop") for t_ns in times]
@@ -56,6 +57,7 @@ def test_in_and_out_again(workspace: Path) -> None:
     assert json.loads(again.stdout)["episodes"] == 3
 
 
+@pytest.mark.slow
 def test_one_clip_is_told_how_to_become_enough_episodes(workspace: Path) -> None:
     file = foxglove_file(workspace / "a.mcap", video(60, 16, 16), steady(60))
     done = typed("import", file, "--size", "16")
@@ -71,6 +73,7 @@ def test_one_clip_is_told_how_to_become_enough_episodes(workspace: Path) -> None
     assert "here are 1: import more recordings." in short.stdout
 
 
+@pytest.mark.slow
 def test_what_the_pictures_are_and_what_a_frame_shows_of_them(workspace: Path) -> None:
     (workspace / "in").mkdir()
     for name, hz in (("a", 10), ("b", 20)):
@@ -89,6 +92,7 @@ def test_what_the_pictures_are_and_what_a_frame_shows_of_them(workspace: Path) -
     assert "frames show" not in square
 
 
+@pytest.mark.slow
 def test_video_without_labels_is_exported_alone(workspace: Path) -> None:
     typed("import", foxglove_file(workspace / "a.mcap", video(6, 16, 16), steady(6)), "--size", "16")
     done = typed("export", "--codec", "av1")

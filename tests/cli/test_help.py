@@ -31,6 +31,7 @@ def _paths(command: click.Command, path: tuple[str, ...] = ()) -> Iterator[tuple
         yield from _paths(inner, (*path, name))
 
 
+@pytest.mark.slow
 def test_the_help_of_every_command_is_as_written_down(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setenv("TERM", "dumb")
@@ -46,6 +47,7 @@ def test_the_help_of_every_command_is_as_written_down(monkeypatch: pytest.Monkey
     assert text == GOLDEN.read_text()
 
 
+@pytest.mark.slow
 def test_asking_for_help_loads_no_torch_and_no_simulator() -> None:
     code = (
         "import sys\n"

@@ -63,6 +63,7 @@ def typed(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytes
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [recorded_by_foxglove, recorded_by_ros])
 def test_with_its_actions(write, typed, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     words = ("--actions", "/action", "--size", "64", "--frames-per-episode", "8", "--out", "data/lab")
@@ -92,6 +93,7 @@ def test_pictures_alone_are_not_advised_to_take_actions(typed, tmp_path: Path) -
     assert "  no actions: what an action leads to cannot be scored\n" in imported.out
 
 
+@pytest.mark.slow
 def test_as_video_alone(typed, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     words = ("--size", "64", "--frames-per-episode", "8", "--out", "data/lab")
     imported = typed("data", "import", recorded_by_foxglove(tmp_path), *words)

@@ -92,6 +92,7 @@ def test_a_narrow_terminal_folds_a_name_and_keeps_all_of_it(
     assert "  labels  10%" in printed.splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["environments", "models"])
 def test_on_eighty_columns_no_word_is_broken(
     what: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -79,6 +79,7 @@ def run(workspace: Workspace) -> str:
     return path.name
 
 
+@pytest.mark.slow
 def test_a_plan_is_recorded_for_rerun(
     run: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +100,7 @@ def test_a_plan_is_recorded_for_rerun(
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_a_filmstrip_is_written_of_a_columns_plan(
     run: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,6 +128,7 @@ def test_references_are_planned_with_by_name(
     assert again["actions"] == oracle["actions"]
 
 
+@pytest.mark.slow
 def test_references_are_scored_by_name(
     workspace: Workspace, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -215,6 +218,7 @@ def test_keys_drive_the_model(
     assert frames[4] == frames[0]  # started over
 
 
+@pytest.mark.slow
 def test_keys_drive_a_model_of_continuous_actions(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

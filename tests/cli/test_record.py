@@ -41,6 +41,7 @@ def test_json_has_the_names_that_scripts_rely_on(run: Run, tmp_path: Path) -> No
     assert len(Dataset.open(Path(result["dataset"]))) == 20
 
 
+@pytest.mark.slow
 def test_the_same_command_completes_and_a_larger_number_extends(run: Run, tmp_path: Path) -> None:
     words = ("record", "grid_world", "--preset", "tiny", "--workers", "1")
     assert run(*words, "--episodes", "25").code == 0
@@ -181,6 +182,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_a_sentence_and_the_same_command_goes_on(run: Run, small_disk: Path, tmp_path: Path) -> None:
     words = ("record", "grid_world", "--preset", "tiny", "--episodes", "60", "--workers", "1", "--out")
     outcome = run(*words, str(small_disk / "d"))
@@ -195,6 +197,7 @@ def test_a_full_disk_is_a_sentence_and_the_same_command_goes_on(run: Run, small_
     assert files_of(small_disk / "d") == files_of(tmp_path / "d")
 
 
+@pytest.mark.slow
 def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path: Path) -> None:
     recording = start_dmbench(
         ["record", "grid_world", "--preset", "tiny", "--workers", "1", "--out", str(tmp_path / "d")],

@@ -69,6 +69,7 @@ def test_a_stream_that_somebody_put_in_place_of_stdout_gets_the_object() -> None
     assert "by Python" in outcome.stderr
 
 
+@pytest.mark.slow
 def test_a_package_that_prints_when_it_is_imported_does_not_spoil_a_list(tmp_path: Path) -> None:
     facts = tmp_path / "loud-1.dist-info"
     facts.mkdir()

@@ -32,6 +32,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return lambda *words: dmbench(words, capsys, monkeypatch)
 
 
+@pytest.mark.slow
 def test_all_rows_are_trained_once(run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["ed-cnn", "lapo"])
     monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot", "2-shot"))
@@ -50,6 +51,7 @@ def test_all_rows_are_trained_once(run: Command, tmp_path: Path, monkeypatch: py
     assert json.loads(run("train", "--all", "--workers", "1", "--json").out)["rows"] == rows
 
 
+@pytest.mark.slow
 def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["ed-cnm", "lapo"])
     monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))
@@ -62,6 +64,7 @@ def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: p
     assert "4 labels" in trained
 
 
+@pytest.mark.slow
 def test_a_run_that_another_process_trains_is_no_failure_of_its_model(
     run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,6 +117,7 @@ def test_models_trained_beside_each_other_are_those_trained_in_turn(
     assert told["samples 1"] == told["samples 2"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_every_training_is_told_how_many_threads_read(
     workers: str, run: Command, monkeypatch: pytest.MonkeyPatch

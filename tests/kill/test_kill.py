@@ -101,6 +101,7 @@ def test_a_command_that_always_comes_to_the_same_has_no_fault(tmp_path: Path) ->
     assert {"SIGKILL", "SIGTERM"} <= {*seen}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("said", PLANTED)
 def test_a_mistake_that_is_planted_is_found(said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.kill.attack.ORPHANS", 0.5)

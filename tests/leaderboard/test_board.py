@@ -79,6 +79,7 @@ def _row(board: Board, name: str) -> Row:
     return row
 
 
+@pytest.mark.slow
 def test_seeds_are_one_row_with_their_range(result: Callable[..., Entry]) -> None:
     errors = np.linspace(1, 3, 40)
     entries = [result("a", errors * factor, seed=seed) for seed, factor in ((1, 2.0), (0, 1.0), (2, 1.5))]

@@ -244,6 +244,7 @@ def test_a_hostile_entry_runs_nothing(browser: Browser, sound: Entry, tmp_path: 
     assert browser.ask("document.documentElement.scrollWidth") <= PHONE[0]
 
 
+@pytest.mark.slow
 def test_the_policy_stops_a_script_that_slipped_through(browser: Browser, page: Path, tmp_path: Path) -> None:
     path = tmp_path / "slipped.html"
     path.write_text(page.read_text().replace("<main>", "<main><script>window.hacked = 1</script>", 1))

@@ -17,6 +17,7 @@ from leaderboard.entry import Entry, schema_text
 from leaderboard.entry_file import read_entries, write_entry
 
 
+@pytest.mark.slow
 def test_runs_tables_and_others_entries_stand_on_one_page(
     workspace: Workspace, changed: Callable[..., Entry], tmp_path: Path
 ) -> None:

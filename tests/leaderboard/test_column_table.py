@@ -109,6 +109,7 @@ def board(controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]) -> Boa
     return found
 
 
+@pytest.mark.slow
 def test_each_model_is_a_row_and_each_column_a_cell(board: Board, left: dict[tuple[str, int], np.ndarray]) -> None:
     table = board.control
     assert table is not None
@@ -315,6 +316,7 @@ def test_a_model_s_page_has_its_control_by_frozen_planners_first(
     assert "Generic: left" in "\n".join(model_lines("dmotion", make_boards([new])))
 
 
+@pytest.mark.slow
 def test_a_columns_report_is_an_entry_that_can_be_checked(
     scored_workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ def _rows(workspace: Workspace, run: str) -> list[dict[str, float]]:
     return [row for row in table.to_pylist() if row["predictor"] == "model"]
 
 
+@pytest.mark.slow
 def test_every_figure_is_the_mean_of_the_frames_differences(scored_workspace: Workspace) -> None:
     found = {one.figure: one for one in compare_runs(scored_workspace.runs / S0, scored_workspace.runs / CSWM)}
     rows = {name: _rows(scored_workspace, name) for name in (S0, CSWM)}

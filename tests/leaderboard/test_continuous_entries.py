@@ -75,6 +75,7 @@ def _content(entry: Entry) -> dict[str, Any]:
     return copy.deepcopy(dict(entry.content))
 
 
+@pytest.mark.slow
 def test_actions_survive_samples_and_entry_bit_for_bit(workspace: Workspace, tmp_path: Path) -> None:
     dataset = Dataset.open(workspace.data / "moved-tiny")
     result = score_control("oracle", dataset, SCORING)
@@ -107,6 +108,7 @@ def test_what_is_no_action_is_none() -> None:
     assert _are_kept({"model": [{"actions": "-1 -1"}, {"actions": "-1.0 1.0"}]})
 
 
+@pytest.mark.slow
 def test_a_sound_entry_holds(workspace: Workspace, entry: Entry, tmp_path: Path) -> None:
     for settings in (CheckSettings(), QUICK):
         verdict = check_entry(entry, workspace, settings)
@@ -115,6 +117,7 @@ def test_a_sound_entry_holds(workspace: Workspace, entry: Entry, tmp_path: Path)
     assert read_entry(write_entry(entry, tmp_path)).content == entry.content
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("who", ["model", "oracle"])
 def test_a_changed_action_is_found(workspace: Workspace, entry: Entry, who: str) -> None:
     content = _content(entry)

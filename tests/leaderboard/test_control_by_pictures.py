@@ -52,6 +52,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     return made
 
 
+@pytest.mark.slow
 def test_a_sound_entry_holds(workspace: Workspace) -> None:
     entry = entry_of_run(workspace.runs / "known")
     assert "control_picture_distance[3]" in entry.figures

@@ -253,6 +253,7 @@ def test_the_page_folds_the_points_of_curves_away_and_keeps_every_entry(budgeted
         assert f'id="{entry.slug}"' in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("same", [True, False], ids=["the same trainings", "others for each budget"])
 def test_the_interval_covers_the_truth_with_three_trainings(same: bool) -> None:
     generator = np.random.default_rng(1)

@@ -55,6 +55,7 @@ def test_an_entry_is_its_report_and_reads_back(sound: Entry, scored_workspace: A
     assert (sound.environment, sound.labels, sound.label_count) == ("grid_world", "one-shot", 4)
 
 
+@pytest.mark.slow
 def test_published_entries_are_of_the_versions_that_their_code_stands_for() -> None:
     """What was published before versions were named holds: the schema, the entries' names, and who is compared."""
     entries = {path.stem: read_entry(path) for path in PUBLISHED.glob("*.json")}

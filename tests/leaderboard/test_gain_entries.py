@@ -47,6 +47,7 @@ def entry(measured: tuple[Workspace, Path]) -> Entry:
     return entry_of_run(measured[1])
 
 
+@pytest.mark.slow
 def test_a_sound_entry_holds_and_stands_on_the_board(measured: tuple[Workspace, Path], entry: Entry) -> None:
     verdict = check_entry(entry, measured[0])
     (board,) = make_boards([entry])
@@ -60,6 +61,7 @@ def test_a_sound_entry_holds_and_stands_on_the_board(measured: tuple[Workspace, 
     assert "Gain captured" in make_page([entry])
 
 
+@pytest.mark.slow
 def test_a_forged_pick_is_found_by_scoring_anew(measured: tuple[Workspace, Path], tmp_path: Path) -> None:
     workspace, run = measured
     folder = run / "report"
@@ -81,6 +83,7 @@ def test_a_forged_pick_is_found_by_scoring_anew(measured: tuple[Workspace, Path]
     assert any("1 of 12 differ" in finding and "gain of model" in finding for finding in findings), findings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", [{"gain_moments": "many"}, {"gain_horizon": -1}, {"gain_objective": "nothing"}])
 def test_settings_that_cannot_be_are_a_finding(
     measured: tuple[Workspace, Path], entry: Entry, setting: dict[str, object]
@@ -93,6 +96,7 @@ def test_settings_that_cannot_be_are_a_finding(
     assert any("gain" in finding for finding in findings), findings
 
 
+@pytest.mark.slow
 def test_the_gain_of_another_version_is_not_checked(measured: tuple[Workspace, Path], entry: Entry) -> None:
     content = copy.deepcopy(dict(entry.content))
     content["settings"]["gain_version"] = 7

@@ -32,6 +32,7 @@ RLIABLE = json.loads(VALUES.read_text())
 """Made by ``rliable_values.py`` where rliable is installed; it says how."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(SHAPES)), ids=str)
 def test_random_scores_give_rliable_s_values(number: int) -> None:
     pair, said = random_scores()[number], RLIABLE["random"][number]
@@ -43,6 +44,7 @@ def test_random_scores_give_rliable_s_values(number: int) -> None:
         assert interval(interquartile_mean, one) == pytest.approx(bounds, abs=0.06 * width + 1e-9)
 
 
+@pytest.mark.slow
 def test_the_interval_of_an_improvement_is_rliable_s() -> None:
     (first, second), said = random_scores()[3], RLIABLE["random"][3]["improvement_interval"]
     found = interval(probability_of_improvement, second, first, resamples=300)
@@ -68,6 +70,7 @@ def published(entries: list[Entry]) -> Summary:
     return found
 
 
+@pytest.mark.slow
 def test_the_published_entries_give_rliable_s_values(published: Summary) -> None:
     said = RLIABLE["published"]
     known = {one.model: one for one in published.standings}
@@ -82,6 +85,7 @@ def test_the_published_entries_give_rliable_s_values(published: Summary) -> None
             assert one.interval == pytest.approx((low, high), abs=max(2e-5, 1e-3 * (high - low)))
 
 
+@pytest.mark.slow
 def test_published_entries_have_these_models(published: Summary) -> None:
     """A new result may change this; the values of rliable are to be made again then."""
     assert {one.model for one in published.standings} == set(RLIABLE["published"]["scores"])

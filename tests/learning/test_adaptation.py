@@ -55,6 +55,7 @@ def _model() -> Brighter:
 CONFIG = TrainingConfig(epochs=1, adaptation="finetuned", adaptation_steps=400, adaptation_rate=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 16])
 def test_rows_and_weights_are_found_by_gradient(count) -> None:
     model, shown = _model(), _shown(count, (0.2, -0.3), gain=0.5)
@@ -65,6 +66,7 @@ def test_rows_and_weights_are_found_by_gradient(count) -> None:
     assert not model.table.rows.requires_grad
 
 
+@pytest.mark.slow
 def test_what_predicts_the_transitions_left_out_worse_is_not_kept() -> None:
     model = _model()
     model.table.fit(torch.tensor([[0.2], [-0.3]]), torch.tensor([0, 1]))
@@ -99,6 +101,7 @@ def test_stored_demonstrations_are_read_batch_by_batch_and_teach_the_same(datase
     assert Watched.most == max(config.batch_size, min(held, AT_ONCE)) < learned
 
 
+@pytest.mark.slow
 def test_the_same_seed_ends_with_the_same_bits_and_another_does_not() -> None:
     found = []
     for seed in (0, 0, 1):

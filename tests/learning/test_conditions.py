@@ -74,6 +74,7 @@ def _begun(
     return Run.open(run.path), used[-1]
 
 
+@pytest.mark.slow
 def test_a_busy_machine_is_said_once_and_computed_on_with_one_thread(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

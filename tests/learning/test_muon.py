@@ -92,6 +92,7 @@ def test_large_matrices_are_orthogonalised_in_the_type_that_is_asked_for(
         assert (difference > 1e-3) == (products is torch.bfloat16)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(2, 64, 576), (2, 576, 64)])
 def test_matrices_of_few_rows_or_columns_follow_the_formula_even_where_they_are_nearly_singular(
     shape: tuple[int, ...],

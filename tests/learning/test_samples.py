@@ -41,6 +41,7 @@ def rows(picture: np.ndarray, size: int) -> list[np.ndarray]:
     return [row.transpose(1, 0, 2, 3) for row in tall]
 
 
+@pytest.mark.slow
 def test_one_at_each_validation_and_the_last_is_what_the_run_predicts(recorded: Path, tmp_path: Path) -> None:
     run = trained(recorded, tmp_path / "run", "dmotion", "one-shot")
     pictures = samples_of(run.path)
@@ -78,5 +79,6 @@ def test_they_change_neither_the_weights_nor_the_labels_that_are_paid(
         assert (with_pictures.path / name).read_bytes() == (without.path / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_run_without_labels_has_none(recorded: Path, tmp_path: Path) -> None:
     assert not samples_of(trained(recorded, tmp_path / "run", "dmotion", "none").path)

@@ -211,6 +211,7 @@ Mine = made(1)
     assert changed_modules(recorded, "mine") == ["classes of a_notebook"]
 
 
+@pytest.mark.slow
 def test_the_hash_of_a_notebook_s_class_is_the_same_in_every_process(package: Path) -> None:
     script = f"text = {NOTEBOOK!r}\nexec(text)\nfrom dmotion_bench.learning.runs.source import code_of\n"
     script += (

@@ -45,6 +45,7 @@ def not_fused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.optim, "Adam", lambda *given, **named: adam(*given, **named | {"fused": False}))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_autocast", "not_fused")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_step_reads_no_number_from_the_device(name: str) -> None:

@@ -76,6 +76,7 @@ def epochs_of_lanes(order: StreamedOrder, epochs: int) -> list[list[int]]:
     return found
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=30)
 @given(
     counts=counts_of_episodes,
@@ -104,6 +105,7 @@ def test_groups_hold_moments_of_one_episode_and_leave_out_as_little_as_they_can(
         assert Counter(groups[:, 0].tolist()) == {n: one // grouped for n, one in enumerate(counts) if one >= grouped}
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=40)
 @given(
     counts=counts_of_episodes,
@@ -194,6 +196,7 @@ def _streamed(walks: Dataset, loaders: int = 1) -> StreamedTriplets:
     return StreamedTriplets.of_split(walks, "train", window=24, loaders=loaders)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loaders", [1, 4])
 def test_batches_are_those_of_the_cache_for_any_number_of_loaders(walks, loaders) -> None:
     triplets, cached = _streamed(walks, loaders), TripletSet.of_split(walks, "train")

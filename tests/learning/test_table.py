@@ -101,6 +101,7 @@ def test_a_row_that_fails_does_not_stop_the_others(dataset, tmp_path, monkeypatc
     assert trained == ["cswm-noise-tiny-s3"]
 
 
+@pytest.mark.slow
 def test_a_row_that_fails_before_its_run_is_written_does_not_stop_the_others(dataset, tmp_path) -> None:
     few, enough = train_jobs([_job(dataset, tmp_path, "lapo", "200-shot"), _job(dataset, tmp_path)], local_executor(1))
     assert few.run is None
@@ -118,6 +119,7 @@ def test_where_a_machine_does_not_see_the_data_its_rows_fail_and_name_it(dataset
     assert seen.error is None
 
 
+@pytest.mark.slow
 def test_of_a_lost_job_the_rows_that_are_not_trained_fail(dataset, tmp_path) -> None:
     trained, both, other = (
         replace(_job(dataset, tmp_path), rows=tuple(Row(model=model, labels=labels) for model, labels in own))

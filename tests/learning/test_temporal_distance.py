@@ -63,6 +63,7 @@ def trained(videos: _Frames) -> TemporalDistance:
     return train(videos, np.arange(4), CONFIG)
 
 
+@pytest.mark.slow
 def test_it_tells_how_many_steps_lie_between_two_frames(trained: TemporalDistance) -> None:
     video = _video(3)  # begins where no episode of the training does
     with torch.inference_mode():
@@ -90,6 +91,7 @@ def test_pairs_are_as_many_steps_apart_as_they_say() -> None:
     assert 0.05 < (~same).mean() < 0.25  # a quarter, of which half are the same episode by chance
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_network_under_the_same_name(
     videos: _Frames, trained: TemporalDistance, tmp_path: Path
 ) -> None:

@@ -154,6 +154,7 @@ def test_a_package_that_is_not_there_is_named_with_its_extra(monkeypatch, name) 
         require_trackers(["tensorboard", "wandb"])
 
 
+@pytest.mark.slow
 def test_neither_is_loaded_without_being_asked_for(data, tmp_path) -> None:
     before = {name for name in sys.modules if name.partition(".")[0] in ("tensorboard", "wandb")}
     _train(data, tmp_path / "run", ())

@@ -194,6 +194,7 @@ def _patient(
     return Run.open(folder)
 
 
+@pytest.mark.slow
 def test_patience_leaves_out_steps_and_keeps_the_weights_of_the_whole_training(recorded, tmp_path) -> None:
     losses = {1: 3.0, 2: 2.0, 3: 4.0, 4: 4.0, 5: 4.0, 6: 4.0, 7: 4.0, 8: 4.0}
     whole = _patient("ed-cnn", recorded, tmp_path / "whole", losses, "epochs=1.5")
@@ -205,6 +206,7 @@ def test_patience_leaves_out_steps_and_keeps_the_weights_of_the_whole_training(r
     assert short.result["best_step"] == 2
 
 
+@pytest.mark.slow
 def test_patience_begins_anew_with_each_phase_and_a_kill_changes_nothing(recorded, tmp_path) -> None:
     losses = {2: 3.0, 4: 2.0, 6: 4.0, 8: 1.0, 10: 9.0, 12: 8.0, 14: 9.0, 16: 1.0}
 
@@ -225,6 +227,7 @@ def test_patience_begins_anew_with_each_phase_and_a_kill_changes_nothing(recorde
         assert again.result[name] == whole.result[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ema", ["0", "0.5"])
 def test_a_phase_goes_on_from_the_best_weights_of_the_one_before(recorded, tmp_path, ema: str) -> None:
     losses = {2: 3.0, 4: 2.0, 6: 4.0, 8: 5.0, 10: 9.0, 12: 8.0, 14: 7.0, 16: 6.0}
@@ -243,6 +246,7 @@ def test_a_phase_goes_on_from_the_best_weights_of_the_one_before(recorded, tmp_p
         assert torch.equal(final[name], best[name]), name
 
 
+@pytest.mark.slow
 def test_no_row_of_the_log_is_of_two_phases(recorded, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("dmotion_bench.learning.training.loop.LOG_ROWS", 3)
     run = open_run(
@@ -259,6 +263,7 @@ def test_no_row_of_the_log_is_of_two_phases(recorded, tmp_path, monkeypatch) -> 
     assert terms == {5: early, 8: early, 10: late, 15: late, 16: late}
 
 
+@pytest.mark.slow
 def test_a_checkpoint_that_says_where_no_phase_can_have_ended_is_refused(recorded, tmp_path) -> None:
     losses = dict.fromkeys(range(17), 4.0) | {2: 3.0, 10: 3.0}
     words = ("wm-ae", recorded, tmp_path / "run", losses, "epochs=3", "patience=1", *NARROW)
@@ -290,6 +295,7 @@ def test_ctrl_c_keeps_the_step_and_the_run_goes_on(recorded, trained, tmp_path) 
     assert Run.open(tmp_path / "run").result["weights"] == trained.result["weights"]
 
 
+@pytest.mark.slow
 def test_without_the_labels_unsupervised_training_is_the_same_to_the_bit(recorded, trained, tmp_path) -> None:
     bare = tmp_path / "walk-test"
     shutil.copytree(recorded, bare)
@@ -307,12 +313,14 @@ def test_without_the_labels_unsupervised_training_is_the_same_to_the_bit(recorde
         assert torch.equal(weights, without[name]), name
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_weights(recorded, trained, tmp_path) -> None:
     run = _run(recorded, tmp_path / "run", seed=1)
     _train(run, recorded)
     assert run.result["weights"] != trained.result["weights"]
 
 
+@pytest.mark.slow
 def test_the_folder_of_another_request_is_refused_and_says_why(recorded, trained) -> None:
     with pytest.raises(RunMismatch, match="seed is 0 there and 5 here"):
         _run(recorded, trained.path, seed=5)
@@ -331,6 +339,7 @@ def test_a_finished_run_is_not_trained_again(recorded, trained) -> None:
     assert trained.best.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_run_is_trained_by_one_at_a_time(recorded, tmp_path) -> None:
     run = _run(recorded, tmp_path / "run")
     data = training_data(run, Dataset.open(recorded))
@@ -355,6 +364,7 @@ def test_settings_are_compared_with_what_another_command_has_begun_meanwhile(rec
     assert _bytes_of(run) == before
 
 
+@pytest.mark.slow
 def test_conditions_are_those_that_another_command_has_begun_with(recorded, tmp_path) -> None:
     def asked(**request: int) -> Run:
         short = TrainingRequest(model="ed-cnn", labels="100%", settings=("epochs=0.1", "validations=1"), **request)
@@ -387,6 +397,7 @@ def test_damaged_weights_are_not_deleted_while_another_command_trains_them_anew(
     assert damaged.last.exists()
 
 
+@pytest.mark.slow
 def test_a_training_that_was_killed_in_its_first_moments_goes_on(recorded, trained, tmp_path) -> None:
     request = TrainingRequest(model="dmotion", settings=SETTINGS)
 
@@ -402,6 +413,7 @@ def test_a_training_that_was_killed_in_its_first_moments_goes_on(recorded, train
         assert not list(again.path.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_a_training_that_was_killed_while_it_took_another_over_goes_on(recorded, trained, tmp_path) -> None:
     request = TrainingRequest(model="dmotion", labels="5-shot", settings=SETTINGS)
 

@@ -82,6 +82,7 @@ def test_the_best_plan_leads_to_the_goal(name: str) -> None:
     np.testing.assert_allclose(plan.parts["distance"], plan.costs, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_company_changes_nothing(name: str) -> None:
     dynamics = ModelDynamics(Blob(), bf16=False, at_once=7)
@@ -168,6 +169,7 @@ def test_a_gaussian_is_fitted_to_its_elites() -> None:
     np.testing.assert_array_equal(drawn[:, -1], wide.mean)
 
 
+@pytest.mark.slow
 def test_gradients_go_through_the_model_and_need_an_objective_that_has_some() -> None:
     pixels = plan_of("gradient", replace(TWO, generators=generators(0, 1)), Pixel())
     assert (pixels.progress[:, -1] < 0.5 * pixels.progress[:, 0]).all()
@@ -257,6 +259,7 @@ class Killed(Exception):
     """The process is gone."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("who", ["idle", "oracle"])
 def test_a_killed_run_goes_on_with_the_same_result(
     problems: list[Any], who: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

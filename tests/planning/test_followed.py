@@ -122,6 +122,7 @@ def test_each_row_has_its_own_task_and_its_own_past() -> None:
         torch.testing.assert_close(after[row], place[0])
 
 
+@pytest.mark.slow
 def test_a_tree_remembers_what_was_followed() -> None:
     places = np.array([[(0, 0), (1, 1), (3, 1), (1, 3), (3, 3)], [(0, 1), (1, 2), (3, 1), (1, 3), (3, 3)]])
     start, goal = torch.from_numpy(draw(places, np.ones((2, 5), np.bool_))[0]).split(1)

@@ -49,6 +49,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return Dataset.open(path)
 
 
+@pytest.mark.slow
 def test_a_task_is_reached_by_replay_and_its_own_actions_solve_it(dataset: Dataset) -> None:
     problems = load_problems(dataset)
     assert len(problems) == 5
@@ -114,6 +115,7 @@ def test_the_oracle_plans_by_replay(dataset: Dataset) -> None:
     assert oracle.judge is Judge.PICTURES
 
 
+@pytest.mark.slow
 def test_a_report_names_what_is_left_out(dataset: Dataset, tmp_path: Path) -> None:
     run = open_run(TrainingRequest(model="dmotion"), dataset, None, Workspace(tmp_path))
     weights = run.spec.build().state_dict()

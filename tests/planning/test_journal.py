@@ -72,6 +72,7 @@ def test_a_journal_of_what_cannot_have_been_done_is_begun_anew(
     assert not taken_up(sound, {}, number=EXTENT.tasks)
 
 
+@pytest.mark.slow
 def test_a_journal_is_read_however_much_there_was_to_do(tmp_path: Path) -> None:
     record = TaskRecord(actions=[1] * 40, distance=[1 / 3] * 41, lost=[0] * 41)
     file, extent = tmp_path / "journal.json", Extent(actions=Discrete.numbered(4), tasks=17_000, steps=40)

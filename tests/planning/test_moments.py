@@ -62,6 +62,7 @@ def test_continuous_sequences_are_in_their_bounds_and_often_go_on() -> None:
     assert 0.4 < repeated < 0.6
 
 
+@pytest.mark.slow
 def test_gains_are_those_of_a_simulator_in_which_the_sequence_is_carried_out(recorded: Dataset) -> None:
     checked = 0
     for problem in load_problems(recorded):

@@ -36,6 +36,7 @@ def one_by_one(walks: Walks, sequences: np.ndarray) -> np.ndarray:
     return costs
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=30)
 @given(data=st.data())
 def test_the_costs_are_those_of_naive_evaluation(data: st.DataObject) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
+import pytest
 import torch
 from jaxtyping import Float, Int, UInt8
 from planning.worlds import context, observed
@@ -84,6 +85,7 @@ def walked(name: str, starts: Sequence[int], steps: int) -> list[list[int]]:
     return ways
 
 
+@pytest.mark.slow
 def test_a_wrong_hope_is_followed_once_and_not_for_ever() -> None:
     (led_astray,), (way,) = (walked(name, [3], 20) for name in ("icem", "icem-recall"))
     assert led_astray.count(TRAP - 1) > 5
@@ -92,6 +94,7 @@ def test_a_wrong_hope_is_followed_once_and_not_for_ever() -> None:
     assert way[-1] == CELLS - 1
 
 
+@pytest.mark.slow
 def test_tasks_side_by_side_know_nothing_of_each_other() -> None:
     together = walked("icem-recall", [3, 8, 5], 8)
     assert together[0] == walked("icem-recall", [3], 8)[0]

@@ -53,6 +53,7 @@ def away_from(env: Environment, frame: np.ndarray, task: ControlTask, seed: int)
     )
 
 
+@pytest.mark.slow
 def test_rules_bring_the_objects_nearer_and_then_stand_still(dataset: Dataset, problems: list[Problem]) -> None:
     pusher = make_reference("scripted", dataset.spec, PlanarPush, CrossEntropy())
     result = control(pusher, problems, PlanarPush, ControlSettings(steps=40))
@@ -81,6 +82,7 @@ def test_an_environment_without_a_script_says_so(problems: list[Problem]) -> Non
         )
 
 
+@pytest.mark.slow
 def test_the_oracle_follows_the_true_world(dataset: Dataset, problems: list[Problem]) -> None:
     planner = CrossEntropy(samples=12, horizon=5, iterations=2, elites=4)
     result = control(
@@ -90,6 +92,7 @@ def test_the_oracle_follows_the_true_world(dataset: Dataset, problems: list[Prob
     assert result.lost.sum() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_restored_state_goes_on_like_the_original(seed: int) -> None:
     generator = np.random.default_rng(seed)

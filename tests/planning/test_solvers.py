@@ -36,6 +36,7 @@ def test_exhaustive_finds_the_best_of_all_sequences() -> None:
     assert plan.frames == 3 * (4 + 16 + 64 + 256)
 
 
+@pytest.mark.slow
 def test_cem_with_enough_samples_finds_the_optimum() -> None:
     tasks = tuple(range(6))
     best = SmoothWalks(tasks).plan(Exhaustive(), context(6))
@@ -119,6 +120,7 @@ def test_a_plan_is_a_function_of_its_random_numbers(name: str, world: Callable[.
     same(*(world((4, 7)).plan(solver_of(name), context(2)) for _ in range(2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("world", [Walks, SmoothWalks])
 def test_company_changes_nothing(name: str, world: Callable[..., Walks]) -> None:
@@ -146,6 +148,7 @@ def test_company_changes_nothing(name: str, world: Callable[..., Walks]) -> None
         np.testing.assert_array_equal(alone.costs[0], together.costs[place])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_blocked_actions_are_not_taken(name: str) -> None:
     for action in range(4):
@@ -215,6 +218,7 @@ def test_sequences_that_repeat_actions_repeat_themselves() -> None:
     assert repeated[0.6] == pytest.approx(0.6 + 0.4 * 0.25, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_push_is_planned_through_images() -> None:
     env, model = GridWorld(), PerfectGridModel()
     start, _ = env.reset(seed=5)

@@ -115,6 +115,7 @@ def test_an_object_of_which_nothing_is_known_costs_as_much_as_a_lost_one() -> No
     assert imagined(of, HIDDEN).distance.item() == pytest.approx(LEFT)
 
 
+@pytest.mark.slow
 def test_it_learns_from_video_before_it_is_used_and_reads_no_label(tmp_path: Path) -> None:
     objective = make_objective("tracked-belief", ["lost_below=0.2"])
     assert objective == TrackedBelief(lost_below=0.2)

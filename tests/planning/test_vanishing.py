@@ -66,6 +66,7 @@ def test_the_kernel_is_as_wide_as_the_places_where_things_vanish() -> None:
     assert WIDTHS_PX[0] <= close.width < 3 < wide.width  # the places are 3 px apart, or 12
 
 
+@pytest.mark.slow
 def test_of_very_many_some_are_kept() -> None:
     many = torch.cat([picture(), picture(red=None, blue=None)] * 5)
     known = watched([many] * (AT_MOST // 8))

@@ -33,6 +33,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "mine"
 
 
+@pytest.mark.slow
 def test_clips_are_what_the_videos_show_at_ten_pictures_a_second(folder: Path) -> None:
     pictures = load_clips(prepared_clips(str(folder)))
     assert pictures.lengths.tolist() == [12, 10]
@@ -40,6 +41,7 @@ def test_clips_are_what_the_videos_show_at_ten_pictures_a_second(folder: Path) -
     np.testing.assert_array_equal(pictures.frames, wanted)
 
 
+@pytest.mark.slow
 def test_a_recording_shows_them_behind_agent_and_objects(folder: Path) -> None:
     pictures = load_clips(prepared_clips(str(folder)))
     env = GridWorld(clips=prepared_clips(str(folder)), background=1.0)
@@ -76,6 +78,7 @@ def test_the_recipe_holds_their_hash_and_decides_the_bytes(folder: Path, tmp_pat
     assert other.parameters["clips"] != recipe.parameters["clips"]  # another content of the same folder
 
 
+@pytest.mark.slow
 def test_clips_that_are_gone_or_changed_are_refused(folder: Path, tmp_path: Path) -> None:
     recipe = recipe_for("grid_world", settings=[f"clips={folder}"])
     (kept,) = (tmp_path / "workspace" / "clips").iterdir()
@@ -88,6 +91,7 @@ def test_clips_that_are_gone_or_changed_are_refused(folder: Path, tmp_path: Path
         environment_facts(recipe)
 
 
+@pytest.mark.slow
 def test_a_path_in_a_recipe_is_never_read(folder: Path) -> None:
     with pytest.raises(InvalidSetting, match=r"is no SHA-256 of prepared clips"):
         GridWorld(clips=str(folder))

@@ -42,6 +42,7 @@ def _reach(env: PushingEnvironment) -> np.ndarray:
     return np.asarray(env.facts.actions.high)
 
 
+@pytest.mark.slow
 def test_gymnasium_finds_nothing_wrong(env: PushingEnvironment) -> None:
     check_env(env.unwrapped, skip_render_check=True)  # warnings are errors
     assert env.action_space.shape == (2,)
@@ -57,6 +58,7 @@ def test_a_command_is_the_displacement_that_follows_it(env: PushingEnvironment, 
         assert env.facts.actions.fault(episode.labels.actions) is None
 
 
+@pytest.mark.slow
 def test_replaying_the_commands_gives_the_frames(env: PushingEnvironment, episodes: list[Episode]) -> None:
     other = KINDS[env.facts.id](actions="continuous")
     for episode in episodes[:2]:

@@ -338,6 +338,7 @@ def test_grid_world_makes_at_once_what_stepping_makes() -> None:
     assert at_once.labels.factors == stepped.labels.factors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("environment", KINDS)
 def test_a_task_replays_bit_for_bit_and_its_goal_is_what_the_picture_shows(environment: str, tmp_path: Any) -> None:
     record_dataset(tmp_path / "d", replace(small(environment, "scene=distracted", "noise=3", "delay=1"), frames=30))

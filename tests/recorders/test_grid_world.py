@@ -59,6 +59,7 @@ def test_an_illegal_move_changes_nothing_and_says_so() -> None:
     np.testing.assert_array_equal(after, before)
 
 
+@pytest.mark.slow
 @versions
 @settings(deadline=None, derandomize=True, max_examples=25)
 @given(seeds=st.lists(st.integers(0, 2**62), min_size=1, max_size=4), frames=st.integers(2, 40))
@@ -84,6 +85,7 @@ def test_an_action_is_taken_at_its_frame(version: Version, seed: int) -> None:
         np.testing.assert_array_equal(frame, after)
 
 
+@pytest.mark.slow
 @versions
 @settings(deadline=None, derandomize=True, max_examples=10)
 @given(seed=st.integers(0, 2**62))
@@ -185,6 +187,7 @@ def test_reference_predictors_have_the_papers_errors(version: Version) -> None:
     assert np.mean(black) == pytest.approx(3666, rel=0.03)
 
 
+@pytest.mark.slow
 def test_pushes_and_losses_are_as_often_as_in_the_paper() -> None:
     """facts.md, 1: a push in 10% of the triplets, a loss in 3.4%, objects fall from 4.0 to 2.85."""
     seeds = [episode_seed(1, number) for number in range(700)]

@@ -99,6 +99,7 @@ def test_the_packages_that_may_be_imported_are_looked_up_once(monkeypatch: pytes
     assert asked == [1]
 
 
+@pytest.mark.slow
 def test_the_version_of_the_package_that_registers_an_id_stands_in_the_data_set(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,6 +173,7 @@ def test_it_tells_pixels_alone() -> None:
     assert tier_of(environment_class("grid_world")) is Tier.MASKS
 
 
+@pytest.mark.slow
 def test_the_recipe_says_what_another_gymnasium_might_decide_otherwise(tmp_path: Path) -> None:
     settings = ("places=16", "wrappers=gymnasium.wrappers:Autoreset")
     dataset = recorded(tmp_path / "data", SLIDER, settings=settings, policy="sticky")
@@ -187,6 +189,7 @@ def test_the_recipe_says_what_another_gymnasium_might_decide_otherwise(tmp_path:
     assert dataset.manifest.versions["gymnasium"] == gymnasium.__version__
 
 
+@pytest.mark.slow
 def test_sticky_repeats_and_random_does_not(tmp_path: Path) -> None:
     shares = {}
     for policy in ("sticky", "random"):
@@ -251,6 +254,7 @@ def test_what_repeats_is_recorded_too_and_known_environments_are_not_asked(run: 
     assert "replay" not in json.loads((tmp_path / "data" / "grid_world-tiny" / "dataset.json").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -346,6 +350,7 @@ SHIPPED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_world_that_ships_is_recorded_at_preset_tiny(name: str, tmp_path: Path) -> None:
     pytest.importorskip(SHIPPED[name])

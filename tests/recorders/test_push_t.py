@@ -108,6 +108,7 @@ def test_gymnasium_finds_nothing_wrong(parameters: dict[str, Any]) -> None:
     made.close()
 
 
+@pytest.mark.slow
 def test_seed_and_actions_give_every_frame_again(episodes: list[Episode]) -> None:
     env = PushT()
     for episode in reversed(episodes):
@@ -147,6 +148,7 @@ def test_a_given_state_is_had_exactly() -> None:
         env.reset(options={"state": [1.0, 2.0]})
 
 
+@pytest.mark.slow
 def test_a_restored_state_goes_on_exactly_as_it_did(episodes: list[Episode]) -> None:
     other, repeated = PushT(), 0
     other.reset(seed=99)

@@ -24,6 +24,7 @@ def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return Dataset.open(folder)
 
 
+@pytest.mark.slow
 def test_the_recorded_actions_reach_the_goal_exactly(dataset: Dataset) -> None:
     env: Environment = task_environment(dataset.recipe)
     problems = load_problems(dataset)
@@ -45,6 +46,7 @@ def test_the_recorded_actions_reach_the_goal_exactly(dataset: Dataset) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_many_interactions_lie_between_start_and_goal(dataset: Dataset) -> None:
     for task in dataset.tasks():
         labels = dataset.states(task.episode)

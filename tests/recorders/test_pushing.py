@@ -101,6 +101,7 @@ def test_it_is_an_environment_that_can_be_recorded(env: PushingEnvironment) -> N
     made.close()
 
 
+@pytest.mark.slow
 def test_episodes_come_out_the_same_in_another_order_on_a_used_simulation(
     env: PushingEnvironment, episodes: list[Episode]
 ) -> None:
@@ -112,6 +113,7 @@ def test_episodes_come_out_the_same_in_another_order_on_a_used_simulation(
         np.testing.assert_array_equal(again.labels.masks, episode.labels.masks)
 
 
+@pytest.mark.slow
 def test_seed_and_actions_give_every_frame_again(env: PushingEnvironment, episodes: list[Episode]) -> None:
     episode = episodes[1]
     frames = replayed(type(env)(), episode.seed, map(int, episode.labels.actions))
@@ -188,6 +190,7 @@ def test_what_no_one_touches_stays_where_it_is_to_the_last_bit(episodes: list[Ep
     assert still[~labels.pushed].mean() > 0.9
 
 
+@pytest.mark.slow
 def test_masks_agree_with_the_colours(env: PushingEnvironment, episodes: list[Episode]) -> None:
     for episode in episodes[:3]:
         frame, mask = episode.frames[0], episode.labels.masks[0]
@@ -227,6 +230,7 @@ def test_a_factor_changes_what_it_names_and_nothing_else(env: PushingEnvironment
     assert differs == (factor not in UNSEEN_AT_FIRST and values != [0])
 
 
+@pytest.mark.slow
 def test_factors_are_drawn_anew_for_each_episode_and_apart_from_each_other(env: PushingEnvironment) -> None:
     alone = [env.reset(seed=seed, options={"vary": ["light"]})[1]["factors"] for seed in range(4)]
     together = [env.reset(seed=seed, options={"vary": FACTORS})[1]["factors"] for seed in range(4)]
@@ -241,6 +245,7 @@ def test_an_episodes_factors_make_it_again(env: PushingEnvironment) -> None:
     np.testing.assert_array_equal(frames, first.frames)
 
 
+@pytest.mark.slow
 def test_friction_decides_how_objects_move(env: PushingEnvironment) -> None:
     def after(friction: float) -> Float[np.ndarray, "k 3"]:
         env.reset(seed=1, options={"friction": friction})

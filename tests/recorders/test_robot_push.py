@@ -157,6 +157,7 @@ def test_a_triangle_covers_the_samples_whose_centres_lie_in_it() -> None:
     assert set(owner) <= set(range(5))
 
 
+@pytest.mark.slow
 def test_a_step_ends_at_rest_with_the_tip_in_its_place_and_nothing_overlapping(bullet: Any) -> None:
     env = RobotPush()
     physics = env._physics

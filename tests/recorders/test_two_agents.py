@@ -98,6 +98,7 @@ def test_something_is_always_possible_and_nothing_overlaps(places: list[int], le
             assert (moved[0, agent] - world[0][0, agent]).tolist() == list(way)  # so an agent's action is its motion
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=10)
 @given(seeds=st.lists(st.integers(0, 2**62), min_size=1, max_size=3), scene=st.sampled_from(["clean", "distracted"]))
 def test_all_at_once_equals_step_by_step(seeds: list[int], scene: str) -> None:
@@ -157,6 +158,7 @@ def _bytes(path: Path) -> dict[str, str]:
     return {str(file.relative_to(path)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
+@pytest.mark.slow
 def test_a_recording_is_the_same_for_any_workers_and_reads_back(tmp_path: Path) -> None:
     alone = _record(tmp_path / "one", 1)
     _record(tmp_path / "two", 2)

@@ -98,6 +98,7 @@ def test_a_machine_with_another_version_of_a_package_makes_no_shard(recordings: 
     assert not list(tmp_path.rglob("shard-*"))
 
 
+@pytest.mark.slow
 def test_whoever_imports_them_the_bytes_are_the_same(
     recordings: Path,
     in_turn: dict[str, bytes],
@@ -118,6 +119,7 @@ def test_whoever_imports_them_the_bytes_are_the_same(
     assert not list(tmp_path.glob("*.json")) + list(tmp_path.glob("*.importing"))
 
 
+@pytest.mark.slow
 def test_damaged_recordings_are_left_out_as_if_they_had_not_been_named(
     spoilt: Path, recordings: Path, tmp_path: Path
 ) -> None:
@@ -133,6 +135,7 @@ def test_damaged_recordings_are_left_out_as_if_they_had_not_been_named(
     assert again == report
 
 
+@pytest.mark.slow
 def test_a_decoder_that_crashes_harms_no_recording_after_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clips, crashed = [tmp_path / f"{number}.mp4" for number in range(4)], "1.mp4"
     for number, clip in enumerate(clips):
@@ -166,6 +169,7 @@ def test_recordings_are_looked_through_in_parts_of_a_bounded_size(tmp_path: Path
     assert [len(part) for part in parts] == [2, 1, surveys.MOST_TOGETHER, 2, 1]
 
 
+@pytest.mark.slow
 def test_damage_that_shows_when_pictures_are_unpacked_costs_one_more_pass(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -204,6 +208,7 @@ def test_damage_that_shows_when_pictures_are_unpacked_costs_one_more_pass(
     assert files_of(tmp_path / "d") == files_of(tmp_path / "sound")
 
 
+@pytest.mark.slow
 def test_a_damaged_picture_at_the_start_of_a_shard_is_the_one_before_it(tmp_path: Path) -> None:
     options = replace(OPTIONS, frames_per_episode=3, salvage=True)
     count = 3 * 102  # 102 episodes, 50 in a shard
@@ -263,6 +268,7 @@ def test_an_interrupted_import_goes_on(recordings: Path, in_turn: dict[str, byte
     assert {path.name: number for path, number in kept.items()}.items() <= found.items()  # not written anew
 
 
+@pytest.mark.slow
 def test_the_command_names_what_it_leaves_out(
     spoilt: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -81,6 +81,7 @@ def test_a_forged_table_is_told_from_the_shards_and_made_again(dataset: Path) ->
     assert files_of(dataset) == before
 
 
+@pytest.mark.slow
 def test_damage_that_shows_only_with_sound_tables_is_mended_as_well(dataset: Path) -> None:
     file, manifest = dataset / "labels" / "shard-00000.mcap", dataset / "dataset.json"
     before, at = file.read_bytes(), Dataset.open(dataset).rows[0].masks.offset

@@ -64,6 +64,7 @@ def same(one: Path, other: Path) -> None:
         np.testing.assert_array_equal(ours.labels(episode).actions, others.labels(episode).actions)
 
 
+@pytest.mark.slow
 def test_damaged_episodes_are_left_out_as_if_they_were_not_there(
     spoilt: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,6 +89,7 @@ def test_damaged_episodes_are_left_out_as_if_they_were_not_there(
     assert files_of(tmp_path / "two") == files_of(tmp_path / "d")
 
 
+@pytest.mark.slow
 def test_an_episode_that_crashes_its_decoder_harms_none_after_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,6 +126,7 @@ def test_without_the_option_the_way_out_is_said(spoilt: Path, tmp_path: Path) ->
         import_fleet([spoilt], tmp_path / "d", OPTIONS)
 
 
+@pytest.mark.slow
 def test_a_recording_without_a_sound_episode_is_damaged(tmp_path: Path) -> None:
     path = demonstrations(tmp_path / "bad/a.h5", {"demo_0": video(9), "demo_1": video(9)})
     with h5py.File(path, "a") as file:

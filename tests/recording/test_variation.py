@@ -52,6 +52,7 @@ def is_shifted(factor: Factor, value: float) -> bool:
     return any(low <= value <= high for low, high in factor.shifted)
 
 
+@pytest.mark.slow
 def test_every_episodes_labels_hold_its_factors(recorded: Dataset) -> None:
     recipe = recorded.recipe
     belongs = is_shifted if recipe.parameters.get("ranges") == "shifted" else is_usual
@@ -68,6 +69,7 @@ def test_every_episodes_labels_hold_its_factors(recorded: Dataset) -> None:
     assert seen[0] != seen[1] != seen[2]
 
 
+@pytest.mark.slow
 def test_what_was_recorded_is_made_again_by_the_recipe_the_seed_and_the_actions(recorded: Dataset) -> None:
     recipe = recorded.manifest.recipe  # as it was read from the file
     env = make_environment(environment_class(recipe.environment), recipe)
@@ -80,6 +82,7 @@ def test_what_was_recorded_is_made_again_by_the_recipe_the_seed_and_the_actions(
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("environment", FACTORS)
 def test_a_shifted_set_has_the_same_scenes_under_other_conditions(environment: str, tmp_path: Path) -> None:
     sets = []

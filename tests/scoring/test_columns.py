@@ -101,6 +101,7 @@ def test_a_report_without_a_column_says_nothing_of_columns() -> None:
     assert ControlScoring.from_json(said).column is None
 
 
+@pytest.mark.slow
 def test_a_column_has_a_report_of_its_own(make_run: MakeRun, tasks: Dataset, tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     few = ScoreSettings(resamples=100, control=ControlScoring(column="paper", tasks=1, steps=1, group=1))
@@ -138,6 +139,7 @@ def test_tasks_in_episodes_of_the_training_are_refused(make_run: MakeRun, grid: 
         score_run(run.path, metrics=None, settings=column, data=tmp_path / "longer")
 
 
+@pytest.mark.slow
 def test_other_tasks_than_the_protocols_are_refused(
     make_run: MakeRun, tasks: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ def nameless(grid: Dataset) -> Dataset:
     return dataset
 
 
+@pytest.mark.slow
 def test_the_figure_is_the_one_that_labelled_video_has(grid: Dataset, nameless: Dataset) -> None:
     known = score_model(SeesGreen(), grid, metrics=("prediction",), settings=QUICK)
     scores = score_model(SeesGreen(), nameless, settings=QUICK, how=Execution(batch_size=7))

@@ -83,6 +83,7 @@ def test_the_figure_is_a_share_of_all_that_could_be_gained() -> None:
     assert figure.std == pytest.approx(np.std([1, 0, -0.5]))
 
 
+@pytest.mark.slow
 def test_a_perfect_model_picks_as_the_true_frames_do(pushed: Dataset, no_simulator: None) -> None:
     tables = pa.concat_tables(gain_tables(PerfectGridModel(2).eval(), pushed, "test", FEW, Execution()))
     model, oracle, chance = (_figures(tables, who) for who in (MODEL, "oracle", "random"))
@@ -93,6 +94,7 @@ def test_a_perfect_model_picks_as_the_true_frames_do(pushed: Dataset, no_simulat
     assert model.n == len(known_truth(pushed, "test", FEW, Execution()).moments)
 
 
+@pytest.mark.slow
 def test_a_model_that_sees_no_change_brings_what_the_first_sequence_brings(pushed: Dataset, no_simulator: None) -> None:
     still = Known(NoConfig(), ModelInputs(height=128, width=128, actions=Discrete.numbered(4))).eval()
     tables = pa.concat_tables(gain_tables(still, pushed, "test", FEW, Execution()))
@@ -103,6 +105,7 @@ def test_a_model_that_sees_no_change_brings_what_the_first_sequence_brings(pushe
     assert mine["action"].to_pylist() == [0] * len(first)
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_what_was_found(pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = known_truth(pushed, "test", FEW, Execution())
     monkeypatch.setenv("DMBENCH_CACHE", str(tmp_path))
@@ -114,6 +117,7 @@ def test_what_is_kept_is_what_was_found(pushed: Dataset, tmp_path: Path, monkeyp
     assert (anew.sequences == before.sequences).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", ["digit", "cut", "key", "list"])
 def test_a_damaged_cache_is_made_again(
     pushed: Dataset,
@@ -217,6 +221,7 @@ def run(pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run
     return write_run(tmp_path / "first", pushed)
 
 
+@pytest.mark.slow
 def test_a_report_has_the_gain_unless_it_is_left_out(run: Run) -> None:
     report = score_run(run.path, metrics=None, settings=QUICK)
     kept = score_run(run.path, metrics=("rollout",), settings=QUICK)
@@ -227,6 +232,7 @@ def test_a_report_has_the_gain_unless_it_is_left_out(run: Run) -> None:
     assert {"random", "oracle"} <= report.reference.keys()
 
 
+@pytest.mark.slow
 def test_a_report_without_the_gain_is_written_as_before(run: Run) -> None:
     report = score_run(run.path, metrics=("prediction",), settings=QUICK)
     samples = run.path / "report" / "samples.parquet"
@@ -236,6 +242,7 @@ def test_a_report_without_the_gain_is_written_as_before(run: Run) -> None:
     assert read_samples(samples)["best_gain"].null_count == report.samples["rows"]
 
 
+@pytest.mark.slow
 def test_other_moments_are_scored_anew(run: Run) -> None:
     first = score_run(run.path, metrics=("gain",), settings=QUICK)
     fewer = replace(QUICK, gain=replace(FEW, moments=3))
@@ -244,6 +251,7 @@ def test_other_moments_are_scored_anew(run: Run) -> None:
     assert first.figures["planning_gain"]["n"] > second.figures["planning_gain"]["n"] > 0
 
 
+@pytest.mark.slow
 def test_runs_are_compared_at_the_same_moments(
     run: Run, pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,6 +71,7 @@ class KnowsNoPlace(Known):
         return self.eye.predict_with_latent(previous, current, latent.flip(1) / -3)
 
 
+@pytest.mark.slow
 def test_a_model_is_asked_for_what_it_has(grid: Dataset) -> None:
     scores = score_model(KnowsNoPlace(), grid, metrics=("prediction",), settings=ScoreSettings(resamples=200))
     whole = score_model(SeesGreen(), grid, metrics=("prediction",), settings=ScoreSettings(resamples=200))
@@ -89,6 +90,7 @@ def test_a_model_that_sees_the_agent_scores_as_one(grid: Dataset) -> None:
     np.testing.assert_allclose(np.abs(found.motion).max(1), 25.6, atol=0.7)
 
 
+@pytest.mark.slow
 def test_the_report_has_what_identification_found(grid: Dataset) -> None:
     scores = score_model(SeesGreen(), grid, metrics=("prediction",), settings=ScoreSettings(resamples=200))
 
@@ -122,6 +124,7 @@ def test_latent_actions_and_maps_that_hold_no_numbers_are_refused(grid: Dataset)
             identify(model, HeldOut(grid, "test"), batch_size=256, device=torch.device("cpu"))
 
 
+@pytest.mark.slow
 def test_figures_do_not_depend_on_the_size_of_batches(grid: Dataset) -> None:
     small, large = (
         score_model(

@@ -124,6 +124,7 @@ def test_an_import_of_other_bounds_is_read_with_those_of_the_training(
         transfer._numbered(run, monday, other)
 
 
+@pytest.mark.slow
 def test_it_is_a_transfer_and_says_from_what(run: Run, grid: Dataset, other: Dataset, tmp_path: Path) -> None:
     slower = write_import(tmp_path / "recordings", other, step_ns=other.spec.step_ns * 2)
     report = _score(run, slower)
@@ -160,6 +161,7 @@ def _compressed(frames: np.ndarray) -> np.ndarray:
     return np.stack(kept)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [1, 2])
 @pytest.mark.parametrize("lossy", [False, True])
 def test_a_copy_of_the_training_is_refused(run: Run, grid: Dataset, tmp_path: Path, lossy: bool, cut: int) -> None:
@@ -177,12 +179,14 @@ def test_a_copy_of_the_training_is_refused(run: Run, grid: Dataset, tmp_path: Pa
         _score(run, copy)
 
 
+@pytest.mark.slow
 def test_a_copy_that_tests_the_same_episodes_holds_them_out(run: Run, grid: Dataset, tmp_path: Path) -> None:
     copy = write_import(tmp_path / "copy", grid)
     np.testing.assert_array_equal(copy.split("test"), grid.split("test"))
     assert _score(run, copy).figures["mse"] == score_run(run.path, settings=QUICK).figures["mse"]
 
 
+@pytest.mark.slow
 def test_the_paper_s_split_has_trained_on_every_episode(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
     shuffled = make_run(tmp_path / "shuffled", protocol="paper")
     with pytest.raises(RunMismatch, match=r"3 of the 3 test episodes .* show the same as"):
@@ -232,6 +236,7 @@ def test_another_number_of_actions_is_refused_by_name(run: Run, other: Dataset, 
         _score(run, more)
 
 
+@pytest.mark.slow
 def test_control_is_refused(run: Run, other: Dataset, tmp_path: Path) -> None:
     with pytest.raises(LabelsNotAvailable, match=r"no environment to act in .* '--metrics prediction,rollout'"):
         _score(run, write_import(tmp_path / "x", other), metrics=("prediction", "control"))
@@ -245,6 +250,7 @@ def test_without_the_data_set_of_the_training_nothing_is_matched(
         _score(make_run(tmp_path / "run", fingerprint="gone"), write_import(tmp_path / "x", other))
 
 
+@pytest.mark.slow
 def test_video_alone_is_scored_by_what_a_model_reads_off_it(
     run: Run, other: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,6 +265,7 @@ def test_video_alone_is_scored_by_what_a_model_reads_off_it(
     assert report.remarks["trained_on"].endswith("and scored on 'video', an import")
 
 
+@pytest.mark.slow
 def test_a_run_that_knows_no_action_s_name_is_scored_on_video_alone(
     make_run: MakeRun, other: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -69,6 +69,7 @@ def test_ranks_are_those_of_brute_force(seed: int, count: int) -> None:
             np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.slow
 def test_who_knows_what_comes_ranks_first_and_who_does_not_does_not(grid: Dataset) -> None:
     held_out = HeldOut(grid, "test")
     oracle = rank_rollouts(KnowingOracle(grid), held_out, horizon=4, batch_size=5, device=CPU)

@@ -58,6 +58,7 @@ def scored(model: Known, grid: Dataset, shared: SharedSamples) -> tuple[list[dic
     return [row for row in samples.to_pylist() if row["predictor"] == "model"], done
 
 
+@pytest.mark.slow
 def test_another_label_budget_takes_them_over(grid: Dataset) -> None:
     alone, done = scored(Brightens(0.0, MANY), grid, SharedSamples())
     assert done[-2:] == ["single steps", "latent actions"]
@@ -72,6 +73,7 @@ def test_another_label_budget_takes_them_over(grid: Dataset) -> None:
     assert [row["motion"] for row in first] == [row["motion"] for row in second]
 
 
+@pytest.mark.slow
 def test_another_training_has_its_own(grid: Dataset) -> None:
     shared = SharedSamples()
     first, _ = scored(Brightens(0.0, FEW), grid, shared)
@@ -80,6 +82,7 @@ def test_another_training_has_its_own(grid: Dataset) -> None:
     assert [row["motion"] for row in first] != [row["motion"] for row in second]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("others", "again"), [(3, False), (4, True)])
 def test_those_of_four_trainings_are_remembered(grid: Dataset, others: int, *, again: bool) -> None:
     shared = SharedSamples()

@@ -24,6 +24,7 @@ class Falling(Known):
         raise ValueError("nothing to see.")
 
 
+@pytest.mark.slow
 def test_what_somebody_elses_model_raises_names_its_line(
     make_run: Callable[..., Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

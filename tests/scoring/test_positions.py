@@ -48,6 +48,7 @@ def slow_centres(frame: np.ndarray, colors: tuple[tuple[int, int, int], ...], le
     return np.array([np.mean(place, axis=0) if len(place) >= least else (np.nan, np.nan) for place in places])
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=15)
 @given(
     boxes=st.lists(

@@ -30,6 +30,7 @@ from .conftest import FRAMES, Oracle, write_dataset
 QUICK = ScoreSettings(horizon=4, resamples=200)
 
 
+@pytest.mark.slow
 def test_an_oracle_is_perfect(grid: Dataset, oracle: Oracle) -> None:
     figures = score_model(oracle, grid, settings=QUICK).figures
 
@@ -155,6 +156,7 @@ def _transitions(frames: np.ndarray, masks: np.ndarray) -> TransitionBatch:
     )
 
 
+@pytest.mark.slow
 def test_predictions_are_rounded_to_pixels_before_they_are_compared(grid: Dataset, copy_last: Known) -> None:
     expected = score_model(copy_last, grid, metrics=("prediction",), settings=QUICK).figures
 
@@ -176,6 +178,7 @@ def test_what_is_no_frame_is_refused(grid: Dataset, copy_last: Known) -> None:
             score_model(copy_last, grid, metrics=(metric,), settings=QUICK)
 
 
+@pytest.mark.slow
 def test_bf16_is_asked_of_the_model_and_stays_with_it(grid: Dataset, copy_last: Known) -> None:
     seen = []
 
@@ -203,6 +206,7 @@ def test_a_model_without_frames_has_no_figures_of_frames(grid: Dataset, copy_las
     assert score_model(Blind(copy_last.config, copy_last.inputs), grid, settings=QUICK).figures == {}
 
 
+@pytest.mark.slow
 def test_a_models_single_steps_decode_no_masks(grid: Dataset, oracle: Oracle, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(self: Dataset, episode: int) -> None:
         raise AssertionError(f"the masks of episode {episode} were decoded")

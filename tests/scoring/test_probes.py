@@ -60,6 +60,7 @@ def of_background() -> dict[str, dict[str, Estimate]]:
     return scores(NUMBERS @ np.array([[1.0, 2.0, 0.1], [50.0, -20.0, 3.0]]))
 
 
+@pytest.mark.slow
 def test_a_latent_that_is_the_action_holds_it_and_nothing_else(of_action: dict[str, dict[str, Estimate]]) -> None:
     found = of_action
     for name in PROBES:
@@ -67,6 +68,7 @@ def test_a_latent_that_is_the_action_holds_it_and_nothing_else(of_action: dict[s
         assert -0.04 < found["background"][name].mean < 0.02
 
 
+@pytest.mark.slow
 def test_a_latent_that_is_the_background_holds_it_and_no_action(of_background: dict[str, dict[str, Estimate]]) -> None:
     found = of_background
     for name in PROBES:
@@ -74,6 +76,7 @@ def test_a_latent_that_is_the_background_holds_it_and_no_action(of_background: d
         assert found["action"][name].mean == pytest.approx(0.25, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_random_latent_and_all_controls_sit_at_chance(
     of_action: dict[str, dict[str, Estimate]], of_background: dict[str, dict[str, Estimate]]
 ) -> None:
@@ -94,6 +97,7 @@ def test_a_random_latent_and_all_controls_sit_at_chance(
             assert -0.04 < one.mean < 0.02
 
 
+@pytest.mark.slow
 def test_only_the_small_network_reads_what_is_not_linear() -> None:
     size = {"size": Factor(numbers=np.abs(NUMBERS[:, :1] - NUMBERS[:, :1].mean()))}
     found = scores(NUMBERS, size)["size"]
@@ -101,6 +105,7 @@ def test_only_the_small_network_reads_what_is_not_linear() -> None:
     assert found["mlp"].mean > 0.8
 
 
+@pytest.mark.slow
 def test_the_score_of_numbers_is_r_squared_and_units_change_nothing() -> None:
     """A latent of which half the variance is noise leaves half of the variance unread."""
     noise = np.random.default_rng(2).normal(size=ROWS)
@@ -113,6 +118,7 @@ def test_the_score_of_numbers_is_r_squared_and_units_change_nothing() -> None:
         assert again[name].mean == pytest.approx(found[name].mean, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_an_episode_is_not_in_its_own_fit() -> None:
     """Each episode has a code of its own for the action: nothing can be read from others'."""
     generator = np.random.default_rng(4)
@@ -122,6 +128,7 @@ def test_an_episode_is_not_in_its_own_fit() -> None:
     assert found["mlp"].mean < 0.35
 
 
+@pytest.mark.slow
 def test_what_cannot_be_asked_has_no_figure() -> None:
     one_value, unknown = np.ones((ROWS, 2)), np.full((ROWS, 2), np.nan)
     factors = {
@@ -134,6 +141,7 @@ def test_what_cannot_be_asked_has_no_figure() -> None:
     assert probe(NAMED, KNOWN, np.zeros(ROWS)) == {}
 
 
+@pytest.mark.slow
 def test_rows_without_a_value_and_beyond_the_most_are_left_out() -> None:
     partly = NUMBERS.copy()
     partly[::3] = np.nan
@@ -214,6 +222,7 @@ def scored(dataset: Dataset, what: str) -> Scores:
     return score_model(model, dataset, metrics=("prediction",), settings=settings)
 
 
+@pytest.mark.slow
 def test_a_report_tells_a_model_of_the_action_from_one_of_the_background(
     distracted: Dataset, background_scored: Scores
 ) -> None:
@@ -230,6 +239,7 @@ def test_a_report_tells_a_model_of_the_action_from_one_of_the_background(
         assert by_action[f"probe_linear[{factor}]"].mean < 0.1, factor
 
 
+@pytest.mark.slow
 def test_an_environment_that_tells_nothing_of_distractors_has_none_of_their_figures(grid: Dataset) -> None:
     figures = scored(grid, "action").figures
     told = {name.partition("[")[2].rstrip("]") for name in figures if name.startswith("probe_")}
@@ -237,6 +247,7 @@ def test_an_environment_that_tells_nothing_of_distractors_has_none_of_their_figu
     assert not any(name.startswith("codebook_") for name in figures)
 
 
+@pytest.mark.slow
 def test_probes_are_of_the_samples_that_are_stored(
     distracted: Dataset, background_scored: Scores, tmp_path: Path
 ) -> None:

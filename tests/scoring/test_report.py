@@ -53,6 +53,7 @@ def _paper(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmotion_bench.scoring.references.published_results", lambda: [PAPER])
 
 
+@pytest.mark.slow
 def test_every_figure_follows_from_the_samples(make_run: MakeRun, tmp_path: Path) -> None:
     score_run(make_run(tmp_path / "run", offset=0.1).path, settings=QUICK)
     report = json.loads((tmp_path / "run/report/report.json").read_text())
@@ -82,6 +83,7 @@ def test_every_figure_follows_from_the_samples(make_run: MakeRun, tmp_path: Path
                 assert figure["low"] <= figure["mean"] <= figure["high"], name
 
 
+@pytest.mark.slow
 def test_the_motion_s_variances_follow_from_the_samples(grid: Dataset) -> None:
     scores = score_model(SeesGreen(), grid, metrics=("prediction",), settings=QUICK)
     rows = [row for row in scores.samples.to_pylist() if row["predictor"] == "model"]
@@ -93,6 +95,7 @@ def test_the_motion_s_variances_follow_from_the_samples(grid: Dataset) -> None:
     assert scores.figures["motion_within_over_between"].mean == pytest.approx(within / between)
 
 
+@pytest.mark.slow
 def test_the_report_says_how_it_was_made(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     score_run(run.path, settings=QUICK)
@@ -114,6 +117,7 @@ def test_the_report_says_how_it_was_made(make_run: MakeRun, grid: Dataset, tmp_p
     assert "Yuan" in report["remarks"]["paper"]
 
 
+@pytest.mark.slow
 def test_figures_that_are_kept_say_by_which_versions_they_were_made(
     make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,6 +137,7 @@ def test_figures_that_are_kept_say_by_which_versions_they_were_made(
     assert score("3.0", "prediction") == {"dmbench": "0.2", "torch": "3.0"}
 
 
+@pytest.mark.slow
 def test_many_reports_are_shown_with_the_paired_difference_to_the_best(
     make_run: MakeRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -145,6 +150,7 @@ def test_many_reports_are_shown_with_the_paired_difference_to_the_best(
     assert "unknown:" in second  # two episodes have no interval
 
 
+@pytest.mark.slow
 def test_the_same_run_gives_the_same_bytes(make_run: MakeRun, tmp_path: Path) -> None:
     files = []
     for place in ("a", "b"):
@@ -155,6 +161,7 @@ def test_the_same_run_gives_the_same_bytes(make_run: MakeRun, tmp_path: Path) ->
     assert files[0] == files[1]
 
 
+@pytest.mark.slow
 def test_whenever_it_is_killed_a_report_stands_with_its_samples(make_run: MakeRun, tmp_path: Path) -> None:
     """Of the old report and the new one; and the next command leaves no other file behind."""
     path = make_run(tmp_path / "run").path / "report"
@@ -185,6 +192,7 @@ def test_whenever_it_is_killed_a_report_stands_with_its_samples(make_run: MakeRu
     assert found == {True, False}
 
 
+@pytest.mark.slow
 def test_a_full_disk_between_samples_and_report_loses_no_group_of_figures(
     make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,6 +224,7 @@ class Work:
             self.done.append(what)
 
 
+@pytest.mark.slow
 def test_a_report_without_control_is_kept_where_the_environment_is_not_installed(
     make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -264,6 +273,7 @@ def test_what_is_up_to_date_is_kept_and_what_is_not_is_scored_again(
     assert score(ScoreSettings(horizon=2, resamples=50)) == again
 
 
+@pytest.mark.slow
 def test_new_weights_make_a_report_stale(make_run: MakeRun, tmp_path: Path) -> None:
     score_run(make_run(tmp_path / "run").path, settings=QUICK, renew=False)
     (tmp_path / "run/run.json").unlink()
@@ -273,6 +283,7 @@ def test_new_weights_make_a_report_stale(make_run: MakeRun, tmp_path: Path) -> N
     assert changed.figures["mse"]["mean"] > changed.reference["copy_last"]["mse"]["mean"]
 
 
+@pytest.mark.slow
 def test_references_are_scored_once_for_many_runs(make_run: MakeRun, tmp_path: Path) -> None:
     shared, work = SharedSamples(on_disk=False), Work()
     how = Execution(progress=work)
@@ -285,6 +296,7 @@ def test_references_are_scored_once_for_many_runs(make_run: MakeRun, tmp_path: P
     assert reports[0].reference == reports[1].reference
 
 
+@pytest.mark.slow
 def test_the_validation_episodes_are_others(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
     path = make_run(tmp_path / "run").path
 
@@ -294,6 +306,7 @@ def test_the_validation_episodes_are_others(make_run: MakeRun, grid: Dataset, tm
     assert episodes == grid.split("validation").tolist()
 
 
+@pytest.mark.slow
 def test_scoring_on_validation_episodes_leaves_the_report_of_the_test(make_run: MakeRun, tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     settings = ScoreSettings(split="validation", resamples=100)
@@ -311,6 +324,7 @@ def test_scoring_on_validation_episodes_leaves_the_report_of_the_test(make_run: 
         compare_runs(run.path, run.path, split="validation")
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_said(make_run: MakeRun, tmp_path: Path) -> None:
     with pytest.raises(RunMissing, match="not finished"):
         score_run(make_run(tmp_path / "unfinished", finished=False).path)
@@ -368,6 +382,7 @@ def test_without_labels_nothing_can_be_scored(oracle: Oracle, tmp_path: Path) ->
         score_model(oracle, dataset, settings=QUICK)
 
 
+@pytest.mark.slow
 def test_what_could_not_be_read_again_is_not_scored(
     make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -411,6 +426,7 @@ def test_a_published_row_stands_beside_the_run_it_belongs_to() -> None:
     assert published_for("a", "grid_world", "10%", rows, actions=moves) is None
 
 
+@pytest.mark.slow
 def test_the_columns_of_the_figures_are_in_the_samples(grid: Dataset, oracle: Oracle) -> None:
     samples = score_model(oracle, grid, settings=QUICK).samples
 
@@ -419,6 +435,7 @@ def test_the_columns_of_the_figures_are_in_the_samples(grid: Dataset, oracle: Or
     assert len(samples) == 3 * 12 * 3 + 3 * 4 * 3 * 2
 
 
+@pytest.mark.slow
 def test_a_report_that_names_code_is_of_the_version_that_the_code_stands_for(make_run: MakeRun, tmp_path: Path) -> None:
     """Reports of before versions were named open, and are scored again only if their code was another."""
     now = score_run(make_run(tmp_path / "run").path, settings=QUICK)

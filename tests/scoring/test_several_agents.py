@@ -103,6 +103,7 @@ def figures(model: Known, dataset: Dataset) -> dict[str, float]:
     return {name: estimate.mean for name, estimate in scores.figures.items()}
 
 
+@pytest.mark.slow
 def test_a_model_that_sees_both_scores_as_one_on_each(two: Dataset) -> None:
     found = figures(SeesBoth(), two)
     for agent in (0, 1):
@@ -114,6 +115,7 @@ def test_a_model_that_sees_both_scores_as_one_on_each(two: Dataset) -> None:
     assert found["motion_shift_error"] == pytest.approx(0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_an_agent_taken_for_the_other_is_wrong_for_each_and_right_together(two: Dataset) -> None:
     found = figures(TakesOneForTheOther(), two)
     for agent in (0, 1):
@@ -124,6 +126,7 @@ def test_an_agent_taken_for_the_other_is_wrong_for_each_and_right_together(two: 
     assert found["agent_iou"] == 1
 
 
+@pytest.mark.slow
 def test_a_single_map_stands_against_every_agent(two: Dataset) -> None:
     found = figures(SeesOne(), two)
     assert (found["agent_iou[0]"], found["agent_iou[1]"]) == (1, 0)
@@ -134,6 +137,7 @@ def test_a_single_map_stands_against_every_agent(two: Dataset) -> None:
     assert found["motion_probe_accuracy[1]"] < 0.5
 
 
+@pytest.mark.slow
 def test_the_reference_moves_both_agents(two: Dataset) -> None:
     held = HeldOut(two, "test")
     batch = next(held.batches(10_000))
@@ -146,6 +150,7 @@ def test_the_reference_moves_both_agents(two: Dataset) -> None:
     assert moved < scores.reference["copy_last"]["mse"].mean / 5
 
 
+@pytest.mark.slow
 def test_the_samples_hold_each_agents_values(two: Dataset, tmp_path: Path) -> None:
     scores = score_model(SeesOne(), two, metrics=("prediction",), settings=QUICK)
     write_samples(tmp_path / "samples.parquet", scores.samples)
@@ -161,6 +166,7 @@ def test_the_samples_hold_each_agents_values(two: Dataset, tmp_path: Path) -> No
             assert scores.figures[f"{name}[{agent}]"].mean == pytest.approx(mean)
 
 
+@pytest.mark.slow
 def test_one_agent_keeps_its_figures_and_columns(grid: Dataset, tmp_path: Path) -> None:
     found = identify(_of_one(grid), HeldOut(grid, "test"), batch_size=16, device=torch.device("cpu"))
     assert found.each is None

@@ -36,6 +36,7 @@ def scored(path: Path, *, on_disk: bool = True) -> tuple[bytes, set[str]]:
     return (path / "report/samples.parquet").read_bytes(), done & REFERENCES
 
 
+@pytest.mark.slow
 def test_another_process_takes_them_from_the_cache(make_run: Callable[..., Run], cache: Path, tmp_path: Path) -> None:
     path = make_run(tmp_path / "run").path
     alone, computed = scored(path, on_disk=False)
@@ -75,6 +76,7 @@ def test_damaged_ones_are_computed_again(tmp_path: Path, name: str) -> None:
     assert file.read_bytes() == sound
 
 
+@pytest.mark.slow
 def test_those_of_other_settings_are_not_taken(make_run: Callable[..., Run], cache: Path, tmp_path: Path) -> None:
     path = make_run(tmp_path / "run").path
     scored(path)

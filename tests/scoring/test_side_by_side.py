@@ -68,6 +68,7 @@ def test_shares_are_whole_groups(job: MakeJob) -> None:
     assert not list(control_shares(job("a", metrics=None)))
 
 
+@pytest.mark.slow
 def test_control_in_shares_is_control_in_one_piece(job: MakeJob, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = job("whole")
     score_run(whole.run, metrics=("control",), settings=SETTINGS)
@@ -84,6 +85,7 @@ def test_control_in_shares_is_control_in_one_piece(job: MakeJob, monkeypatch: py
     assert not list(control_shares(shared))  # it is scored
 
 
+@pytest.mark.slow
 def test_a_damaged_share_is_planned_again(job: MakeJob) -> None:
     whole = job("whole")
     score_run(whole.run, metrics=("control",), settings=SETTINGS)
@@ -101,6 +103,7 @@ def test_a_damaged_share_is_planned_again(job: MakeJob) -> None:
     assert _told(shared.run) == _told(whole.run)
 
 
+@pytest.mark.slow
 def test_one_that_fails_does_not_stop_the_others(job: MakeJob, tmp_path: Path) -> None:
     jobs = [job("sound"), ScoreJob(**{**vars(job("sound")), "run": tmp_path / "nothing"})]
 
@@ -111,6 +114,7 @@ def test_one_that_fails_does_not_stop_the_others(job: MakeJob, tmp_path: Path) -
     assert read_report(jobs[0].run / "report") is not None
 
 
+@pytest.mark.slow
 def test_a_lost_job_is_a_failure_of_its_runs_alone(job: MakeJob) -> None:
     outcomes = list(score_side_by_side([job("lost"), job("sound")], Losing()))
 
@@ -120,6 +124,7 @@ def test_a_lost_job_is_a_failure_of_its_runs_alone(job: MakeJob) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_jobs_say_how_far_they_are(job: MakeJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
     (folder := tmp_path / "jobs").mkdir()
@@ -153,6 +158,7 @@ class Noting:
             yield function(job)
 
 
+@pytest.mark.slow
 def test_runs_of_one_training_are_one_job(tasks: Dataset, job: MakeJob, tmp_path: Path) -> None:
     made = {"few": "one-shot", "many": "64", "others": "one-shot"}
     for name, labels in made.items():

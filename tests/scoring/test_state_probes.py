@@ -49,6 +49,7 @@ def _scores(model: Known, dataset: Dataset) -> dict[str, float]:
     return {name: float(1 - np.nansum(columns[:, 1]) / np.nansum(columns[:, 0])) for name, columns in found.items()}
 
 
+@pytest.mark.slow
 def test_a_state_that_holds_all_places_has_one_and_a_constant_has_nothing(grid: Dataset) -> None:
     mixing = np.random.default_rng(0).normal(size=(100, 100))
 
@@ -67,6 +68,7 @@ def test_a_state_of_the_agent_alone_says_nothing_of_objects(grid: Dataset) -> No
     assert scores["object_place"] < 0.1
 
 
+@pytest.mark.slow
 def test_a_code_of_the_episode_reads_no_layout_that_is_new(grid: Dataset) -> None:
     def code(episode: int, places: Places) -> np.ndarray:
         seed = int.from_bytes(hashlib.sha256(bytes([episode])).digest()[:4], "big")
@@ -83,6 +85,7 @@ def test_models_without_states_and_leaking_splits_have_no_such_figure(grid: Data
     assert probe_states(model, HeldOut(grid, "test", "paper"), batch_size=7, device=CPU) == {}
 
 
+@pytest.mark.slow
 def test_the_report_has_the_figures_and_their_samples(grid: Dataset) -> None:
     model = Embedding(grid, lambda episode, places: places[0])
     scores = score_model(model, grid, metrics=("prediction",), settings=ScoreSettings(resamples=100))
@@ -119,6 +122,7 @@ def test_a_thing_that_is_seldom_there_is_read_where_it_is() -> None:
     assert _fitted(inputs, places, fold) is None
 
 
+@pytest.mark.slow
 def test_of_a_long_state_the_principal_components_are_probed(grid: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     mixing = np.random.default_rng(0).normal(size=(100, 300))
 

@@ -19,6 +19,7 @@ from dmotion_bench.scoring.statistics import (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("episodes", "least"), [(FEWEST_EPISODES, 0.88), (8, 0.93), (60, 0.93)])
 def test_the_interval_covers_the_truth_as_often_as_it_says(episodes: int, least: float) -> None:
     generator = np.random.default_rng(1)

@@ -47,6 +47,7 @@ def trained(make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     return make
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [2, 3])
 def test_scoring_takes_the_number_of_the_training(trained: Callable[[int], Run], threads: int) -> None:
     before = torch.get_num_threads()
@@ -74,6 +75,7 @@ def test_the_references_of_another_number_are_scored_again(
     assert len(set(asked)) == 4
 
 
+@pytest.mark.slow
 def test_a_number_that_is_not_allowed_is_said(trained: Callable[[int], Run], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_THREAD_LIMIT", "2")
     score_run(trained(2).path, settings=QUICK)
@@ -81,6 +83,7 @@ def test_a_number_that_is_not_allowed_is_said(trained: Callable[[int], Run], mon
         score_run(trained(3).path, settings=QUICK)
 
 
+@pytest.mark.slow
 def test_older_runs_that_name_no_number_take_what_there_is(make_run: MakeRun, tmp_path: Path) -> None:
     report = score_run(make_run(tmp_path / "run").path, settings=QUICK)
     assert "threads" not in report.training

@@ -39,6 +39,7 @@ def _score(run: Run, dataset: Dataset | None = None, **options: Any) -> Any:
     return score_run(run.path, settings=QUICK, data=None if dataset is None else dataset.path, **options)
 
 
+@pytest.mark.slow
 def test_the_figures_are_those_of_the_other_data_set(make_run: MakeRun, other: Dataset, tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", offset=0.1)
     report = _score(run, other)
@@ -50,6 +51,7 @@ def test_the_figures_are_those_of_the_other_data_set(make_run: MakeRun, other: D
     assert set(samples["episode"].to_pylist()) == set(other.split("test").tolist())
 
 
+@pytest.mark.slow
 def test_it_is_marked_and_stands_beside_the_run_s_own(
     make_run: MakeRun, grid: Dataset, other: Dataset, tmp_path: Path
 ) -> None:
@@ -74,6 +76,7 @@ def test_it_is_marked_and_stands_beside_the_run_s_own(
     assert transfer_folders(run.path) == [run.path / "report/on/other"] == [run.path / report.place]
 
 
+@pytest.mark.slow
 def test_of_two_data_sets_of_one_name_each_keeps_its_report(make_run: MakeRun, other: Dataset, tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     first = _score(run, other)
@@ -92,6 +95,7 @@ def test_of_two_data_sets_of_one_name_each_keeps_its_report(make_run: MakeRun, o
         assert compared["mse"].first == pytest.approx(report.figures["mse"]["mean"])
 
 
+@pytest.mark.slow
 def test_a_report_on_a_data_set_of_the_same_name_is_not_taken_for_another(
     make_run: MakeRun, grid: Dataset, other: Dataset, tmp_path: Path
 ) -> None:
@@ -109,6 +113,7 @@ def test_a_report_on_a_data_set_of_the_same_name_is_not_taken_for_another(
         compare_runs(run.path, run.path, grid)
 
 
+@pytest.mark.slow
 def test_validation_episodes_have_a_report_of_their_own_that_no_leaderboard_reads(
     make_run: MakeRun, other: Dataset, tmp_path: Path
 ) -> None:
@@ -126,6 +131,7 @@ def test_validation_episodes_have_a_report_of_their_own_that_no_leaderboard_read
     assert difference.first == chosen.figures[difference.figure]["mean"]
 
 
+@pytest.mark.slow
 def test_it_is_kept_while_it_is_true_and_its_own_data_set_is_no_other(
     make_run: MakeRun, grid: Dataset, other: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -138,6 +144,7 @@ def test_it_is_kept_while_it_is_true_and_its_own_data_set_is_no_other(
     assert not (run.path / "report/on" / grid.name).exists()
 
 
+@pytest.mark.slow
 def test_episodes_that_the_run_was_trained_on_are_refused(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
     """Recorded longer with the same seed: of the new test episodes some were the run's training."""
     longer = write_dataset(tmp_path / "data/longer", episodes=60)
@@ -148,6 +155,7 @@ def test_episodes_that_the_run_was_trained_on_are_refused(make_run: MakeRun, gri
         _score(make_run(tmp_path / "run"), longer)
 
 
+@pytest.mark.slow
 def test_another_version_of_an_episode_is_no_new_episode(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
     """Version 1 draws the same episodes with other pixels; with another seed it is a transfer like any other."""
     drawn_otherwise = write_dataset(tmp_path / "data/first", episodes=60, version=1)
@@ -159,6 +167,7 @@ def test_another_version_of_an_episode_is_no_new_episode(make_run: MakeRun, grid
     assert report.trained_on == grid.name
 
 
+@pytest.mark.slow
 def test_a_trained_layout_in_another_light_is_no_new_episode(
     make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,6 +185,7 @@ def test_a_trained_layout_in_another_light_is_no_new_episode(
         _score(run, longer)
 
 
+@pytest.mark.slow
 def test_without_the_training_s_data_the_report_says_that_nobody_looked(
     make_run: MakeRun, other: Dataset, tmp_path: Path
 ) -> None:
@@ -186,6 +196,7 @@ def test_without_the_training_s_data_the_report_says_that_nobody_looked(
     assert "whether its episodes are new to the run was not looked at" in report.remarks["trained_on"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_with_the_same_split_holds_out_the_same(make_run: MakeRun, grid: Dataset, tmp_path: Path) -> None:
     shorter = write_dataset(tmp_path / "data/shorter", frames=10)
     np.testing.assert_array_equal(shorter.split("test"), grid.split("test"))
@@ -198,6 +209,7 @@ def test_another_environment_is_refused(make_run: MakeRun, tmp_path: Path) -> No
         _score(make_run(tmp_path / "run"), Dataset.open(tmp_path / "planar"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("changes", "said"), [({"width": 64}, "64 x 128 pixels"), ({"actions": 5}, "5 actions")])
 def test_a_run_of_other_pictures_or_actions_is_refused(
     make_run: MakeRun, other: Dataset, tmp_path: Path, changes: dict[str, int], said: str

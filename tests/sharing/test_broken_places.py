@@ -29,6 +29,7 @@ from dmotion_bench.sharing.place import FolderPlace
 from dmotion_bench.workspace import Workspace
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["500", "503", "truncated", "short", "wrong"])
 def test_what_fails_for_a_while_is_asked_for_again(
     workspace: Workspace, outsider: Workspace, storage: Storage, bucket: Published, kind: str
@@ -43,6 +44,7 @@ def test_what_fails_for_a_while_is_asked_for_again(
     assert contents(outsider.data / "noise") == contents(workspace.data / "noise")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["500", "503", "truncated", "short", "wrong"])
 def test_what_fails_for_good_costs_a_sentence_and_leaves_nothing_wrong(
     workspace: Workspace, outsider: Workspace, storage: Storage, bucket: Published, kind: str
@@ -68,6 +70,7 @@ def test_a_bucket_that_is_not_there_or_closed_is_said(workspace: Workspace, stor
         dm.share_push("known", storage.address)
 
 
+@pytest.mark.slow
 def test_damage_in_a_place_is_never_passed_on_and_can_be_mended(
     workspace: Workspace, outsider: Workspace, place: Published
 ) -> None:

@@ -34,6 +34,7 @@ from dmotion_bench.workspace import Workspace
 PUBLISHED = ("run.json", "best.safetensors", "metrics.jsonl", "report/report.json", "report/samples.parquet")
 
 
+@pytest.mark.slow
 def test_an_outsider_gets_the_same_bytes_from_every_kind_of_place(
     workspace: Workspace, outsider: Workspace, place: Published, tmp_path: Path
 ) -> None:
@@ -91,6 +92,7 @@ def test_a_run_is_published_without_labels_and_without_what_no_check_needs(
     assert not published & {hashlib.sha256(path.read_bytes()).hexdigest() for path in kept_back}
 
 
+@pytest.mark.slow
 def test_pushing_again_sends_what_is_missing_alone(workspace: Workspace, place: Published) -> None:
     dm.share_push(["known", "noise"], place.address)
     before = place.files()
@@ -161,6 +163,7 @@ def test_another_report_of_the_same_weights_stands_beside_the_first(
         dm.share_pull(third, folder.address, workspace=tmp_path / "nowhere")
 
 
+@pytest.mark.slow
 def test_labels_are_published_and_fetched_only_where_they_are_wanted(
     workspace: Workspace, outsider: Workspace, place: Published
 ) -> None:

@@ -79,12 +79,14 @@ def test_misbehaviour_is_a_sentence(confinement: Confinement, name: str, sentenc
     assert "\x1b" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_no_file_can_be_written(tmp_path: Path) -> None:
     with Confinement(OPTIONS, READER) as confinement, pytest.raises(RecordingImportError, match="OSError"):
         confinement.open(tmp_path / "writes", "video").survey()
     assert [file.stat().st_size for file in tmp_path.iterdir()] in ([], [0])
 
 
+@pytest.mark.slow
 def test_errors_keep_their_kind(confinement: Confinement) -> None:
     with pytest.raises(RecordingTruncated, match=r"the end is missing\."):
         opened(confinement, "truncated").survey()

@@ -35,6 +35,7 @@ def shard(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return write_noise(tmp_path_factory.mktemp("damage") / "d", episodes=3)
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=150)
 @given(data=st.data())
 def test_a_flipped_bit_never_gives_a_wrong_frame(shard: Dataset, data: st.DataObject) -> None:

@@ -240,6 +240,7 @@ def test_a_failed_cache_leaves_nothing(tmp_path: Path) -> None:
         assert file.map() is None
 
 
+@pytest.mark.slow
 def test_making_the_cache_holds_one_episode_in_memory(tmp_path: Path) -> None:
     """64 episodes of 3 MiB, 192 MiB in all, pass through 16 MiB of memory."""
     frames = np.arange(64 * 128 * 128 * 3, dtype=np.uint8).reshape(64, 128, 128, 3)

@@ -23,6 +23,7 @@ from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
 
 
+@pytest.mark.slow
 def test_an_unknown_field_lists_those_there_are(tmp_path: Path) -> None:
     file = twists(tmp_path / "bag", AWKWARD)
     for field, said in (("linear.q", "did you mean 'linear.[xyz]'. I"), ("speed", "i")):
@@ -34,12 +35,14 @@ def test_an_unknown_field_lists_those_there_are(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
 def test_a_command_that_is_not_finite(tmp_path: Path, number: float) -> None:
     file = twists(tmp_path / "bag", [*AWKWARD[:3], number, *AWKWARD[4:]])
     refused(file, rf"message 3 on '/cmd_vel' holds 'linear.x' = {number}; a command must be finite")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "match"),
     [
@@ -63,6 +66,7 @@ def test_json_that_is_no_command(tmp_path: Path, command: Any, match: str) -> No
     refused(file, match, dataclasses.replace(TWIST, action_fields=("linear.x",)))
 
 
+@pytest.mark.slow
 def test_commands_that_change_their_fields(tmp_path: Path) -> None:
     options = dataclasses.replace(TWIST, action_fields=("v",))
     shorter = json_file(tmp_path / "a.mcap", [{"v": [1.0, 2.0]}, {"v": [1.0]}, {"v": [1.0, 2.0]}])
@@ -79,6 +83,7 @@ def test_recordings_with_other_actions(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_fewer_commands_than_frames(tmp_path: Path) -> None:
     slow = [(START + n * 250_000_000 + 1, twist(n, 0.0)) for n in range(8)]
     file = bag(tmp_path / "bag", "geometry_msgs/msg/Twist", slow, 20)
@@ -88,6 +93,7 @@ def test_fewer_commands_than_frames(tmp_path: Path) -> None:
     refused(once, "has 1 commands on '/cmd_vel' for 19 steps")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reduce", list(Reduce))
 def test_steps_without_a_command_of_their_own_are_counted(tmp_path: Path, reduce: Reduce) -> None:
     """Commands at 50 Hz for 3 of 6 seconds: more than there are steps, and none for the second half."""
@@ -106,6 +112,7 @@ def test_steps_without_a_command_of_their_own_are_counted(tmp_path: Path, reduce
     assert "27 of 57 steps have no command of their own" in parts.advice[-1]  # one is between two parts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_ns", [-5_000_000, 0, 5_000_000])
 @pytest.mark.parametrize("reduce", list(Reduce))
 def test_a_command_a_step_is_no_reason_for_advice(tmp_path: Path, delay_ns: int, reduce: Reduce) -> None:
@@ -150,6 +157,7 @@ def test_a_definition_that_takes_all_time_is_stopped(tmp_path: Path) -> None:
     refused(writer_file, r"keeps its decoder busy for more than 1 s|takes more than 256 MiB", options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("definition", [b"", b"float64", b"Nothing x\n", b"\xff\xfe", b"float64[99999999999] x\n"])
 def test_a_definition_that_is_none(tmp_path: Path, definition: bytes) -> None:
     context = foxglove.Context()
@@ -163,6 +171,7 @@ def test_a_definition_that_is_none(tmp_path: Path, definition: bytes) -> None:
     refused(tmp_path / "a.mcap", "'/cmd_vel'", dataclasses.replace(TWIST, action_fields=("x",)))
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     file = str(twists(tmp_path / "bag", [0.25, 0.5, -0.5, 1.0]))

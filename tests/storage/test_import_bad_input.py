@@ -248,6 +248,7 @@ def test_a_data_set_of_dmbench_is_no_recording(good: Path, tmp_path: Path) -> No
     )
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
     peaks = []
     for name, count in (("short", 100), ("long", 500)):

@@ -28,6 +28,7 @@ from dmotion_bench.storage.imports.recording import steady_times
 from dmotion_bench.storage.imports.timeline import Piece, resample
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_ns", [-5_000_000, 0, 5_000_000])
 @pytest.mark.parametrize("reduce", list(Reduce))
 def test_one_command_a_frame_is_its_action_to_the_bit(tmp_path: Path, delay_ns: int, reduce: Reduce) -> None:
@@ -41,6 +42,7 @@ def test_one_command_a_frame_is_its_action_to_the_bit(tmp_path: Path, delay_ns: 
     )
 
 
+@pytest.mark.slow
 def test_joint_states_have_the_names_of_the_joints(tmp_path: Path) -> None:
     joints = [("elbow", "wrist"), ("wrist", "elbow"), ("elbow", "wrist")]  # the order may change
     given = [
@@ -72,6 +74,7 @@ def test_joint_states_have_the_names_of_the_joints(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_joints_of_another_publisher_do_not_count(tmp_path: Path) -> None:
     def state(t_ns: int, names: list[str], position: float) -> dict[str, Any]:
         numbers = {
@@ -98,6 +101,7 @@ def test_joints_of_another_publisher_do_not_count(tmp_path: Path) -> None:
     refused(file, "or the joints of one publisher on the topic", several)
 
 
+@pytest.mark.slow
 def test_numbers_in_lists_and_in_fields_of_fields(tmp_path: Path) -> None:
     commands = [{"pose": {"at": [n, 2.5 * n], "note": "x"}, "grip": -n} for n in range(4)]
     file = json_file(tmp_path / "a.mcap", commands)
@@ -109,6 +113,7 @@ def test_numbers_in_lists_and_in_fields_of_fields(tmp_path: Path) -> None:
     assert dataset.manifest.recipe.parameters["action_fields"] == "grip,pose.at"
 
 
+@pytest.mark.slow
 def test_truth_values_are_0_and_1(tmp_path: Path) -> None:
     commands = [{"joint": n, "gripper": n % 2 == 0} for n in range(4)]
     options = dataclasses.replace(TWIST, action_fields=("joint", "gripper"))
@@ -116,6 +121,7 @@ def test_truth_values_are_0_and_1(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dataset.states(0).actions, [[0, 1], [1, 0], [2, 1], [3, 0]])
 
 
+@pytest.mark.slow
 def test_protobuf_fields(tmp_path: Path) -> None:
     described = descriptor_pb2.FileDescriptorProto(name="c.proto", package="c", syntax="proto3")
     inner, outer = described.message_type.add(name="V"), described.message_type.add(name="Command")
@@ -168,6 +174,7 @@ def test_several_commands_become_one_action(reduce: Reduce, expected: list[list[
     np.testing.assert_array_equal(reduced(commands, halfway, piece, reduce), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "hz"), [(60.0, 15.0), (30.0, 7.5), (20.0, 5.0), (60.0, 20.0), (30.0, 10.0)])
 @pytest.mark.parametrize("one_less", [False, True])
 def test_rows_of_pictures_count_from_their_picture_on(tmp_path: Path, rate: float, hz: float, one_less: bool) -> None:
@@ -215,6 +222,7 @@ def test_a_sum_of_displacements_is_the_whole_way(tmp_path: Path) -> None:
     assert dataset.manifest.recipe.parameters["action_reduce"] == "sum"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("values", "kind"), [(AWKWARD, "float64"), (np.float32([0.1, -0.0, 1 / 3, 1e-40, 3e38, 7.0]).tolist(), "float32")]
 )

@@ -57,6 +57,7 @@ def test_a_cut_file_can_be_salvaged(good: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(frames, video(12)[: len(frames)])
 
 
+@pytest.mark.slow
 @given(place=st.floats(0, 1), value=st.integers(0, 255))
 @settings(deadline=None, derandomize=True, max_examples=150)
 def test_a_changed_byte_never_surprises(

@@ -76,6 +76,7 @@ def test_every_demonstration_is_an_episode(tmp_path: Path, packing: dict[str, An
     assert dataset.recipe.parameters["camera"] == "obs/agentview_image"
 
 
+@pytest.mark.slow
 def test_the_environment_s_rate_counts(tmp_path: Path) -> None:
     frames = video(20)
     dataset = imported(robomimic(tmp_path / "a.hdf5", {"demo_0": frames}, control_freq=20))
@@ -107,6 +108,7 @@ def test_discrete_actions(tmp_path: Path, given: Any, names: tuple[str, ...], nu
     assert dataset.states(0).actions.tolist() == numbers
 
 
+@pytest.mark.slow
 def test_rows_of_whole_numbers_are_no_discrete_actions(tmp_path: Path) -> None:
     file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)}, actions={"demo_0": [[1, 2]] * 5})
     refused(
@@ -116,6 +118,7 @@ def test_rows_of_whole_numbers_are_no_discrete_actions(tmp_path: Path) -> None:
     refused(short, "has 2 int64 as actions in '/data/demo_0/actions'; .* 5 pictures", ImportOptions(actions="actions"))
 
 
+@pytest.mark.slow
 def test_cameras_are_found_by_path_or_by_name_and_listed(tmp_path: Path) -> None:
     frames = video(8)
     file = robomimic(tmp_path / "a.hdf5", {"demo_0": frames[:4]})
@@ -186,6 +189,7 @@ def test_demonstrations_that_are_called_so_need_no_table(
     np.testing.assert_array_equal(dataset.video(1), frames[9:18])
 
 
+@pytest.mark.slow
 def test_cameras_at_the_root_are_no_demonstrations(tmp_path: Path) -> None:
     frames = video(12)
     cameras = {f"cam_{number}": {"rgb": frames[6 * number :][:6], "stamps": np.arange(6)} for number in range(2)}
@@ -205,6 +209,7 @@ def test_a_replay_buffer_is_told_to_be_cut(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels_first", [False, True])
 @pytest.mark.parametrize("kind", [np.uint8, np.float16, np.float32, np.float64])
 def test_pixels_may_have_their_channels_first_and_be_fractions(
@@ -281,6 +286,7 @@ def test_packed_jpeg_keeps_its_colours(tmp_path: Path) -> None:
     np.testing.assert_allclose(shown, frames, atol=3)
 
 
+@pytest.mark.slow
 def test_damaged_packed_pictures(tmp_path: Path) -> None:
     files = packed(video(5), "PNG")
     several = [*files[:3], *packed(video(2, 24, 32), "PNG")]
@@ -293,6 +299,7 @@ def test_damaged_packed_pictures(tmp_path: Path) -> None:
     refused(bytes_alone, "has no pictures .*are:\n  action 5 x 14 float64\n.*\n  observations/images/cam_high 5 x 40")
 
 
+@pytest.mark.slow
 def test_next_observations_are_no_second_camera(tmp_path: Path) -> None:
     frames = video(8)
     file = robomimic(tmp_path / "a.hdf5", {"demo_0": frames})
@@ -314,6 +321,7 @@ def test_demonstrations_without_pictures_are_told(tmp_path: Path) -> None:
     assert f"2 of the 3 demonstrations in {str(file)!r} hold no picture." in report.advice
 
 
+@pytest.mark.slow
 def test_a_file_cannot_lead_to_another(tmp_path: Path) -> None:
     frames = video(4)
     robomimic(tmp_path / "secret.h5", {"demo_0": frames})
@@ -358,6 +366,7 @@ def test_what_a_file_declares_is_not_believed(tmp_path: Path) -> None:
         refused(tmp_path / f"{name}.h5", "declares 10,000 pictures in .*image' and holds fewer")
 
 
+@pytest.mark.slow
 def test_mixed_sizes_and_missing_pictures(tmp_path: Path) -> None:
     file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(3), "demo_1": video(3, 24, 32)})
     refused(file, "mixes picture sizes: 32x32 pixels at first, 32x24 in '/data/demo_1/obs/agentview_image'")

@@ -42,6 +42,7 @@ LEROBOT = ImportOptions(size=32, actions="action")
 ROWS = [[n / 3, n] for n in range(7)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stated", "names"),
     [
@@ -71,6 +72,7 @@ def test_lerobot_s_own_actions(exported: Path, tmp_path: Path, stated: Any, name
 FLOATS: dict[str, Any] = {"dtype": "float32", "shape": [2], "names": ["a", "b"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rows", "feature", "match"),
     [
@@ -100,6 +102,7 @@ def test_lerobot_s_actions_that_cannot_be(
     refused(lerobot(exported, tmp_path, pa.array(rows, pa.list_(pa.float32())), feature), match, LEROBOT)
 
 
+@pytest.mark.slow
 def test_words_are_no_numbers(exported: Path, tmp_path: Path) -> None:
     refused(
         lerobot(exported, tmp_path, pa.array(["x"] * 7), FLOATS), "holds string as actions, which is no number", LEROBOT

@@ -226,6 +226,7 @@ def clips(root: Path, names: tuple[str, ...] = ("front.mp4", "wrist.mp4")) -> Pa
     return root
 
 
+@pytest.mark.slow
 def test_videos_of_the_same_names_in_several_folders_may_be_cameras(root: Path) -> None:
     report = imported(clips(root))
     assert report.episodes == 5
@@ -234,6 +235,7 @@ def test_videos_of_the_same_names_in_several_folders_may_be_cameras(root: Path) 
     assert f"with '--camera front' or '{root}/*/front.mp4': a data set has one camera." in report.advice[0]
 
 
+@pytest.mark.slow
 def test_a_camera_s_videos_are_chosen_by_their_name(root: Path) -> None:
     clips(root)
     report = imported(root, ImportOptions(size=16, camera="front"))
@@ -245,12 +247,14 @@ def test_a_camera_s_videos_are_chosen_by_their_name(root: Path) -> None:
         imported(root, ImportOptions(size=16, camera="Front"))
 
 
+@pytest.mark.slow
 def test_a_number_is_a_stream_and_no_name_of_a_file(root: Path) -> None:
     report = imported(clips(root, ("0.mp4", "1.mp4")), ImportOptions(size=16, camera="0"))
     assert report.episodes == 5
     assert f"such as with '{root}/*/0.mp4': a data set" in report.advice[0]
 
 
+@pytest.mark.slow
 def test_numbered_videos_in_folders_of_different_length_are_no_cameras(root: Path) -> None:
     for day in range(3):
         (root / f"day{day}").mkdir()

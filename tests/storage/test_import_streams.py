@@ -76,6 +76,7 @@ def refused(file: Path, match: str, options: ImportOptions = OPTIONS) -> str:
     return str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", STREAMS)
 def test_foxglove_video(tmp_path: Path, form: str) -> None:
     frames = square(25)
@@ -87,6 +88,7 @@ def test_foxglove_video(tmp_path: Path, form: str) -> None:
     assert dataset.recipe.parameters["camera"] == "/video"
 
 
+@pytest.mark.slow
 def test_av1_over_a_topic_is_what_the_encoder_meant(tmp_path: Path) -> None:
     frames = square(20)
     settings = {"preset": "10", "crf": "5", "svtav1-params": "pred-struct=1:keyint=10"}
@@ -99,6 +101,7 @@ def test_av1_over_a_topic_is_what_the_encoder_meant(tmp_path: Path) -> None:
     assert difference.mean() < others / 1.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "fields"),
     [
@@ -169,6 +172,7 @@ def test_pictures_that_come_in_another_order_stand_at_their_own_times(tmp_path: 
     np.testing.assert_array_equal(dataset.video(0), frames)
 
 
+@pytest.mark.slow
 def test_a_damaged_packet(tmp_path: Path) -> None:
     frames = square(40)
     sent = packets(frames, *H264)
@@ -181,6 +185,7 @@ def test_a_damaged_packet(tmp_path: Path) -> None:
     np.testing.assert_array_equal(kept, frames[[*range(14), *range(20, 40)]])
 
 
+@pytest.mark.slow
 def test_a_format_that_is_no_video(tmp_path: Path) -> None:
     file = foxglove_stream(tmp_path / "a.mcap", [b"x" * 20] * 3, steady(3), "theora")
     refused(file, "its format is 'theora'; known are h264, hevc, av1, vp9, vp8")
@@ -190,6 +195,7 @@ def test_a_format_that_is_no_video(tmp_path: Path) -> None:
     refused(empty, "no message on '/video' gives a picture")
 
 
+@pytest.mark.slow
 def test_video_that_is_too_large_or_changes(tmp_path: Path) -> None:
     file = foxglove_stream(tmp_path / "a.mcap", packets(square(5), *H264), steady(5))
     refused(file, "is 48x48 pixels large|gives a picture", ImportOptions(limits=ImportLimits(pixels=1000)))

@@ -34,6 +34,7 @@ def frames_of(times: np.ndarray, hz: float, max_gap_s: float | None = None) -> l
     return [piece.frames.tolist() for piece in resample(times, hz=hz, max_gap_s=max_gap_s, most=10**6)]
 
 
+@pytest.mark.slow
 @given(times=ANY_TIMES, hz=st.sampled_from([1.0, 7.0, 10.0, 30.0]), gap=st.none() | st.floats(0.05, 3))
 @settings(deadline=None, derandomize=True, max_examples=200)
 def test_each_tick_shows_the_latest_frame(times: np.ndarray, hz: float, gap: float | None) -> None:
@@ -113,6 +114,7 @@ def test_bursts_are_less_regular_than_jitter_and_pauses_alike_on_both_clocks() -
     assert irregularity(np.array([5, 5, 5])) == np.inf
 
 
+@pytest.mark.slow
 @given(
     lengths=st.lists(st.integers(1, 60), min_size=1, max_size=5),
     episodes=st.integers(1, 12),

@@ -105,6 +105,7 @@ def test_pictures_are_found_behind_key_frames_that_are_shown_later(
         np.testing.assert_array_equal(found, whole[start])
 
 
+@pytest.mark.slow
 def test_an_import_of_a_video_file(tmp_path: Path) -> None:
     frames = moving(31)
     report = import_recordings([video_file(tmp_path / "a.mp4", frames, rate=30)], tmp_path / "out", OPTIONS)
@@ -196,6 +197,7 @@ def test_pictures_are_turned_as_the_file_says(tmp_path: Path, degrees: int, mirr
     assert (survey.height, survey.width) == turned.shape[1:3]
 
 
+@pytest.mark.slow
 def test_several_streams_are_to_be_chosen_from(tmp_path: Path) -> None:
     frames = [moving(5), moving(5)[::-1]]
     with av.open(str(tmp_path / "a.mkv"), "w") as container:
@@ -218,6 +220,7 @@ def test_a_rate_can_be_given_in_place_of_the_times(tmp_path: Path) -> None:
     assert (report.episodes, report.frames, report.source_hz) == (1, 6, 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("a.mkv", "h264"), ("a.webm", "vp9"), ("a.avi", "raw"), ("a.mp4", "h264")])
 def test_a_file_that_was_cut_off(tmp_path: Path, name: str, kind: str) -> None:
     frames = moving(60)
@@ -231,6 +234,7 @@ def test_a_file_that_was_cut_off(tmp_path: Path, name: str, kind: str) -> None:
     np.testing.assert_array_equal(found, frames[: len(found)])
 
 
+@pytest.mark.slow
 def test_a_cut_file_whose_index_stood_at_its_end(tmp_path: Path) -> None:
     file = video_file(tmp_path / "a.mp4", moving(60))
     file.write_bytes(file.read_bytes()[:-500])
@@ -239,6 +243,7 @@ def test_a_cut_file_whose_index_stood_at_its_end(tmp_path: Path) -> None:
     refused(file, tmp_path, "cannot be read", ImportOptions(salvage=True))
 
 
+@pytest.mark.slow
 def test_damage_is_named_with_its_time_and_can_be_left_out(tmp_path: Path) -> None:
     frames = moving(60)
     file = video_file(tmp_path / "a.mkv", frames)
@@ -274,6 +279,7 @@ def test_a_changed_byte_never_surprises(tmp_path: Path, name: str, kind: str) ->
             assert not (tmp_path / f"out{seed}").exists()
 
 
+@pytest.mark.slow
 def test_a_picture_that_is_too_large_is_not_decoded(tmp_path: Path) -> None:
     file = video_file(tmp_path / "a.mkv", video(3, 512, 512), "ffv1")
     refused(
@@ -322,6 +328,7 @@ def test_a_file_without_video(tmp_path: Path) -> None:
     refused(tmp_path / "a.mp4", tmp_path, "has no video stream that can be decoded")
 
 
+@pytest.mark.slow
 def test_a_folder_of_videos_is_many_recordings(tmp_path: Path) -> None:
     (tmp_path / "clips").mkdir()
     for number in (10, 2, 1):

@@ -86,6 +86,7 @@ ANY = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=200)
 @given(content=ANY)
 def test_whatever_is_accepted_can_be_written_again(content: object) -> None:

@@ -76,6 +76,7 @@ def test_a_lossy_codec_s_loss_is_measured(source: Dataset, tmp_path: Path) -> No
     assert report.largest_error == np.abs(decoded.astype(int) - frames).max()
 
 
+@pytest.mark.slow
 def test_back_again(source: Dataset, exported: ExportReport, tmp_path: Path) -> None:
     options = ImportOptions(size=48, actions="action")
     report = import_recordings([exported.path], tmp_path / "back", options)
@@ -88,6 +89,7 @@ def test_back_again(source: Dataset, exported: ExportReport, tmp_path: Path) -> 
         np.testing.assert_array_equal(back.states(episode).actions, source.states(episode).actions)
 
 
+@pytest.mark.slow
 def test_actions_keep_their_numbers_and_order(tmp_path: Path) -> None:
     walks = Dataset.open(record_walks(tmp_path / "walks", episodes=3))
     exported = export_lerobot(walks, tmp_path / "lerobot")
@@ -110,6 +112,7 @@ def test_names_of_actions_that_are_none_are_refused(
     refused(copy, tmp_path, "no choice out of a few.*dmbench_actions", ImportOptions(size=48, actions="action"))
 
 
+@pytest.mark.slow
 def test_a_camera_is_found_by_the_last_part_of_its_name(exported: ExportReport, tmp_path: Path) -> None:
     import_recordings([exported.path], tmp_path / "found", ImportOptions(size=48, camera="camera"))
     assert Dataset.open(tmp_path / "found").recipe.parameters["camera"] == CAMERA
@@ -223,6 +226,7 @@ def refused(path: Path, folder: Path, match: str, options: ImportOptions | None 
     assert [one.name for one in folder.iterdir() if one.name.startswith("out")] == []
 
 
+@pytest.mark.slow
 def test_a_missing_feature_lists_those_there_are(exported: ExportReport, tmp_path: Path) -> None:
     refused(exported.path, tmp_path, f"its cameras are: '{CAMERA}'", ImportOptions(camera="front"))
     refused(exported.path, tmp_path, "its features are: action, episode_index", ImportOptions(actions="actoin"))
@@ -234,6 +238,7 @@ def test_an_older_format_is_named(exported: ExportReport, tmp_path: Path) -> Non
     refused(copy, tmp_path, "'v1.6'; v2 and v3 can be read")
 
 
+@pytest.mark.slow
 def test_paths_in_info_are_not_followed(exported: ExportReport, tmp_path: Path) -> None:
     copy = damaged(exported, tmp_path)
     (copy / "meta/info.json").write_text(json.dumps(info_of(exported) | {"video_path": "/etc/{video_key}"}))
@@ -244,6 +249,7 @@ def test_paths_in_info_are_not_followed(exported: ExportReport, tmp_path: Path) 
     refused(copy, tmp_path, "has 0 cameras; choose one with '--camera KEY': none")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "match"),
     [
@@ -261,6 +267,7 @@ def test_a_cut_file_is_named(exported: ExportReport, tmp_path: Path, file: str, 
     refused(copy, tmp_path, match)
 
 
+@pytest.mark.slow
 def test_a_video_shorter_than_its_table(source: Dataset, exported: ExportReport, tmp_path: Path) -> None:
     copy = damaged(exported, tmp_path)
     table = parquet.read_table(copy / "meta/episodes/chunk-000/file-000.parquet")
@@ -274,6 +281,7 @@ def test_a_video_shorter_than_its_table(source: Dataset, exported: ExportReport,
         refused(copy, tmp_path, match)
 
 
+@pytest.mark.slow
 def test_an_episode_that_is_listed_twice_is_refused(exported: ExportReport, tmp_path: Path) -> None:
     copy = damaged(exported, tmp_path)
     file = copy / "meta/episodes/chunk-000/file-000.parquet"
@@ -282,6 +290,7 @@ def test_an_episode_that_is_listed_twice_is_refused(exported: ExportReport, tmp_
     refused(copy, tmp_path, "describes the episode 2 more than once")
 
 
+@pytest.mark.slow
 def test_continuous_actions_are_refused(exported: ExportReport, tmp_path: Path) -> None:
     copy = damaged(exported, tmp_path)
     table = parquet.read_table(copy / "data/chunk-000/file-000.parquet")

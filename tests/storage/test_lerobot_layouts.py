@@ -117,23 +117,27 @@ def refused(folder: Path, match: str, options: ImportOptions = OPTIONS) -> None:
     assert not (folder.parent / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [1000, 2])
 def test_the_older_format_with_videos(tmp_path: Path, chunk: int) -> None:
     frames = moving(15, 32, 32)
     same(v21(tmp_path / "set", frames, "video", chunk), frames)
 
 
+@pytest.mark.slow
 def test_the_older_format_with_pictures(tmp_path: Path) -> None:
     frames = video(15)
     same(v21(tmp_path / "set", frames, "image"), frames)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row_group", [1, 4, 100])
 def test_pictures_in_the_table(tmp_path: Path, row_group: int) -> None:
     frames = video(15)
     same(v3(tmp_path / "set", frames, row_group=row_group), frames)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dash", ["-", "_"])
 def test_pictures_beside_the_table(tmp_path: Path, dash: str) -> None:
     frames = video(15)
@@ -146,6 +150,7 @@ def test_pictures_beside_the_table(tmp_path: Path, dash: str) -> None:
     same(folder, frames)
 
 
+@pytest.mark.slow
 def test_only_wanted_pictures_are_unpacked_and_paths_are_not_followed(tmp_path: Path) -> None:
     frames = video(15)
     folder = v3(tmp_path / "set", frames)
@@ -161,6 +166,7 @@ def test_the_cameras_of_a_data_set_with_pictures_are_listed(tmp_path: Path) -> N
     refused(folder, f"has no camera 'front'; its cameras are: '{CAMERA}'", ImportOptions(camera="front"))
 
 
+@pytest.mark.slow
 def test_an_episode_without_its_video_can_be_left_out(tmp_path: Path) -> None:
     frames = video(15)
     folder = v21(tmp_path / "set", frames, "video")
@@ -176,6 +182,7 @@ def test_an_episode_without_its_video_can_be_left_out(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dataset.video(1), frames[START[2] :])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["info", "video_info"])
 def test_depth_is_no_camera(tmp_path: Path, place: str) -> None:
     folder = v3(tmp_path / "set", video(15))
@@ -187,10 +194,12 @@ def test_depth_is_no_camera(tmp_path: Path, place: str) -> None:
     assert import_recordings([folder], tmp_path / "out", OPTIONS).episodes == 3
 
 
+@pytest.mark.slow
 def test_grey_pictures_of_16_bits_are_depth(tmp_path: Path) -> None:
     refused(v3(tmp_path / "set", np.full((15, 8, 8), 5000, np.uint16)), "grey with 16 bits a pixel, as depth is stored")
 
 
+@pytest.mark.slow
 def test_actions_are_found_by_the_last_part_of_their_name(tmp_path: Path) -> None:
     folder = v3(tmp_path / "set", video(15))
     info = json.loads((folder / "meta/info.json").read_text())
@@ -233,6 +242,7 @@ def test_damaged_pictures_and_tables_are_named(tmp_path: Path) -> None:
     refused(folder, "has a damaged table")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["{", "[1]", '{"episode_index": 0}', '{"episode_index": -1, "length": 3}', "9" * 5000])
 def test_a_damaged_list_of_episodes(tmp_path: Path, line: str) -> None:
     folder = v21(tmp_path / "set", moving(15, 32, 32), "video")
@@ -240,6 +250,7 @@ def test_a_damaged_list_of_episodes(tmp_path: Path, line: str) -> None:
     refused(folder, r"has a damaged 'episodes.jsonl'|an episode without a place")
 
 
+@pytest.mark.slow
 def test_a_missing_list_of_episodes_is_named(tmp_path: Path) -> None:
     folder = v3(tmp_path / "set", video(sum(LENGTHS)))
     for table in folder.glob("meta/episodes/*/*.parquet"):
@@ -275,6 +286,7 @@ def filmed(folder: Path, frames: np.ndarray, stamps: list[list[float]], rate: in
     return folder
 
 
+@pytest.mark.slow
 def test_a_jump_of_the_time_stamps_is_a_gap_and_keeps_pictures_and_actions_together(tmp_path: Path) -> None:
     frames, kept = moving(36, 32, 32), [*range(10), *range(22, 36)]
     stamps = [[number / 30 for number in numbers] for numbers in (range(24), kept)]
@@ -291,6 +303,7 @@ def test_a_jump_of_the_time_stamps_is_a_gap_and_keeps_pictures_and_actions_toget
     np.testing.assert_array_equal(Dataset.open(tmp_path / "alone").video(2), frames[22:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "fps"), [(30, 10), (30, 15), (30, 20), (30, 12), (30, 30)])
 def test_of_a_faster_video_the_picture_nearest_to_each_time_stamp_is_taken(tmp_path: Path, rate: int, fps: int) -> None:
     frames = moving(36, 32, 32)
@@ -309,6 +322,7 @@ def test_time_stamps_between_the_whole_intervals_are_the_times_of_the_frames(tmp
     np.testing.assert_array_equal(next(recording.pictures(0, np.array([3]))), moving(36, 32, 32)[11])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stamps", [[0, 0.1, 0.2, 0.1], [0, 0.1, 0.1, 0.2], [0, 0.1, 0.2, math.inf]])
 @pytest.mark.parametrize("actions", [None, "action"])
 def test_time_stamps_that_cannot_be_are_refused_in_every_episode(
@@ -319,12 +333,14 @@ def test_time_stamps_that_cannot_be_are_refused_in_every_episode(
     refused(folder, match, ImportOptions(size=32, actions=actions))
 
 
+@pytest.mark.slow
 def test_time_stamps_agree_with_the_frames_a_second(tmp_path: Path) -> None:
     folder = v3(tmp_path / "set", video(sum(LENGTHS)))
     with_times(folder, 0.1)
     same(folder, video(sum(LENGTHS)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interval", [0.2, 0.0, float("nan")])
 def test_time_stamps_of_another_rate_are_refused(tmp_path: Path, interval: float) -> None:
     folder = v3(tmp_path / "set", video(sum(LENGTHS)))
@@ -342,6 +358,7 @@ def corrected(folder: Path) -> None:
     parquet.write_table(parquet.read_table(file).slice(0, 2), file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", [lambda folder: v3(folder, video(15)), lambda folder: v21(folder, video(15), "image")])
 def test_a_corrected_list_of_episodes_is_another_recording(tmp_path: Path, made: Callable[[Path], Path]) -> None:
     folder = made(tmp_path / "set")
@@ -353,6 +370,7 @@ def test_a_corrected_list_of_episodes_is_another_recording(tmp_path: Path, made:
     assert import_recordings([folder], tmp_path / "again", OPTIONS).episodes == 2
 
 
+@pytest.mark.slow
 def test_an_import_by_an_earlier_version_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The hash left the list of episodes out; the episodes themselves are the same."""
     folder = v3(tmp_path / "set", video(15))
@@ -372,6 +390,7 @@ def test_an_import_by_an_earlier_version_is_told_apart(tmp_path: Path, monkeypat
         import_recordings([folder], tmp_path / "out", ImportOptions(size=16))
 
 
+@pytest.mark.slow
 def test_an_import_that_this_version_makes_otherwise_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = v3(tmp_path / "set", video(15))
     with monkeypatch.context() as before:
@@ -381,6 +400,7 @@ def test_an_import_that_this_version_makes_otherwise_is_said(tmp_path: Path, mon
         import_recordings([folder], tmp_path / "out", OPTIONS)
 
 
+@pytest.mark.slow
 def test_two_actions_of_one_name_are_refused(tmp_path: Path) -> None:
     folder = v3(tmp_path / "set", video(sum(LENGTHS)))
     info = json.loads((folder / "meta/info.json").read_text())

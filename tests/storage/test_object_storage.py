@@ -114,6 +114,7 @@ def test_addresses_are_told_from_paths(given, address) -> None:
     assert remote_address(given) == address
 
 
+@pytest.mark.slow
 def test_an_address_holds_the_data_set_that_was_put_there(remote, noise, storage) -> None:
     assert (remote.name, remote.fingerprint, remote.where) == ("noise", noise.fingerprint, "s3://data/sets/noise")
     assert remote.tasks() == noise.tasks()
@@ -128,6 +129,7 @@ def test_an_address_holds_the_data_set_that_was_put_there(remote, noise, storage
     assert contents(again.path).items() >= files_of(noise.path).items()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FAULTS)
 def test_what_fails_for_a_while_is_asked_for_again(remote, noise, storage, kind, monkeypatch) -> None:
     slept = list[float]()
@@ -260,6 +262,7 @@ def test_dataset_json_comes_last_and_what_is_there_is_not_sent_again(noise, stor
     assert storage.count("DELETE") == 0
 
 
+@pytest.mark.slow
 def test_another_data_set_at_the_address_replaces_the_copies(own, noise, storage, tmp_path) -> None:
     own.video(0)
     other = write_noise(tmp_path / "other", episodes=12, shard_episodes=4)
@@ -283,6 +286,7 @@ def test_what_cannot_help_is_not_asked_for_again(storage, monkeypatch) -> None:
         Dataset.open(f"{storage.address}/noise")
 
 
+@pytest.mark.slow
 def test_commands_take_addresses(own, noise, storage, capsys, monkeypatch) -> None:
     summary = summarize(Path(own.where))
     ours = summarize(noise.path)
@@ -298,6 +302,7 @@ def test_commands_take_addresses(own, noise, storage, capsys, monkeypatch) -> No
     assert told.sentence() == f"dmbench: {own.where!r} is damaged in 1 places; put it there again.\n"
 
 
+@pytest.mark.slow
 def test_recording_to_an_address_puts_the_same_bytes_there(storage, tmp_path, capsys, monkeypatch) -> None:
     where = f"{storage.address}/grid"
     words = ["record", "grid_world", "--preset", "tiny", "--frames", "4", "--workers", "1", "--episodes"]

@@ -27,6 +27,7 @@ from dmotion_bench.storage.shard import Footage, scan_shard, shard_path, write_s
 from dmotion_bench.storage.writer import DatasetWriter
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=25)
 @given(
     lengths=st.lists(st.integers(1, 6), min_size=1, max_size=5),

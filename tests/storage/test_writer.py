@@ -123,6 +123,7 @@ def record(folder: Path) -> None:
         writer.finish()
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_killed_at_any_moment_goes_on(tmp_path: Path) -> None:
     whole, kills = files_of(write_noise(tmp_path / "whole").path), 0
     for moment in each_kill(lambda moment: record(tmp_path / f"{moment}")):

@@ -30,6 +30,7 @@ TURNS = itertools.count()
 SIGHTED = ("centres", "feature", "pixel", "tabletop", "tracked", "tracked-risk")  # the others learn from video first
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "actions"), [*((one, 4) for one in DISCRETE), *((one, CONTINUOUS) for one in OF_NUMBERS)]
 )
@@ -37,6 +38,7 @@ def test_our_solvers_keep_the_contract(name: str, actions: Any) -> None:
     check_solver(registry.solver_class(name), actions=actions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SIGHTED)
 def test_our_objectives_keep_the_contract(name: str) -> None:
     check_objective(registry.objective_class(name), actions=CONTINUOUS if name == "tracked" else 4)

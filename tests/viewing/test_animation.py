@@ -36,6 +36,7 @@ def _tile(picture: Image.Image, column: int, row: int) -> UInt8[np.ndarray, "h w
     return np.asarray(picture.convert("RGB"))[top : top + SIDE : SCALE, left : left + SIDE : SCALE]
 
 
+@pytest.mark.slow
 def test_rows_are_the_recorded_frames_and_those_that_each_model_imagines(
     run: Run, other_run: Run, dataset: Dataset
 ) -> None:
@@ -72,6 +73,7 @@ def test_the_step_is_counted_from_what_is_given(run: Run, dataset: Dataset, said
     assert [one["below"] for one in said] == ["given, 1 of 2", "given, 2 of 2", "step 1", "step 2"]
 
 
+@pytest.mark.slow
 def test_an_episode_that_is_not_a_test_episode_is_named_so(
     run: Run, dataset: Dataset, said: list[dict[str, Any]]
 ) -> None:

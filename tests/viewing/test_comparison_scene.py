@@ -41,6 +41,7 @@ def scored(run: Run, other_run: Run) -> Iterator[list[Path]]:
         shutil.rmtree(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one_step", "imagined"])
 @pytest.mark.parametrize("number", [0, 1])
 def test_every_model_is_shown_its_own_frames(

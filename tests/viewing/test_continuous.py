@@ -22,6 +22,7 @@ SCENES: dict[str, tuple[Callable[[list[Run], Dataset], Scene], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SCENES)
 def test_actions_are_curves_above_the_lanes(kind: str, moved_runs: list[Run], moved: Dataset, rrd: Path) -> None:
     make, lanes = SCENES[kind]

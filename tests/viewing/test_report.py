@@ -63,6 +63,7 @@ def test_where_actions_are_not_known_it_is_the_error_with_the_true_motion(
     assert "| MSE with the true motion | 24.0 ± 2.00 |" in static(rrd, "/report/figures", "TextDocument:text")[0]
 
 
+@pytest.mark.slow
 def test_a_report_on_validation_episodes_is_shown_in_place_of_the_plain_one(
     scored: Path, run: Run, dataset: Dataset, rrd: Path
 ) -> None:

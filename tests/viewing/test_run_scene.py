@@ -183,6 +183,7 @@ def test_things_without_colour_have_no_position_error(run: Run, dataset: Dataset
     assert len(values(rrd, f"/episode_{episode}/camera/places", "Ellipses2D:centers")[0][1]) == 4  # two rings each
 
 
+@pytest.mark.slow
 def test_a_run_is_shown_on_another_data_set_with_the_report_on_it(run: Run, tmp_path: Path, rrd: Path) -> None:
     other = write_squares(tmp_path / "data/others", frames=9)
     folder = report_folder(run.path, run.spec.fingerprint, other)

@@ -271,6 +271,15 @@ def test_wrong_words_for_places_and_hashes(workspace: Workspace, folder: Publish
         dm.share_push("noise", folder.address)
 
 
+def test_a_folder_of_published_results_alone_is_nothing_to_share(
+    workspace: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    entry_of(workspace, tmp_path / "published.json", kind="published")
+    for share in (dm.share_push, dm.share_pull):
+        with pytest.raises(UsageError, match="holds no result that was measured"):
+            share(tmp_path, folder.address)
+
+
 def test_what_hf_needs_is_named(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "huggingface_hub", None)
     with pytest.raises(PackageNotInstalled, match=r"huggingface_hub.*pip install 'dmbench\[hub\]'"):

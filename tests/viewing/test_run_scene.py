@@ -121,7 +121,7 @@ def test_the_chart_is_logarithmic(written: Path) -> None:
 
 
 def test_curves_of_names_without_latin_letters_stand_beside_each_other(rrd: Path) -> None:
-    names = ["прогон а", "прогон б", "10%", "10 %", "a/b"]
+    names = ["実験", "比較", "10%", "10 %", "a/b"]
     curves = {name: Curve(np.array([1, 2]), np.array([1.0, 2.0 + number])) for number, name in enumerate(names)}
     with recording_to("chart", rrb.Blueprint(), file=rrd) as recording:
         log_chart(recording, "/chart", curves, dict.fromkeys(names, (1, 2, 3)), dict.fromkeys(names, 1.0), "steps")

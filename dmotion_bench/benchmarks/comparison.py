@@ -69,9 +69,12 @@ def read_stored(path: Path) -> Stored:
     try:
         fields = Fields(read_json(path), "it")
         results = [Result.from_json(Fields(one, "a result")) for one in fields.many("results")]
+        threads = fields.whole("threads")
+        if threads < 1:
+            raise ValueError(f"it says that {threads} threads computed")
         return Stored(
             processor=fields.text("processor"),
-            threads=fields.whole("threads"),
+            threads=threads,
             results={one.name: one for one in results},
         )
     except (OSError, JsonUnreadable, ValueError) as error:

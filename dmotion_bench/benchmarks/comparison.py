@@ -69,12 +69,9 @@ def read_stored(path: Path) -> Stored:
     try:
         fields = Fields(read_json(path), "it")
         results = [Result.from_json(Fields(one, "a result")) for one in fields.many("results")]
-        threads = fields.whole("threads")
-        if threads < 1:
-            raise ValueError(f"it says that {threads} threads computed")
         return Stored(
             processor=fields.text("processor"),
-            threads=threads,
+            threads=_threads(fields),
             results={one.name: one for one in results},
         )
     except (OSError, JsonUnreadable, ValueError) as error:
@@ -82,6 +79,12 @@ def read_stored(path: Path) -> Stored:
         raise UsageError(
             f"{shown(str(path))} cannot be compared with: {why}; make such a file with 'dmbench bench --json > FILE'."
         ) from None
+
+
+def _threads(fields: Fields) -> int:
+    if (threads := fields.whole("threads")) < 1:
+        raise ValueError(f"it says that {threads} threads computed")
+    return threads
 
 
 def changes(stored: Stored, results: Sequence[Result]) -> Iterator[Change]:

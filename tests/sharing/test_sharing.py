@@ -260,6 +260,8 @@ def test_wrong_words_for_places_and_hashes(workspace: Workspace, folder: Publish
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="is a file and no place"):
         dm.share_list(tmp_path / "file")
+    with pytest.raises(UsageError, match="no place to share in is named"):
+        dm.share_push("known", "")
     with pytest.raises(UsageError, match="neither an entry's file nor a hash"):
         dm.share_pull("known", folder.address)
     with pytest.raises(UnknownName, match="no fingerprint named '00000000'"):

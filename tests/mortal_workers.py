@@ -108,6 +108,17 @@ def raises_at_one(number: int) -> int:
     return number
 
 
+class OfTwo(Exception):
+    """Cannot be read by another process: pickle calls its class with its text alone."""
+
+    def __init__(self, text: str, cause: str) -> None:
+        super().__init__(f"{text} ({cause})")
+
+
+def raises_what_cannot_be_sent(number: int) -> int:
+    raise OfTwo("the arm is stuck", "motor 3")
+
+
 @dataclass(frozen=True)
 class LeavesTraces:
     """A file that names its process when it begins, and another, much later, when it has ended."""

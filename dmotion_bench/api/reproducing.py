@@ -23,7 +23,7 @@ from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.registry import table as table_named
 from dmotion_bench.reproduction.cost import Cost, control_places, cost_of
-from dmotion_bench.reproduction.plan import Plan, Recording, Training, require_models
+from dmotion_bench.reproduction.plan import Plan, Training, require_models
 from dmotion_bench.reproduction.settled import state_of
 from dmotion_bench.reproduction.speeds import Speeds
 from dmotion_bench.reproduction.table import Column, Table
@@ -152,6 +152,7 @@ def plan_table(
 
     Raises:
         UnknownName, UsageError: A name that is not registered or not in the table, or nothing is left of it.
+        RecipeMismatch: The folder of a data set holds another one.
     """
     name = table if isinstance(table, str) else "own"
     known = table_named(table) if isinstance(table, str) else table
@@ -159,7 +160,10 @@ def plan_table(
         preset=None if preset is None else as_preset(preset), seeds=seeds, models=models, worlds=worlds
     )
     require_models(narrowed)
-    return Plan(narrowed, name, Workspace.given(workspace))
+    plan = Plan(narrowed, name, Workspace.given(workspace))
+    for recording in plan.recordings:
+        recording.require_own()
+    return plan
 
 
 def what_it_costs(
@@ -222,7 +226,7 @@ class _Work:
 
     def record(self) -> None:
         """Record every data set that is not there, or not as the table has it."""
-        left = [one for one in self.plan.recordings if not _is_recorded(one)]
+        left = [one for one in self.plan.recordings if not one.is_recorded()]
         total, done = sum(one.recipe.episodes for one in left), 0
         name, workers = self.hands.executor or "local", self.hands.workers
         for one in left:
@@ -377,11 +381,6 @@ def score_reference_job(job: ReferenceJob) -> str | None:
     finally:
         told.end()
     return None
-
-
-def _is_recorded(recording: Recording) -> bool:
-    dataset = recording.dataset()
-    return dataset is not None and dataset.recipe == recording.recipe
 
 
 def _why_lacking(run: str, left_out: Mapping[str, str]) -> str:

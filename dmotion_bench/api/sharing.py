@@ -69,7 +69,7 @@ def share_push(
         [('data set', 'grid_world-tiny'), ('run', 'tiny')]
     """
     here, there = Workspace.given(workspace), open_place(place)
-    sources = [_sources(one, here) for one in _listed(what)]
+    sources = [_sources(one, here) for one in _some(what)]
     datasets = dict.fromkeys(path for one in sources for path in one.datasets)
     runs = dict.fromkeys(path for one in sources for path in one.runs)
     opened, trained = [Dataset.open(path) for path in datasets], [Run.open(path) for path in runs]
@@ -114,7 +114,7 @@ def share_pull(
     pulled: list[Pulled] = []
     with telling(progress) as tell:
         told = _telling(tell, "fetching")
-        for one in _listed(what):
+        for one in _some(what):
             wanted = _wanted(one)
             if wanted is not None:
                 for fingerprint, name in wanted.datasets.items():
@@ -175,6 +175,20 @@ def _listed(things: AnyPaths) -> list[AnyPath]:
     return [
         one for thing in listed(things) for one in (_measured(Path(thing)) if _holds_entries(Path(thing)) else [thing])
     ]
+
+
+def _some(things: AnyPaths) -> list[AnyPath]:
+    """As ``_listed``.
+
+    Raises:
+        UsageError: There is nothing.
+    """
+    if not (found := _listed(things)):
+        raise UsageError(
+            f"{shown([str(one) for one in listed(things)])} holds no result that was measured; results that a paper "
+            "has published have neither weights nor data."
+        )
+    return found
 
 
 def _measured(folder: Path) -> list[Path]:

@@ -44,6 +44,7 @@ __all__ = [
     "data_of",
     "find_targets",
     "follower_of",
+    "require_choice",
     "require_display",
     "require_runs",
     "scene_of",
@@ -144,6 +145,7 @@ def view(
     if not asked:
         raise UsageError("nothing is named to be shown; name a data set or a run.")
     targets = find_targets([as_path("run or data set", one) for one in asked], place)
+    require_choice(targets, episodes, split)
     other = data_of(targets, None if data is None else Path(data), place)
     if file is None and not web:
         require_display()  # said before the work, not after it
@@ -216,6 +218,27 @@ def data_of(targets: Sequence[Target], data: Path | None, workspace: Workspace, 
     if data is not None and (live or len(targets) > 1 or targets[0].kind not in ("run", "report")):
         raise UsageError("--data shows one run on another data set; name that run alone.")
     return None if data is None else workspace.dataset(data)
+
+
+def require_choice(
+    targets: Sequence[Target], episodes: Sequence[int], split: SplitName | None, *, live: bool = False
+) -> None:
+    """Refuse episodes or a split where nothing is chosen.
+
+    Args:
+        targets: What is to be shown.
+        episodes, split: As asked for.
+        live: Whether it is followed.
+
+    Raises:
+        UsageError: Episodes or a split are asked for, and all is shown as it comes.
+    """
+    if (episodes or split is not None) and (live or targets[0].kind == "recording"):
+        shown_whole = "what is followed live" if live else f"the Rerun file {str(targets[0].path)!r}"
+        raise UsageError(
+            f"episodes are chosen from data sets and runs, and {shown_whole} is shown as it is; name neither an "
+            "episode nor a split."
+        )
 
 
 def require_runs(targets: Sequence[Target], *, alone: bool = True) -> None:

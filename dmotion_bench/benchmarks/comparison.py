@@ -71,7 +71,7 @@ def read_stored(path: Path) -> Stored:
         results = [Result.from_json(Fields(one, "a result")) for one in fields.many("results")]
         return Stored(
             processor=fields.text("processor"),
-            threads=fields.whole("threads"),
+            threads=_threads(fields),
             results={one.name: one for one in results},
         )
     except (OSError, JsonUnreadable, ValueError) as error:
@@ -79,6 +79,12 @@ def read_stored(path: Path) -> Stored:
         raise UsageError(
             f"{shown(str(path))} cannot be compared with: {why}; make such a file with 'dmbench bench --json > FILE'."
         ) from None
+
+
+def _threads(fields: Fields) -> int:
+    if (threads := fields.whole("threads")) < 1:
+        raise ValueError(f"it says that {threads} threads computed")
+    return threads
 
 
 def changes(stored: Stored, results: Sequence[Result]) -> Iterator[Change]:

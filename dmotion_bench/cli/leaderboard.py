@@ -243,7 +243,7 @@ def serve(
         typer.echo(server.url)
         note(
             "Open it in a browser on this machine, or on another one after running there "
-            f"'ssh -L {port}:127.0.0.1:{port} HOST'."
+            f"'ssh -L {server.port}:127.0.0.1:{server.port} HOST'."
         )
         try:
             server.serve_forever()

@@ -66,7 +66,13 @@ def following(make: Callable[[], Follower], live: bool, to: Path | None) -> Iter
 
 @contextlib.contextmanager
 def live_recording(
-    title: str, blueprint: rrb.Blueprint, *, window: bool, web: bool, save: Path | None, linger: bool = True
+    title: str,
+    blueprint: rrb.Blueprint,
+    *,
+    window: bool,
+    web: bool,
+    save: Path | None,
+    linger: Callable[[], bool] = lambda: True,
 ) -> Iterator[rr.RecordingStream]:
     """A Rerun recording to log to. If there is a viewer, it stays open after the block until the user closes it.
 
@@ -74,7 +80,7 @@ def live_recording(
         title: Of the recording.
         blueprint: The layout.
         window, web, save: Where it is watched; nowhere if none is given.
-        linger: Whether to wait for the viewer to be closed.
+        linger: Asked at the end of the block whether to wait for the viewer to be closed.
     """
     from dmotion_bench.cli.progress import note
     from dmotion_bench.viewing.live import recording_to
@@ -92,7 +98,7 @@ def live_recording(
             note(f"Open it in a browser on this machine, or on another one after running there 'ssh {forward} HOST'.")
         with recording_to(title, blueprint, address=viewer.address, file=save) as recording:
             yield recording
-        if linger:
+        if linger():
             note("Done; close Rerun's window or press Ctrl-C to end." if window else "Done; Ctrl-C ends it.")
             with contextlib.suppress(KeyboardInterrupt):
                 viewer.process.wait()

@@ -83,7 +83,7 @@ def play(
     window = not web and save is None
     with (
         contextlib.closing(driven),
-        live_recording(driven.title, driven.blueprint, window=window, web=web, save=save, linger=False) as log,
+        live_recording(driven.title, driven.blueprint, window=window, web=web, save=save, linger=lambda: False) as log,
     ):
         taken = list[str]()
         driven.begin(log)

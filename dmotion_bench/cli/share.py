@@ -61,7 +61,7 @@ def push(
         return
     for one in pushed:
         _show_pushed(one, labels)
-    hashes = [one.fingerprint[:16] for one in pushed][:4]
+    hashes = dict.fromkeys(one.fingerprint[:16] for one in pushed)
     pull = command("dmbench share pull", *hashes, "--from", place)
     typer.echo(f"Others fetch {'them' if len(pushed) > 1 else 'it'} with {pull}, or by the entry in place of hashes.")
 

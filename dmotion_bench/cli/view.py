@@ -80,6 +80,8 @@ def view(
     target = targets[0]
     if target.kind == "recording" and save is not None:
         raise UsageError(f"{str(target.path)!r} is a Rerun file already; copy it, or leave out --save to show it.")
+    part = next((name for name in SPLITS if name == split), None)
+    viewing.require_choice(targets, episode or [], part, live=live)
     other = viewing.data_of(targets, data, workspace, live=live)
     if animated:
         viewing.require_runs(targets, alone=not (live or web))
@@ -92,7 +94,6 @@ def view(
         _show(target.path, web)
         return
 
-    part = next((name for name in SPLITS if name == split), None)
     if animated and save is not None:
         viewing.write_animation_of(targets, save, episode or [], part, other, steps, workspace)
         typer.echo(f"{save}")
@@ -108,18 +109,20 @@ def view(
 
 
 def _follow(follower: Follower, web: bool, save: Path | None) -> None:
-    """Show what is new in a folder until the work there ends, or Ctrl-C is pressed."""
+    """Show what is new in a folder until the work there ends, Ctrl-C is pressed, or the process is asked to end."""
     from dmotion_bench.cli.live import EVERY, live_recording
 
-    window = not web and save is None
-    with live_recording(follower.title, follower.blueprint(), window=window, web=web, save=save) as recording:
+    window, ended = not web and save is None, False
+    with live_recording(
+        follower.title, follower.blueprint(), window=window, web=web, save=save, linger=lambda: not ended
+    ) as recording:
         follower.start(recording)
         try:
             while not follower.done:
                 follower.poll(recording)
                 time.sleep(EVERY)
         except KeyboardInterrupt:
-            pass
+            ended = True
         follower.poll(recording)
 
 

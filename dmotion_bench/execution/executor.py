@@ -8,6 +8,7 @@ so one whose worker was killed is simply run again, ``ATTEMPTS`` times in all. O
 
 from __future__ import annotations
 
+import pickle
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
@@ -48,6 +49,36 @@ class Executor(Protocol):
             JobsLost: The workers at some jobs were killed ``ATTEMPTS`` times; raised when all others are done.
             Exception: What the function raises, at once.
         """
+
+
+class Sendable(Generic[Job, Result]):
+    """Calls a function, and raises what can be sent to another process.
+
+    An exception whose ``__init__`` takes more than its text cannot be read there: the process that reads it would take
+    the worker for a killed one, or fail itself.
+
+    Args:
+        function: What is called.
+    """
+
+    def __init__(self, function: Callable[[Job], Result]) -> None:
+        self._function = function
+
+    def __call__(self, job: Job) -> Result:
+        """What the function returns.
+
+        Raises:
+            RuntimeError: The function raised something that cannot be sent; has its kind and its text.
+            Exception: What the function raises.
+        """
+        try:
+            return self._function(job)
+        except Exception as error:
+            try:
+                pickle.loads(pickle.dumps(error))  # what this process has just written
+            except Exception:
+                raise RuntimeError(f"{type(error).__name__}: {error}") from error
+            raise
 
 
 class JobQueue(Generic[Job]):

@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Final, cast
 
-from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result
+from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result, Sendable
 from dmotion_bench.execution.processes import end_with
 from dmotion_bench.interrupts import received
 
@@ -47,7 +47,7 @@ class LocalExecutor:
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a worker process")
-        context = _context(function)
+        context, sent = _context(function), Sendable(function)
         idle: list[ProcessPoolExecutor | None] = [None] * self._workers  # None: not started yet, or killed
         started: list[ProcessPoolExecutor] = []
         running: dict[Future[Result], tuple[ProcessPoolExecutor, int, Job]] = {}
@@ -58,7 +58,7 @@ class LocalExecutor:
                     if (pool := idle.pop()) is None:
                         started.append(pool := _process(context))
                     try:
-                        running[pool.submit(function, numbered[1])] = (pool, *numbered)
+                        running[pool.submit(sent, numbered[1])] = (pool, *numbered)
                     except BrokenProcessPool:  # killed while it waited
                         idle.append(None)
                         queue.killed(*numbered)

@@ -14,11 +14,14 @@ import socket
 import threading
 import weakref
 from collections.abc import Callable, Generator, Iterable, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
 from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result
 from dmotion_bench.execution.local_executor import available_workers
+from dmotion_bench.wording import counted
+from dmotion_bench.workspace import CACHE_VARIABLE
 
 _USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
 _MORE_MACHINES: Final = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
@@ -69,7 +72,11 @@ class RayExecutor:
                 self._start()
             limit = self._workers or self._most(ray.cluster_resources())
 
+            cache = os.environ.get(CACHE_VARIABLE)
+            chosen = {CACHE_VARIABLE: str(Path(cache).absolute())} if cache else {}
+
             def run(job: Job) -> Result:  # Ray takes functions, not whatever can be called
+                os.environ.update(chosen)  # a worker has the variables of its Ray, which may have run before
                 return function(job)
 
             task = ray.remote(num_cpus=self._each, num_gpus=self._gpus, max_retries=0)(run)
@@ -119,8 +126,13 @@ class RayExecutor:
                     "'ray start --head', or take the variable away to use this machine's processors."
                 ) from None
             return
-        processors = self._workers * self._each if self._workers else available_workers()
+        processors = self._workers * self._each if self._workers else max(available_workers(), self._each)
         self._ray.init(num_cpus=processors, include_dashboard=False, **quiet)
+        if self._gpus > (found := self._ray.cluster_resources().get("GPU", 0)):  # Ray would wait for them for ever
+            raise DmbenchError(
+                f"each job asks for {counted(self._gpus, 'GPU')}, and Ray finds {found:.0f} on this machine; compute "
+                "with '--device cpu', or name a cluster that has some in the variable RAY_ADDRESS."
+            )
 
 
 def _knock(address: str) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Generic, Literal
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
-from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result
+from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result, Sendable
 
 _NAME: Final = "dmbench"  # of all our jobs
 _ARRAY: Final = 1000  # tasks in a job array that every Slurm allows
@@ -204,7 +204,7 @@ class _Guarded(Generic[Job, Result]):
     """
 
     def __init__(self, function: Callable[[Job], Result]) -> None:
-        self._function = function
+        self._function = Sendable(function)
 
     def __call__(self, job: Job) -> Result | Exception:
         try:

@@ -7,7 +7,7 @@ The number of jobs is exact: ``dmotion_bench.api.reproducing`` runs these. Hours
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError
@@ -254,8 +254,11 @@ def planned(scoring: ControlScoring) -> float:
 
 
 def control_places(state: State) -> list[Scoring]:
-    """One scoring of each data set on which runs are still to be scored for control."""
-    return list({one.place.folder: one for one, _ in state.left() if one.tasks()}.values())
+    """One scoring of each data set on which runs are still to be scored for control, as references are scored.
+
+    What a reference draws is true, so the column's objective judges it, whatever the models draw.
+    """
+    return list({one.place.folder: replace(one, draws_frames=True) for one, _ in state.left() if one.tasks()}.values())
 
 
 def groups_of_tasks(scoring: Scoring) -> int:

@@ -16,7 +16,7 @@ from typing import Any, Final
 import torch
 
 from dmotion_bench.actions import ActionSpec
-from dmotion_bench.errors import DatasetError, DmbenchError, RunError, UsageError
+from dmotion_bench.errors import DatasetError, DatasetMissing, DmbenchError, RunError, UsageError
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
@@ -33,11 +33,14 @@ from dmotion_bench.scoring.gain import reason_against
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import shard_count
+from dmotion_bench.storage.writer import check_recipe
 from dmotion_bench.workspace import Workspace
 
 FEATURE: Final = "feature"
 """The objective of models that draw no frames, whatever a column says."""
+_ELSEWHERE: Final = "rename that folder, or name another workspace with DMBENCH_WORKSPACE"
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,23 @@ class Recording:
             if len(dataset) >= self.recipe.episodes:
                 return dataset
         return None
+
+    def is_recorded(self) -> bool:
+        """Whether the data set is there, as the table has it."""
+        dataset = self.dataset()
+        return dataset is not None and dataset.recipe == self.recipe
+
+    def require_own(self) -> None:
+        """See that the folder holds this data set, a part of it, or none.
+
+        Raises:
+            RecipeMismatch: It holds another one.
+            DatasetError: What it holds cannot be read.
+        """
+        if self.is_recorded():
+            return
+        with contextlib.suppress(DatasetMissing):
+            check_recipe(Manifest.read(self.folder), self.recipe, self.facts, self.folder, _ELSEWHERE)
 
     def few(self, episodes: int) -> DatasetRecipe:
         """A recipe of so few episodes, to try something on."""

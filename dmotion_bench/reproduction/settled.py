@@ -71,14 +71,17 @@ class Page:
 
 
 def _has_figures(content: Mapping[str, Any], scoring: Scoring) -> bool:
-    metrics, stored = scoring.metrics(), present_settings(content.get("settings", {}))
+    metrics, settings = scoring.metrics(), content.get("settings")
+    if not isinstance(settings, dict) or not isinstance(settings.get("metrics"), list):
+        return False  # somebody has changed it
+    stored = present_settings(settings)
     wanted = scoring.settings.to_json(metrics)
     mine = {name for name in wanted if name.startswith(tuple(f"{one}_" for one in OWN_SETTINGS))}
     shared = {"split", "precision"} | ({"horizon"} if "rollout" in metrics else set())
     version = content.get("scoring_version") == SCORING_VERSION or not {*metrics} - {*OWN_SETTINGS}
     return (
         version
-        and {*metrics} <= {*stored.get("metrics", ())}
+        and all(metric in stored["metrics"] for metric in metrics)
         and all(stored.get(name) == wanted[name] for name in mine | shared)
     )
 

@@ -65,7 +65,8 @@ class Speeds:
             return
         bench = read_stored(self.stored)
         for name, result in bench.results.items():
-            self._known[("stored", name)] = result.value / bench.threads  # of one core
+            cores = 1 if name.startswith("record[") else bench.threads  # one process records
+            self._known[("stored", name)] = result.value / cores
         self.told = f"from {str(self.stored)!r} ({bench.processor}, {bench.threads} threads) where it has them"
 
     told: str = "measured here in a moment each, in CPU seconds of one core"

@@ -71,8 +71,10 @@ def open_place(given: AnyPath) -> Place:
         raise UsageError(
             f"{shown(text)} is no place to share in; name a folder, or an address that begins with {known}."
         )
+    if not text:
+        raise UsageError("no place to share in is named; name a folder, or an address as s3://bucket.")
     path = Path(text)
-    if not text or (path.exists() and not path.is_dir()):
+    if path.exists() and not path.is_dir():
         raise UsageError(
             f"{shown(text)} is a file and no place to share in; name a folder, or an address as s3://bucket."
         )

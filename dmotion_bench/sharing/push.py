@@ -169,7 +169,8 @@ def read_standing(place: Place, folder: str, fingerprint: str) -> Manifest:
         try:
             manifest = Manifest.read_complete(Path(scratch))
         except DatasetError as error:
-            raise ValueError(f"its {DATASET_MANIFEST} cannot be used: {error}".rstrip(".")) from None
+            said = str(error).replace(scratch, f"{place.address}/{folder}")  # where it is, not where it was read
+            raise ValueError(f"its {DATASET_MANIFEST} cannot be used: {said}".rstrip(".")) from None
     if manifest.fingerprint != fingerprint:
         raise ValueError(f"its {DATASET_MANIFEST} has the fingerprint {manifest.fingerprint[:12]}")
     return manifest

@@ -279,13 +279,24 @@ def _remove_leftovers(path: Path) -> None:
         remove_leftovers(folder)
 
 
-def check_recipe(standing: Manifest, recipe: DatasetRecipe, spec: EnvSpec, path: Path | str) -> None:
+def check_recipe(
+    standing: Manifest,
+    recipe: DatasetRecipe,
+    spec: EnvSpec,
+    path: Path | str,
+    elsewhere: str = "name another folder with '--out DIR'",
+) -> None:
     """See that a data set can become that of a recipe: it is a part of it, or all of it.
+
+    Args:
+        standing: The data set.
+        recipe, spec: What it is to become.
+        path: Where it is.
+        elsewhere: How to record in another place.
 
     Raises:
         RecipeMismatch: It cannot; says what differs.
     """
-    elsewhere = "name another folder with '--out DIR'"
     if standing.salvaged:
         raise RecipeMismatch(f"{str(path)!r} was repaired and lacks episodes, so it cannot be extended; {elsewhere}.")
     old, new = dataclasses.asdict(standing.recipe), dataclasses.asdict(recipe)

@@ -7,6 +7,7 @@ known, it is told the motion that it reads off the true frames, and its row says
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,8 @@ STEPS: Final = 30
 FRAME_MS: Final = 250
 LAST_MS: Final = 1500
 """How long the last frame stays before the animation begins again."""
+LARGEST: Final[Mapping[str, int]] = {".webp": 2**14 - 1, ".gif": 2**16 - 1}
+"""A picture's width and height that a format can say [px]."""
 
 
 def animate(
@@ -114,9 +117,17 @@ def write_animation(pictures: Sequence[Image.Image], path: Path) -> None:
     """Write an animation that repeats; the file's suffix chooses the format.
 
     Raises:
+        UsageError: The pictures are larger than the format allows.
         ViewerError: It cannot be written.
         StorageFull: There is no space left for it.
     """
+    most = LARGEST.get(path.suffix, math.inf)
+    if max(pictures[0].size) > most:
+        width, height = pictures[0].size
+        raise UsageError(
+            f"the pictures have {width:,} x {height:,} pixels, and a {path.suffix} has at most {most:,} on a side; "
+            "name fewer episodes or fewer runs."
+        )
     durations = [FRAME_MS] * (len(pictures) - 1) + [LAST_MS]
     shown = [one.quantize(256) for one in pictures] if path.suffix == ".gif" else list(pictures)
     how: dict[str, int] = {} if path.suffix == ".gif" else {"quality": 80}

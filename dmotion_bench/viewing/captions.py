@@ -110,4 +110,4 @@ def picture_file(path: Path) -> Iterator[IO[Any]]:
         with atomic_file(path) as file:
             yield file
     except OSError as error:
-        raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None
+        raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror or error}; name another file.") from None

@@ -7,7 +7,6 @@ logarithmic axis.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -73,7 +72,7 @@ def log_chart(
     for name, height in _apart(ends).items():
         curve = shown[name]
         line = np.stack([across(curve.step), down(curve.value)], axis=1)
-        entity = f"{path}/{re.sub(r'[^A-Za-z0-9]+', '_', name)}"
+        entity = f"{path}/{rr.escape_entity_path_part(name)}"
         recording.log(
             entity, rr.LineStrips2D([line], colors=[colors[name]], radii=[widths[name]], draw_order=10.0), static=True
         )

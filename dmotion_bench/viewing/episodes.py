@@ -16,9 +16,13 @@ def choose_episodes(dataset: ReadableDataset, asked: Sequence[int], split: Split
     """The episodes asked for, each once, or the first few of the split, or of all.
 
     Raises:
-        UsageError: There is no such episode, or it is of another split.
+        UsageError: There is no such episode, it is of another split, or the split has none.
     """
     of_split = range(len(dataset)) if split is None else dataset.split(split).tolist()
+    if not len(of_split):
+        raise UsageError(
+            f"{dataset.name} has no episode in the {split} split; name another split, or episodes without a split."
+        )
     for episode in asked:
         if episode >= len(dataset):
             raise UsageError(f"{dataset.name} has no episode {episode}; it has 0 to {len(dataset) - 1}.")

@@ -21,7 +21,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dmotion_bench.errors import StorageFull, ViewerError
-from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX, sync_folder
+from dmotion_bench.storage.atomic import atomic_file
 
 FRAME = "frame"
 """The timeline that episodes run on: the number of a frame within its episode."""
@@ -109,22 +109,16 @@ def recording_file(path: Path) -> Iterator[Path]:
         ViewerError: It cannot be written.
         StorageFull: There is no space left for it.
     """
-    temporary = path.with_name(f"{path.name}{TEMPORARY_SUFFIX}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch()
-    except OSError as error:
-        raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None
-    try:
+    with contextlib.ExitStack() as stack:
+        try:
+            temporary = Path(stack.enter_context(atomic_file(path)).name)
+        except OSError as error:
+            raise ViewerError(f"{str(path)!r} cannot be written: {error.strerror}; name another file.") from None
         if _is_full(path):  # Rerun would wait for ever
             raise not_written(path, "the disk is full")
         yield temporary
         if not _is_whole(temporary):  # which Rerun does not say
             raise not_written(path, "its end is missing")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    sync_folder(path.parent)
 
 
 def not_written(path: Path, why: object) -> ViewerError | StorageFull:

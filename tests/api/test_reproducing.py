@@ -278,6 +278,7 @@ def test_ctrl_c_says_how_to_go_on(
 @pytest.mark.slow
 def test_a_data_set_of_another_recipe_is_not_taken(tmp_path: Path) -> None:
     other = dm.record("grid_world", "tiny", episodes=12, frames=6, seed=1, out=tmp_path / "data" / "grid_world-tiny")
-    with pytest.raises(dm.DmbenchError, match="another"):
-        dm.reproduce(TABLE, workspace=tmp_path, workers=1)
+    for dry_run in (True, False):  # it is said before anything is counted
+        with pytest.raises(dm.DmbenchError, match=r"seed is 1 there and 0 here.*; for a new one rename that folder"):
+            dm.reproduce(TABLE, workspace=tmp_path, workers=1, dry_run=dry_run)
     assert Dataset.open(other.dataset).recipe.seed == 1

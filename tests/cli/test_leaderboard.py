@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from dmotion_bench.errors import DmbenchError, RunError, UnknownName, UsageError
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.build import Built
 from leaderboard.comparison import Difference
+from leaderboard.server import LeaderboardServer
 from leaderboard.verdict import Verdict
 
 ROOT = Path(__file__).parents[2]
@@ -175,6 +177,18 @@ def test_every_part_is_an_entry_point_that_exists() -> None:
     for value in points.values():
         module, _, attribute = value.partition(":")
         assert callable(getattr(import_module(module), attribute))
+
+
+def test_the_port_that_is_served_is_said(
+    run: Callable[..., Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DMBENCH_QUIET", raising=False)
+    monkeypatch.setattr(LeaderboardServer, "serve_forever", lambda self: None)
+    (tmp_path / "index.html").write_text("")
+    said = run("serve", str(tmp_path), "--port", "0").output
+    found = re.search(r"http://127\.0\.0\.1:(\d+)/", said)
+    assert found is not None
+    assert f"'ssh -L {found[1]}:127.0.0.1:{found[1]} HOST'" in said
 
 
 def test_a_missing_package_is_said(run: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import signal
 import subprocess
+import time
 import urllib.request
 from pathlib import Path
 
@@ -39,6 +40,9 @@ def test_what_is_a_file_already_is_not_saved_again(
     said = dmbench(["view", str(tmp_path / "a.rrd"), "--save", str(tmp_path / "b.rrd")], capsys, monkeypatch)
     assert said.code == 2
     assert "is a Rerun file already" in said.sentence()
+    said = dmbench(["view", str(tmp_path / "a.rrd"), "--split", "test"], capsys, monkeypatch)
+    assert said.code == 2
+    assert "a.rrd' is shown as it is; name neither an episode nor a split" in said.sentence()
 
 
 def test_save_writes_a_file_and_says_how_to_open_it(
@@ -73,6 +77,7 @@ def test_episodes_and_splits_can_be_chosen(
         (["squares-tiny", "--split", "tset"], 2, "did you mean 'test'"),
         (["squares-tiny", "--save", "out.mp4"], 2, "must end in .rrd"),
         (["squares-tiny", "--save", "out.rrd", "--episode", "10"], 2, "it has 0 to 9"),
+        (["squares-tiny", "--live", "--episode", "0"], 2, "what is followed live is shown as it is"),
         (["squares-tiny"], 1, "'--web'"),
         (["squares-tiny", "--save", f"{__file__}/out.rrd"], 1, "cannot be written"),
     ],
@@ -125,6 +130,29 @@ def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign
         viewers = viewers_of(process)
         process.send_signal(sign)
         assert process.wait(timeout=20) == (0 if sign == signal.SIGINT else 143)
+    finally:
+        process.kill()
+        process.communicate()
+    assert_nobody_serves(viewers)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_following_on_a_page_ends_when_the_command_is_ended(
+    workspace: Path, tmp_path: Path, sign: signal.Signals
+) -> None:
+    run = tmp_path / "runs" / "begun"
+    run.mkdir(parents=True)
+    (run / "run.json").write_text("{}")
+    process = start_dmbench(["view", str(run), "--live", "--web"], workspace, start_new_session=True)
+    try:
+        assert process.stderr is not None
+        assert select.select([process.stderr], [], [], 60)[0]
+        assert process.stderr.readline().startswith("http://127.0.0.1:")
+        viewers = psutil.Process(process.pid).children(recursive=True)
+        time.sleep(1)  # it follows
+        process.send_signal(sign)
+        assert process.wait(timeout=30) == (0 if sign == signal.SIGINT else 128 + sign)
     finally:
         process.kill()
         process.communicate()

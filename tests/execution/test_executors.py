@@ -26,6 +26,7 @@ from mortal_workers import (
     dies_at_one,
     parent_when_begun,
     raises_at_one,
+    raises_what_cannot_be_sent,
 )
 from noise_world import files_of
 from pretend_slurm import use_slurm
@@ -106,6 +107,12 @@ def test_what_a_worker_raises_arrives_as_it_was() -> None:
     assert caught.value.known == ["cube"]
 
 
+def test_what_cannot_be_sent_arrives_as_its_text() -> None:
+    with pytest.raises(RuntimeError, match=r"OfTwo: the arm is stuck \(motor 3\)"):
+        list(LocalExecutor(2).map_unordered(raises_what_cannot_be_sent, [1]))
+    assert_no_pool_is_left()
+
+
 def test_every_error_survives_the_way_between_processes() -> None:
     kinds = [one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, DmbenchError)]
     made: dict[type[DmbenchError], DmbenchError] = {
@@ -178,6 +185,8 @@ def test_what_a_job_raises_arrives_and_stops_the_others(tmp_path: Path) -> None:
     executor = SlurmExecutor(1, tmp_path / "jobs", cluster="local")
     with pytest.raises(UnknownName, match="no shape named 'teapot'"):
         list(executor.map_unordered(raises_at_one, [1, 2, 3]))
+    with pytest.raises(RuntimeError, match=r"OfTwo: the arm is stuck \(motor 3\)"):
+        list(executor.map_unordered(raises_what_cannot_be_sent, [1]))
 
 
 @pytest.fixture

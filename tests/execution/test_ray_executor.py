@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.execution import ray_executor
+from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.ray_executor import RayExecutor
 
 
@@ -28,10 +33,11 @@ class PretendRay:
     def __init__(self) -> None:
         self.events: list[str] = []
         self.running = False
+        self.processors = 2
 
     def init(self, **options: Any) -> None:
         self.events.append("started")
-        self.running = True
+        self.running, self.processors = True, options["num_cpus"]
 
     def shutdown(self) -> None:
         self.events.append("stopped")
@@ -41,7 +47,7 @@ class PretendRay:
         return self.running
 
     def cluster_resources(self) -> dict[str, float]:
-        return {"CPU": 2}
+        return {"CPU": self.processors}
 
     def remote(self, **options: Any) -> Callable[[Callable[[Any], Any]], Any]:
         return lambda function: SimpleNamespace(remote=lambda job: (function, job))
@@ -75,3 +81,33 @@ def test_a_ray_that_runs_already_is_left_running(ray: PretendRay) -> None:
     ray.running = True
     assert list(RayExecutor(2).map_unordered(abs, [-1])) == [1]
     assert ray.events == ["a job"]
+
+
+def cache_of_worker(_job: int) -> str | None:
+    return os.environ.get("DMBENCH_CACHE")
+
+
+def test_workers_of_a_ray_that_runs_already_take_the_cache_of_the_command(
+    ray: PretendRay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray.running = True
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DMBENCH_CACHE", "frames")
+    found = RayExecutor(1).map_unordered(cache_of_worker, [1, 2])
+    pretended = ray.get
+
+    def get(task: Any) -> Any:
+        monkeypatch.delenv("DMBENCH_CACHE")  # as in a worker of an earlier Ray
+        return pretended(task)
+
+    monkeypatch.setattr(ray, "get", get)
+    assert list(found) == [str(tmp_path / "frames")] * 2
+
+
+def test_a_ray_of_this_machine_can_run_what_is_asked_for(ray: PretendRay, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray_executor, "available_workers", lambda: 2)
+    assert list(RayExecutor(size=JobSize(processors=8)).map_unordered(abs, [-1])) == [1]
+    assert ray.processors == 8
+    ray.running = False
+    with pytest.raises(DmbenchError, match="each job asks for 1 GPU, and Ray finds 0 on this machine"):
+        list(RayExecutor(size=JobSize(gpus=1)).map_unordered(abs, [-1]))

@@ -12,6 +12,7 @@ from small_tables import CONTROL, TABLE, Known
 from dmotion_bench.errors import UsageError
 from dmotion_bench.reproduction.cost import cost_of
 from dmotion_bench.reproduction.plan import Plan
+from dmotion_bench.reproduction.settled import _has_figures
 from dmotion_bench.reproduction.speeds import Speeds
 from dmotion_bench.workspace import Workspace
 
@@ -46,6 +47,12 @@ def test_what_cannot_be_measured_is_told_and_not_in_the_sum(tmp_path: Path) -> N
     assert cost.core_hours == pytest.approx((12 * 7 / 100 + 5 * 2.0) / 3600)  # recording, and five entries
 
 
+@pytest.mark.parametrize("settings", [None, [1], {"metrics": 5}, {"metrics": [[]]}])
+def test_an_entry_that_somebody_changed_does_not_stand(settings: object, tmp_path: Path) -> None:
+    (scoring, *_) = Plan(TABLE, "own", Workspace(tmp_path)).scorings
+    assert not _has_figures({"settings": settings}, scoring)
+
+
 def test_speeds_are_measured_once_or_read_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[str] = []
     monkeypatch.setattr(Speeds, "_training", lambda self, model, arch: measured.append(model) or 7.0)
@@ -53,11 +60,17 @@ def test_speeds_are_measured_once_or_read_from_a_file(tmp_path: Path, monkeypatc
     assert [speeds.triplets_per_s("lapo", None) for _ in range(2)] == [7.0, 7.0]
     result = {"name": "train[lapo-compact]", "unit": "triplets/s", "rounds": [90, 100, 110], "limits": []}
     result |= {"limit_name": "", "setting": ""}
-    (tmp_path / "bench.json").write_text(json.dumps({"processor": "P", "threads": 4, "results": [result]}))
+    recorded = result | {"name": "record[grid_world]", "unit": "frames/s"}
+    (tmp_path / "bench.json").write_text(json.dumps({"processor": "P", "threads": 4, "results": [result, recorded]}))
     stored = Speeds(device=torch.device("cpu"), stored=tmp_path / "bench.json")
     assert stored.triplets_per_s("lapo", None) == 25.0  # of one core
     assert stored.triplets_per_s("clasp", None) == 7.0
     assert measured == ["lapo", "clasp"]
     assert "P, 4 threads" in stored.told
+    recording = Plan(TABLE, "own", Workspace(tmp_path)).recordings[0]
+    assert stored.episodes(recording).frames_per_s == 100.0  # which was measured on one process
+    (tmp_path / "bench.json").write_text(json.dumps({"processor": "P", "threads": 0, "results": [result]}))
+    with pytest.raises(UsageError, match="it says that 0 threads computed"):
+        Speeds(device=torch.device("cpu"), stored=tmp_path / "bench.json")
     with pytest.raises(UsageError, match="make such a file with 'dmbench bench --json > FILE'"):
         Speeds(device=torch.device("cpu"), stored=tmp_path / "none.json")

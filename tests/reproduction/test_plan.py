@@ -14,7 +14,9 @@ from dmotion_bench.api import reproducing
 from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
 from dmotion_bench.planning.columns import COLUMNS, TASKS, TEST, TRAININGS
 from dmotion_bench.recording.preset import recipe_for
+from dmotion_bench.reproduction.cost import control_places
 from dmotion_bench.reproduction.plan import Plan
+from dmotion_bench.reproduction.settled import state_of
 from dmotion_bench.reproduction.table import Entrant, World, powers_of_two
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.specs import Preset
@@ -104,12 +106,15 @@ def test_budgets_of_the_label_curve_end_with_all_labels(tmp_path: Path) -> None:
 def test_models_that_draw_nothing_are_controlled_by_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry.model_class("jepa"), "needs_pixels", False)
     table = dataclasses.replace(CONTROL, entrants=(Entrant(model="jepa", labels=("100%",)), *CONTROL.entrants))
-    scorings = Plan(table, "own", Workspace(tmp_path)).of_column(table.columns[1])
+    plan = Plan(table, "own", Workspace(tmp_path))
+    scorings = plan.of_column(table.columns[1])
     assert {one.trainings[0].model: one.control.objective for one in scorings} == {
         "jepa": "feature",
         "ed-cnn": "tracked",
     }
     assert {one.trainings[0].model: one.metrics() for one in scorings}["jepa"] == ("control",)
+    (oracle,) = control_places(state_of(plan, table.columns[0]))
+    assert oracle.control.objective == "centres"  # features are a model's
 
 
 def test_another_recording_can_hold_the_tasks(tmp_path: Path) -> None:

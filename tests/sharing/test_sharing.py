@@ -263,6 +263,8 @@ def test_wrong_words_for_places_and_hashes(workspace: Workspace, folder: Publish
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="is a file and no place"):
         dm.share_list(tmp_path / "file")
+    with pytest.raises(UsageError, match="no place to share in is named"):
+        dm.share_push("known", "")
     with pytest.raises(UsageError, match="neither an entry's file nor a hash"):
         dm.share_pull("known", folder.address)
     with pytest.raises(UnknownName, match="no fingerprint named '00000000'"):
@@ -272,6 +274,15 @@ def test_wrong_words_for_places_and_hashes(workspace: Workspace, folder: Publish
     shutil.copytree(workspace.runs / "known", same)
     with pytest.raises(UsageError, match="is a run and a data set"):
         dm.share_push("noise", folder.address)
+
+
+def test_a_folder_of_published_results_alone_is_nothing_to_share(
+    workspace: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    entry_of(workspace, tmp_path / "published.json", kind="published")
+    for share in (dm.share_push, dm.share_pull):
+        with pytest.raises(UsageError, match="holds no result that was measured"):
+            share(tmp_path, folder.address)
 
 
 def test_what_hf_needs_is_named(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from made_up_report import write_made_up
 from PIL import Image, ImageSequence
 from pushed_squares import SPEC
 
-from dmotion_bench.errors import ViewerError
+from dmotion_bench.errors import UsageError, ViewerError
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
@@ -129,6 +129,14 @@ def test_a_file_has_all_pictures_and_begins_again(run: Run, dataset: Dataset, tm
 def test_a_file_that_cannot_be_written_is_named(run: Run, dataset: Dataset) -> None:
     with pytest.raises(ViewerError, match="cannot be written"):
         write_animation(animate({"dmotion": run}, dataset, [0], steps=1), Path(__file__) / "a.gif")
+
+
+def test_pictures_larger_than_their_format_allows_are_refused(tmp_path: Path) -> None:
+    wide = [Image.new("RGB", (16_384, 8))] * 2
+    with pytest.raises(UsageError, match=r"16,384 x 8 pixels, and a .webp has at most 16,383 on a side"):
+        write_animation(wide, tmp_path / "a.webp")
+    assert not list(tmp_path.iterdir())
+    write_animation(wide, tmp_path / "a.gif")
 
 
 @pytest.fixture

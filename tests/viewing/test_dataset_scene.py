@@ -179,6 +179,22 @@ def test_a_file_whose_end_could_not_be_written_is_not_kept(
     assert sorted(path.name for path in rrd.parent.iterdir()) == sorted(("cut.rrd", rrd.name))
 
 
+def test_two_commands_can_write_the_same_file(dataset: Dataset, rrd: Path) -> None:
+    write_scene(dataset_scene(dataset, [0]), rrd)
+    whole, file = rrd.read_bytes(), rrd.with_name("both.rrd")
+    beside = file.with_name("both.rrd.part")
+    beside.write_text("somebody else's")
+    with recording_file(file) as first:
+        first.write_bytes(whole)
+        with recording_file(file) as second:
+            second.write_bytes(whole * 2)
+        assert file.read_bytes() == whole * 2
+    assert file.read_bytes() == whole
+    assert beside.read_text() == "somebody else's"
+    beside.unlink()
+    assert sorted(path.name for path in rrd.parent.iterdir()) == ["both.rrd", rrd.name]
+
+
 def test_what_fails_while_a_recording_is_made_is_not_laid_to_the_file(rrd: Path) -> None:
     with pytest.raises(RuntimeError, match="shapes do not fit"), recording_to("work", rrb.Blueprint(), file=rrd):
         raise RuntimeError("shapes do not fit")

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 import torch
 from made_up_report import write_made_up
 from pushed_squares import SPEC, write_squares
@@ -22,6 +23,8 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.viewing.chart import Curve, log_chart
+from dmotion_bench.viewing.live import recording_to
 from dmotion_bench.viewing.maps import brightest, tiles
 from dmotion_bench.viewing.run import AMPLIFIED, _of_training, run_scene
 from dmotion_bench.viewing.scene import write_scene
@@ -115,6 +118,14 @@ def test_the_chart_is_logarithmic(written: Path) -> None:
         falls.append(line[1][1] - line[0][1])
     assert falls[0] == pytest.approx(falls[1])
     assert falls[0] > 0  # downward is larger in a picture
+
+
+def test_curves_of_names_without_latin_letters_stand_beside_each_other(rrd: Path) -> None:
+    names = ["実験", "比較", "10%", "10 %", "a/b"]
+    curves = {name: Curve(np.array([1, 2]), np.array([1.0, 2.0 + number])) for number, name in enumerate(names)}
+    with recording_to("chart", rrb.Blueprint(), file=rrd) as recording:
+        log_chart(recording, "/chart", curves, dict.fromkeys(names, (1, 2, 3)), dict.fromkeys(names, 1.0), "steps")
+    assert len([path for path in read(rrd) if path.endswith("/name")]) == len(names)
 
 
 def test_maps_are_shown_before_and_after_they_move(written: Path, run: Run, dataset: Dataset, episode: int) -> None:

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from pushed_squares import write_squares
 
 from dmotion_bench.errors import RunMissing, UnknownName, UsageError
 from dmotion_bench.learning.runs.run import Run
@@ -69,6 +70,14 @@ def test_an_episode_that_is_not_there(dataset: Dataset) -> None:
     other = int(dataset.split("train")[0])
     with pytest.raises(UsageError, match=f"episode {other} of squares-tiny is not in the test split"):
         choose_episodes(dataset, [other], "test")
+
+
+def test_a_split_without_episodes_is_told(tmp_path: Path) -> None:
+    dataset = write_squares(tmp_path / "one", episodes=1)
+    assert choose_episodes(dataset, [], None) == [0]
+    for asked in ([], [0]):
+        with pytest.raises(UsageError, match="one has no episode in the test split; name another"):
+            choose_episodes(dataset, asked, "test")
 
 
 def test_a_report_on_another_data_set_belongs_to_both(workspace: Workspace, run: Run, dataset: Dataset) -> None:

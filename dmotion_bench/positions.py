@@ -37,9 +37,6 @@ COLOR_DISTANCE: Final = 100.0
 HUE_DISTANCE: Final = 25 / 360
 """Farthest from an object's hue, of a full turn; less where two objects' hues are closer than twice that."""
 
-ALIKE: Final = 1e-9
-"""Of two colours or hues that are nearer to each other, neither is told from the other."""
-
 LEAST_SATURATION: Final = 0.45
 LEAST_VALUE: Final = 0.15
 """Below these a shaded pixel has no hue to speak of: the table, the arm, the background, deep shade."""
@@ -236,7 +233,7 @@ def _nearest(
     """The nearest thing of each colour, -1 where none is near enough, and where that thing looks like another one."""
     if distance.shape[1] == 0:
         return np.full(len(distance), -1)
-    alike = between < ALIKE
+    alike = np.isclose(between, 0, atol=1e-9)
     apart = between[~alike]
     limit = min(farthest, float(apart.min()) / 2) if apart.size else farthest
     label: Int[np.ndarray, " c"] = distance.argmin(1)

@@ -201,7 +201,7 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         return entry
     old = _standing(earlier, entry)
     if old is not None:
-        return replace(old, identity=old.identity or entry.identity)
+        return old if old.identity else replace(old, identity=entry.identity)
     read = None if dataset is None else _as_read(run, dataset)
     if read is None:
         return entry  # a page without this model's pictures is still a page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import resource
@@ -65,7 +66,7 @@ def start_dmbench(
         environment["PYTHONDONTWRITEBYTECODE"] = "1"
         options["preexec_fn"] = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
     return subprocess.Popen(  # type: ignore[call-overload, no-any-return]
-        [sys.executable, "-c", _MAIN, *words],
+        [sys.executable, "-X", "faulthandler", "-c", _MAIN, *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -74,9 +75,24 @@ def start_dmbench(
     )
 
 
-def finish(process: subprocess.Popen[str]) -> Outcome:
-    """Wait for its end."""
-    out, err = process.communicate(timeout=120)
+def finish(process: subprocess.Popen[str], seconds: float = 120) -> Outcome:
+    """Wait for its end.
+
+    A command that lasts longer fails its test alone: it says what its threads do, and all that it started is killed.
+    """
+    try:
+        out, err = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        started = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(signal.SIGABRT)  # "-X faulthandler" answers with a traceback of each thread
+        for one in started:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                one.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=5)
+        process.kill()
+        out, err = process.communicate()
+        pytest.fail(f"not at its end after {seconds:.0f} s: {process.args}\n{out}\n{err}")
     return Outcome(process.returncode, out, err)
 
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+import psutil
+
 if TYPE_CHECKING:
     from dmotion_bench.execution.executor import Executor
     from dmotion_bench.recording.session import ShardJob
@@ -98,6 +100,14 @@ class Losing:
         first, *others = jobs
         yield from map(function, others)
         raise JobsLost("a worker was killed.", [first])
+
+
+def kill_confined_readers() -> None:
+    """End the processes in which this one has recordings read."""
+    for child in psutil.Process().children():
+        if child.status() != psutil.STATUS_ZOMBIE and any("confined_reader" in word for word in child.cmdline()):
+            child.kill()
+            child.wait()
 
 
 def raises_at_one(number: int) -> int:

@@ -27,6 +27,8 @@ _USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
 _MORE_MACHINES: Final = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """0, on any system: a Ray of this machine alone, whose servers listen on the loopback address and on no other."""
 _KNOCK: Final = 10.0  # [s]
+_FIRST_ANSWER: Final = 90.0  # [s], of a worker of a Ray that was just started; on a busy machine it takes 20
+_STARTS: Final = 2
 
 
 class RayExecutor:
@@ -127,12 +129,36 @@ class RayExecutor:
                 ) from None
             return
         processors = self._workers * self._each if self._workers else max(available_workers(), self._each)
-        self._ray.init(num_cpus=processors, include_dashboard=False, **quiet)
+        for _ in range(_STARTS):
+            self._ray.init(num_cpus=processors, include_dashboard=False, **quiet)
+            if self._answers():
+                break
+            self._ray.shutdown()
+        else:
+            raise DmbenchError(
+                f"Ray was started {_STARTS} times on this machine, and no worker of it answered within "
+                f"{_FIRST_ANSWER:.0f} s; see '/tmp/ray/session_latest/logs', or use '--executor local'."
+            )
         if self._gpus > (found := self._ray.cluster_resources().get("GPU", 0)):  # Ray would wait for them for ever
             raise DmbenchError(
                 f"each job asks for {counted(self._gpus, 'GPU')}, and Ray finds {found:.0f} on this machine; compute "
                 "with '--device cpu', or name a cluster that has some in the variable RAY_ADDRESS."
             )
+
+    def _answers(self) -> bool:
+        """Whether a worker does a task. Where workers cannot register, Ray tries for ever and says nothing.
+
+        github.com/ray-project/ray/issues/59342
+        """
+        try:
+            return bool(self._ray.get(self._ray.remote(num_cpus=1)(_answer).remote(), timeout=_FIRST_ANSWER))
+        except self._ray.exceptions.GetTimeoutError:
+            return False
+
+
+def _answer() -> bool:
+    """A task that takes no time."""
+    return True
 
 
 def _knock(address: str) -> None:

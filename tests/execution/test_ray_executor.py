@@ -25,7 +25,7 @@ class PretendRay:
             name: type(name, (Exception,), {})
             for name in (
                 *("WorkerCrashedError", "NodeDiedError", "OutOfMemoryError"),
-                *("TaskCancelledError", "RayTaskError"),
+                *("TaskCancelledError", "RayTaskError", "GetTimeoutError"),
             )
         }
     )
@@ -34,6 +34,7 @@ class PretendRay:
         self.events: list[str] = []
         self.running = False
         self.processors = 2
+        self.silent = 0  # of how many starts no worker answers
 
     def init(self, **options: Any) -> None:
         self.events.append("started")
@@ -50,14 +51,17 @@ class PretendRay:
         return {"CPU": self.processors}
 
     def remote(self, **options: Any) -> Callable[[Callable[[Any], Any]], Any]:
-        return lambda function: SimpleNamespace(remote=lambda job: (function, job))
+        return lambda function: SimpleNamespace(remote=lambda *job: (function, job))
 
     def wait(self, tasks: list[Any], num_returns: int) -> tuple[list[Any], list[Any]]:
         return tasks[:1], tasks[1:]
 
-    def get(self, task: Any) -> Any:
-        self.events.append("a job")
-        return task[0](task[1])
+    def get(self, task: Any, timeout: float | None = None) -> Any:
+        if timeout and self.events.count("started") <= self.silent:
+            raise self.exceptions.GetTimeoutError
+        if not timeout:
+            self.events.append("a job")
+        return task[0](*task[1])
 
 
 @pytest.fixture
@@ -96,7 +100,7 @@ def test_workers_of_a_ray_that_runs_already_take_the_cache_of_the_command(
     found = RayExecutor(1).map_unordered(cache_of_worker, [1, 2])
     pretended = ray.get
 
-    def get(task: Any) -> Any:
+    def get(task: Any) -> Any:  # it runs already, so nothing is asked of it first
         monkeypatch.delenv("DMBENCH_CACHE")  # as in a worker of an earlier Ray
         return pretended(task)
 
@@ -111,3 +115,15 @@ def test_a_ray_of_this_machine_can_run_what_is_asked_for(ray: PretendRay, monkey
     ray.running = False
     with pytest.raises(DmbenchError, match="each job asks for 1 GPU, and Ray finds 0 on this machine"):
         list(RayExecutor(size=JobSize(gpus=1)).map_unordered(abs, [-1]))
+
+
+def test_a_ray_whose_workers_do_not_answer_is_started_anew_once(ray: PretendRay) -> None:
+    ray.silent = 1
+    executor = RayExecutor(2)
+    assert list(executor.map_unordered(abs, [-1])) == [1]
+    assert ray.events == ["started", "stopped", "started", "a job"]
+    ray.events.clear()
+    ray.running, ray.silent = False, 2
+    with pytest.raises(DmbenchError, match=r"started 2 times .* no worker of it answered within 90 s; .*logs'"):
+        list(executor.map_unordered(abs, [-1]))
+    assert ray.events == ["started", "stopped"] * 2

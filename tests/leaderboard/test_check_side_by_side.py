@@ -101,7 +101,7 @@ def test_the_command_says_the_same_for_any_workers(
     words = ("leaderboard", "check", str(entries), "--json")
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
     alone, beside = (dmbench((*words, *more), capsys, monkeypatch) for more in ((), ("--workers", "2")))
-    ray = finish(start_dmbench((*words, "--workers", "2", "--executor", "ray"), tmp_path))
+    ray = finish(start_dmbench((*words, "--workers", "2", "--executor", "ray"), tmp_path), seconds=300)
     assert alone == beside
     assert (alone.code, alone.out) == (ray.code, ray.out)
     assert alone.code == 1

@@ -14,7 +14,7 @@ import numpy as np
 import psutil
 import pytest
 from dmbench_command import dmbench, finish, start_dmbench
-from mortal_workers import Deadly
+from mortal_workers import Deadly, kill_confined_readers
 from noise_world import files_of
 from pretend_slurm import use_slurm
 from storage.foreign import compressed, foxglove_compressed_file, foxglove_file, steady, video
@@ -145,9 +145,7 @@ def test_a_decoder_that_crashes_harms_no_recording_after_it(tmp_path: Path, monk
     def crashing(source: Source, options: ImportOptions, confinement: Confinement) -> Recording:
         recording = opened(source, options, confinement)
         if source.path.name == crashed:
-            for child in psutil.Process().children():
-                if any("confined_reader" in word for word in child.cmdline()):
-                    child.kill()
+            kill_confined_readers()
         return recording
 
     assert len(surveys._parts_of_sources(sources_in(clips, None))) == 1  # one decoder for all of them

@@ -9,8 +9,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-import psutil
 import pytest
+from mortal_workers import kill_confined_readers
 from noise_world import files_of
 from PIL import Image
 from storage.foreign import video
@@ -105,10 +105,7 @@ def test_an_episode_that_crashes_its_decoder_harms_none_after_it(
 
         def pictures(self, segment: int, wanted: np.ndarray) -> Iterator[np.ndarray]:
             if segment == 1:
-                for child in psutil.Process().children():
-                    if any("confined_reader" in word for word in child.cmdline()):
-                        child.kill()
-                        child.wait()
+                kill_confined_readers()
             yield from self._recording.pictures(segment, wanted)
 
     monkeypatch.setattr(fleet, "open_recording", lambda *given: Crashing(opened(*given)))

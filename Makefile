@@ -7,7 +7,7 @@ PARALLEL := -n auto --dist worksteal  # more processes than cores; long tests co
 
 unexport PYTHONDONTWRITEBYTECODE  # else each of the processes that tests start compiles every module anew
 
-.PHONY: install demo test test-fast smoke check faults fuzz kill format bench results site clean
+.PHONY: install demo test suite test-fast smoke check rules types faults fuzz kill format bench results site clean
 
 install: $(STAMP)
 
@@ -22,7 +22,10 @@ $(STAMP): pyproject.toml constraints.txt
 demo: install
 	$(BIN)/dmbench demo
 
-test: check
+test: rules
+	@$(MAKE) --no-print-directory --jobs 2 types suite  # types take a minute of one core
+
+suite: install
 	$(BIN)/python -m pytest $(PARALLEL)
 
 test-fast: install
@@ -40,11 +43,15 @@ kill: install
 faults: install
 	$(BIN)/python -m tests.faults
 
-check: install
+check: rules types
+
+rules: install
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+types: install
+	$(BIN)/mypy
 
 format: install
 	$(BIN)/ruff format .

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,6 +25,19 @@ Live = Annotated[
     typer.Option("--live", help="Show the progress in Rerun: in a window or, without a display, on a local web page."),
 ]
 LiveTo = Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write what --live shows to a Rerun file.")]
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A recording that may be watched while it is made.
+
+    Attributes:
+        recording: To log to.
+        closed: Whether there was a viewer and it has ended: its window was closed, or it crashed.
+    """
+
+    recording: rr.RecordingStream
+    closed: Callable[[], bool] = lambda: False
 
 
 @contextlib.contextmanager
@@ -50,18 +64,18 @@ def following(make: Callable[[], Follower], live: bool, to: Path | None) -> Iter
     follower = make()
     window = live and has_display()
     web = live and not window
-    with live_recording(follower.title, follower.blueprint(), window=window, web=web, save=to) as recording:
-        follower.start(recording)
+    with live_recording(follower.title, follower.blueprint(), window=window, web=web, save=to) as shown:
+        follower.start(shown.recording)
         looked = time.monotonic()
 
         def poll() -> None:
             nonlocal looked
             if time.monotonic() - looked >= EVERY:
-                follower.poll(recording)
+                follower.poll(shown.recording)
                 looked = time.monotonic()
 
         yield poll
-        follower.poll(recording)
+        follower.poll(shown.recording)
 
 
 @contextlib.contextmanager
@@ -73,7 +87,7 @@ def live_recording(
     web: bool,
     save: Path | None,
     linger: Callable[[], bool] = lambda: True,
-) -> Iterator[rr.RecordingStream]:
+) -> Iterator[Watched]:
     """A Rerun recording to log to. If there is a viewer, it stays open after the block until the user closes it.
 
     Args:
@@ -88,7 +102,7 @@ def live_recording(
 
     if not (window or web):
         with recording_to(title, blueprint, file=save) as recording:
-            yield recording
+            yield Watched(recording)
         return
 
     with open_live(web=web) as viewer:
@@ -97,7 +111,7 @@ def live_recording(
             forward = " ".join(f"-L {port}:127.0.0.1:{port}" for port in viewer.ports)
             note(f"Open it in a browser on this machine, or on another one after running there 'ssh {forward} HOST'.")
         with recording_to(title, blueprint, address=viewer.address, file=save) as recording:
-            yield recording
+            yield Watched(recording, lambda: viewer.process.poll() is not None)
         if linger():
             note("Done; close Rerun's window or press Ctrl-C to end." if window else "Done; Ctrl-C ends it.")
             with contextlib.suppress(KeyboardInterrupt):

@@ -71,10 +71,10 @@ def plan(
     film = save if strip is None else None
     watched = window or web or film is not None
     with (
-        live_recording(trial.title, trial.blueprint, window=window, web=web, save=film) as recording,
+        live_recording(trial.title, trial.blueprint, window=window, web=web, save=film) as shown,
         BarOnDemand() as bar,
     ):
-        planned = trial.solve(recording if watched else None, bar, strip)
+        planned = trial.solve(shown.recording if watched else None, bar, strip)
         bar.end()  # the viewer may stay open for long
     if as_json:
         print_json(planned.to_json())

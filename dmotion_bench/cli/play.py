@@ -83,14 +83,18 @@ def play(
     window = not web and save is None
     with (
         contextlib.closing(driven),
-        live_recording(driven.title, driven.blueprint, window=window, web=web, save=save, linger=lambda: False) as log,
+        live_recording(
+            driven.title, driven.blueprint, window=window, web=web, save=save, linger=lambda: False
+        ) as shown,
     ):
         taken = list[str]()
-        driven.begin(log)
+        driven.begin(shown.recording)
         typer.echo(legend(known), err=True)
         with single_keys(terminal):
             for move, action in taken_actions(commands(read_keys(terminal), known), actions, first):
-                driven.move(log, action)
+                if shown.closed():
+                    break
+                driven.move(shown.recording, action)
                 if move is None:
                     taken.clear()
                 else:

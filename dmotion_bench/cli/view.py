@@ -109,21 +109,24 @@ def view(
 
 
 def _follow(follower: Follower, web: bool, save: Path | None) -> None:
-    """Show what is new in a folder until the work there ends, Ctrl-C is pressed, or the process is asked to end."""
+    """Show what is new in a folder until the work there ends or nobody looks any more.
+
+    That is: the window is closed, Ctrl-C is pressed, or the process is asked to end.
+    """
     from dmotion_bench.cli.live import EVERY, live_recording
 
     window, ended = not web and save is None, False
     with live_recording(
         follower.title, follower.blueprint(), window=window, web=web, save=save, linger=lambda: not ended
-    ) as recording:
-        follower.start(recording)
+    ) as shown:
+        follower.start(shown.recording)
         try:
-            while not follower.done:
-                follower.poll(recording)
+            while not (follower.done or shown.closed()):
+                follower.poll(shown.recording)
                 time.sleep(EVERY)
         except KeyboardInterrupt:
             ended = True
-        follower.poll(recording)
+        follower.poll(shown.recording)
 
 
 def _show(file: Path, web: bool) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import signal
 import subprocess
 import time
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -122,14 +124,20 @@ def assert_nobody_serves(viewers: list[psutil.Process]) -> None:
     assert not psutil.wait_procs(viewers, timeout=20)[1]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
-def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign: signal.Signals) -> None:
-    process = start_dmbench(["view", "squares-tiny", "--web"], workspace, start_new_session=True)
+@contextlib.contextmanager
+def following_on_a_page(workspace: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[str], list[psutil.Process]]]:
+    """A command that follows a run that was begun, and the processes of its viewer."""
+    run = folder / "runs" / "begun"
+    run.mkdir(parents=True)
+    (run / "run.json").write_text("{}")
+    process = start_dmbench(["view", str(run), "--live", "--web"], workspace, start_new_session=True)
     try:
-        viewers = viewers_of(process)
-        process.send_signal(sign)
-        assert process.wait(timeout=20) == (0 if sign == signal.SIGINT else 143)
+        assert process.stderr is not None
+        assert select.select([process.stderr], [], [], 60)[0]
+        assert process.stderr.readline().startswith("http://127.0.0.1:")
+        viewers = psutil.Process(process.pid).children(recursive=True)
+        time.sleep(1)  # it follows
+        yield process, viewers
     finally:
         process.kill()
         process.communicate()
@@ -141,22 +149,17 @@ def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign
 def test_following_on_a_page_ends_when_the_command_is_ended(
     workspace: Path, tmp_path: Path, sign: signal.Signals
 ) -> None:
-    run = tmp_path / "runs" / "begun"
-    run.mkdir(parents=True)
-    (run / "run.json").write_text("{}")
-    process = start_dmbench(["view", str(run), "--live", "--web"], workspace, start_new_session=True)
-    try:
-        assert process.stderr is not None
-        assert select.select([process.stderr], [], [], 60)[0]
-        assert process.stderr.readline().startswith("http://127.0.0.1:")
-        viewers = psutil.Process(process.pid).children(recursive=True)
-        time.sleep(1)  # it follows
+    with following_on_a_page(workspace, tmp_path) as (process, _):
         process.send_signal(sign)
         assert process.wait(timeout=30) == (0 if sign == signal.SIGINT else 128 + sign)
-    finally:
-        process.kill()
-        process.communicate()
-    assert_nobody_serves(viewers)
+
+
+@pytest.mark.slow
+def test_following_ends_when_the_viewer_is_closed(workspace: Path, tmp_path: Path) -> None:
+    with following_on_a_page(workspace, tmp_path) as (process, viewers):
+        for viewer in reversed(viewers):
+            viewer.terminate()
+        assert process.wait(timeout=30) == 0
 
 
 @pytest.mark.slow

@@ -78,8 +78,8 @@ def import_recordings(
             file says, else ``hz``.
         fit: How a picture that is not square is made square: ``"crop"``, ``"pad"`` or ``"stretch"``.
         clock: Time of a frame: ``"log"``, when it was logged, or ``"header"``, the time stamp in its header.
-        max_gap_s: Seconds without a picture that end an episode. Default: 2.5 intervals of the camera, but at most 20
-            frames at ``hz``.
+        max_gap_s: Seconds without a picture that end an episode. Default: 2.5 intervals of the camera, but at least 1.5
+            and at most 20 frames at ``hz``.
         min_frames: Episodes with fewer frames are left out.
         frames_per_episode: Longer episodes are cut into parts of equal length.
         seed: Of the split into training, validation and test.

@@ -88,8 +88,8 @@ def data_import(
     max_gap: Annotated[
         float | None,
         typer.Option(
-            help="Seconds without a picture that end an episode. Default: 2.5 intervals of the camera, but at most 20 "
-            "frames at --hz."
+            help="Seconds without a picture that end an episode. Default: 2.5 intervals of the camera, but at least "
+            "1.5 and at most 20 frames at --hz."
         ),
     ] = None,
     min_frames: Annotated[int, typer.Option(min=3, help="Leave out episodes with fewer frames.")] = 3,

@@ -72,6 +72,11 @@ def recipe_for(
     if issubclass(kind, Parametrised):
         parameters = kind.completed(parameters)
     varying = tuple(sorted({name.strip() for name in vary} - {""}))
+    for name in varying:
+        if name in parameters:
+            raise InvalidSetting(
+                f"{name} has one value by '--set' and cannot vary; leave out the setting, or {name} in '--vary'."
+            )
     if ranges != USUAL_RANGES:
         if not varying:
             raise InvalidSetting(f"--ranges {ranges} is for factors that vary, and none does; name some with '--vary'.")

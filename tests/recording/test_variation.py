@@ -134,11 +134,11 @@ def test_a_recipe_without_variation_is_what_it_was() -> None:
 
 
 def test_factors_are_a_set_and_settings_have_their_parameters_types() -> None:
-    one = recipe_for("planar_push", vary=["light", " camera", "light", ""], settings=["objects=2", "light=1"])
-    other = recipe_for("planar_push", vary=["camera", "light"], settings=["light=1.0", "objects=2", "mass=none"])
+    one = recipe_for("planar_push", vary=["light", " camera", "light", ""], settings=["objects=2", "noise=1"])
+    other = recipe_for("planar_push", vary=["camera", "light"], settings=["noise=1.0", "objects=2", "mass=none"])
     assert one == other
     assert one.vary == ("camera", "light")
-    assert {key: type(value) for key, value in one.parameters.items()} == {"light": float, "objects": int}
+    assert {key: type(value) for key, value in one.parameters.items()} == {"noise": float, "objects": int}
 
 
 @pytest.mark.parametrize(
@@ -154,6 +154,7 @@ def test_factors_are_a_set_and_settings_have_their_parameters_types() -> None:
         ("robot_push", {"settings": ["objects"]}, InvalidSetting, "write --set objects=VALUE"),
         ("robot_push", {"settings": ["vary=light"]}, InvalidSetting, "say '--vary light'"),
         ("planar_push", {"settings": ["shapes=teapot"]}, UnknownName, "no shape named 'teapot'; known: bar"),
+        ("planar_push", {"settings": ["light=1"], "vary": ["light"]}, InvalidSetting, "light has one value by '--set'"),
         ("planar_push", {"settings": ["light=7"]}, InvalidSetting, "light=7.0 is not possible.*0.88 to 1.12"),
     ],
 )

@@ -21,7 +21,8 @@ EXACT: Final = 1e-9  # an uncovered share below this is rounding
 class GoalCoverage:
     """The judged distance by the share of the goal that the T leaves uncovered.
 
-    It falls in a straight line from 1 at the share of the start to 0.2 at a share of 5%, and from there to 0.
+    It falls in a straight line from 1 at the share of the start to 0.2 at a share of 5%, and from there to 0. Where
+    a start leaves 5% or less, the distance is the share divided by the start's; where it leaves nothing, it stays 1.
 
     Args:
         start, goal: The T at a task's start and goal.

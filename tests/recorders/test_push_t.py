@@ -297,6 +297,16 @@ def test_the_judged_distance_has_the_published_rule_at_the_share_that_counts_as_
     assert costs[0] == pytest.approx(0.044**2)  # all corners are 44 mm off
 
 
+def test_a_start_at_the_goal_is_judged_by_how_much_less_is_left_open() -> None:
+    env, near = PushT(), Pose(GOAL.x + 1.0, GOAL.y, GOAL.angle)
+    measure = GoalCoverage(near, GOAL)
+    assert 0 < measure.uncovered(near) < 1 - SUCCESS_COVERAGE
+    for pose, distance in ((near, 1.0), (GOAL, 0.0), (Pose(GOAL.x + 2.0, GOAL.y, GOAL.angle), 2.0)):
+        env.reset(seed=0, options={"state": [450, 450, *pose]})
+        assert measure.distance(env) == pytest.approx(distance, rel=0.02)
+        assert GoalCoverage(GOAL, GOAL).distance(env) == 1
+
+
 def test_the_oracle_sees_how_the_tee_is_turned() -> None:
     env, measure = PushT(), GoalCoverage(Pose(300.0, 256.0, 0.0), GOAL)
     costs = []

@@ -1,7 +1,7 @@
 """The progress of the control loop on disk, so that an interrupted run continues with the same result.
 
 One JSON file: a key that says what the progress is of, the actions and distances of each task, and what the solver
-of the unfinished group remembers. A file of another key is not taken up: it belongs to other weights, other tasks
+of each unfinished group remembers. A file of another key is not taken up: it belongs to other weights, other tasks
 or another solver. Neither is a damaged file, or one that holds what cannot have been done.
 """
 
@@ -195,11 +195,15 @@ class Journal:
         return np.array(found)
 
     def write(self, records: Mapping[int, TaskRecord], memory: Memory | None, *, last: bool) -> None:
-        """Store these records; write them to disk every few seconds and after the group's last step."""
+        """Store these records; write them to disk every few seconds and after the group's last step.
+
+        What a solver remembers of other tasks stays: shares that were taken over may be unfinished, too.
+        """
         self._records.update(records)
-        self._memory = {}
+        for number in records:
+            self._memory.pop(number, None)
         if memory is not None and not last:
-            self._memory = {number: own.tolist() for number, own in zip(records, memory, strict=True)}
+            self._memory.update({number: own.tolist() for number, own in zip(records, memory, strict=True)})
         if self._path is not None and (last or time.monotonic() - self._written >= WRITE_EVERY):
             content = {
                 "format": FORMAT,

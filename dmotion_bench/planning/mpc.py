@@ -193,7 +193,7 @@ def _solve(loop: _Loop, problems: Sequence[Problem]) -> None:
         loop.on_progress()
         return
     group = _Group(loop, problems)
-    memory = loop.journal.memory(problems)
+    memory = loop.journal.memory(problems) if done else None  # a group that begins anew remembers nothing
     for past in as_array(loop.actions, records.values()).swapaxes(0, 1):
         group.act(past)
     for record, world in zip(records.values(), group.worlds, strict=True):

@@ -286,6 +286,59 @@ def test_a_killed_run_goes_on_with_the_same_result(
     assert run().planned == 0
 
 
+def _killed_at(place: Path, problems: list[Problem], step: int, settings: ControlSettings = PAIRS) -> None:
+    """Leave a journal of tasks that were killed before the action at a step, counted over all groups."""
+    steps = itertools.count()
+
+    def die(_: Scene) -> None:
+        if next(steps) == step:
+            raise Killed
+
+    with pytest.raises(Killed):
+        control(tracking(FEW), problems, GridWorld, settings, journal=Journal(place, {}, EXTENT), watch=die)
+
+
+def test_shares_that_were_killed_go_on_with_the_same_result(
+    problems: list[Problem], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
+    whole = control(tracking(FEW), problems[:4], GridWorld, PAIRS)
+    for first, dies_at in ((0, 2), (2, 4)):
+        _killed_at(tmp_path / f"share-{first}.json", problems[first : first + 2], dies_at)
+    journal = Journal(tmp_path / "journal.json", {}, EXTENT)
+    for first in (0, 2):
+        journal.take_over(tmp_path / f"share-{first}.json")
+
+    begun = control(tracking(FEW), problems[:4], GridWorld, PAIRS, journal=journal)
+
+    assert begun.planned == 24 - 2 * (2 + 4)
+    np.testing.assert_array_equal(begun.actions, whole.actions)
+    np.testing.assert_array_equal(begun.distance, whole.distance)
+
+
+def test_a_group_that_begins_anew_remembers_nothing(
+    problems: list[Problem], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
+    for first, dies_at in ((0, 2), (2, 4)):
+        _killed_at(tmp_path / f"share-{first}.json", problems[first : first + 2], dies_at)
+    journal, remembered = Journal(tmp_path / "journal.json", {}, EXTENT), list[Any]()
+    for first in (0, 2):
+        journal.take_over(tmp_path / f"share-{first}.json")
+
+    control(
+        tracking(FEW),
+        problems[:4],
+        GridWorld,
+        replace(PAIRS, group=4),
+        journal=journal,
+        watch=lambda scene: remembered.append(scene.context.memory),
+    )
+
+    assert len(remembered) == PAIRS.steps  # the tasks had not reached the same step
+    assert remembered[0] is None
+
+
 def test_progress_of_something_else_is_not_taken_up(dataset: Dataset, tmp_path: Path) -> None:
     file = tmp_path / "control.json"
     scoring = ControlScoring(tasks=2, steps=4, group=2)

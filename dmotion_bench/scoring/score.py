@@ -256,7 +256,8 @@ def score_run(
         elif "control" in true and report is not None:
             scored = replace(scored, planning=present_planning(report.planning) or planning_of(run, dataset, settings))
         written = write_report(folder, scored, scores.samples)
-        for done in (journal, *shares_of(journal)):
+        # an interrupted control goes on where control is asked for again, whatever is scored in between
+        for done in (journal, *shares_of(journal)) if "control" in metrics else ():
             done.unlink(missing_ok=True)
     return written
 

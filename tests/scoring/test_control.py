@@ -144,6 +144,25 @@ def test_a_killed_scoring_goes_on_to_the_same_report(
     assert (again.figures, again.samples) == (whole.figures, whole.samples)
 
 
+def test_scoring_something_else_leaves_an_interrupted_control(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
+    journal = run.path / "report/control.json"
+
+    def note(what: str, done: int, total: int) -> None:
+        if what.startswith("control by the model"):
+            raise Killed
+
+    with pytest.raises(Killed):
+        score(run, how=Execution(progress=note))
+    share = shutil.copy(journal, journal.with_name("control-0.json"))
+    score(run, "prediction")
+    assert journal.exists()
+    assert Path(share).exists()
+    score(run)
+    assert not journal.exists()
+    assert not Path(share).exists()
+
+
 def test_what_was_planned_in_another_arithmetic_is_not_taken_over(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmotion_bench.planning.journal.WRITE_EVERY", 0.0)
     journal, planned = run.path / "report/control.json", []

@@ -176,24 +176,38 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
     return as_problems(dataset, {number: tasks[number] for number in numbers})
 
 
-def as_problems(dataset: ReadableDataset, tasks: Mapping[int, ControlTask]) -> list[Problem]:
+def as_problems(
+    dataset: ReadableDataset, tasks: Mapping[int, ControlTask], *, recorded_goals: bool = False
+) -> list[Problem]:
     """Stretches of recorded episodes as problems, whether they are stored as tasks or not.
 
     Args:
         dataset: With labels.
         tasks: By the numbers that the problems are to have.
+        recorded_goals: Whether ``has_recorded_goals`` is known to hold, so that the environment need not be here.
 
     Raises:
         LabelsNotAvailable: ``labels/`` is not there; the recorded actions are in it.
+        UnknownName, PackageNotInstalled, DmbenchError: The environment is asked, and is not here.
     """
-    return _with_own_goals(dataset.recipe, [_problem(dataset, number, task) for number, task in tasks.items()])
+    problems = [_problem(dataset, number, task) for number, task in tasks.items()]
+    if recorded_goals or has_recorded_goals(dataset.recipe):
+        return problems
+    return _with_own_goals(dataset.recipe, problems)
+
+
+def has_recorded_goals(recipe: DatasetRecipe) -> bool:
+    """Whether the goals of tasks are recorded frames, since the environment sets none itself.
+
+    Raises:
+        UnknownName, PackageNotInstalled, DmbenchError: The environment is not here.
+    """
+    kind: object = environment_class(recipe.environment)
+    return not isinstance(kind, SetsGoal)
 
 
 def _with_own_goals(recipe: DatasetRecipe, problems: list[Problem]) -> list[Problem]:
-    """The problems with the goals that the environment sets itself, if it does."""
-    kind: object = environment_class(recipe.environment)
-    if not isinstance(kind, SetsGoal):
-        return problems
+    """The problems with the goals that the environment sets itself."""
     env = task_environment(recipe)
     try:
         return [_with_own_goal(env, problem) for problem in problems]

@@ -41,7 +41,7 @@ from dmotion_bench.planning.objectives.checked import checked_reset
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.planning.solvers.rollouts import Rollouts
 from dmotion_bench.planning.solvers.search import Search
-from dmotion_bench.planning.tasks import Judge, as_problems, judge_of, task_environment
+from dmotion_bench.planning.tasks import Judge, as_problems, has_recorded_goals, judge_of, task_environment
 from dmotion_bench.scoring.kept_gain import Truth, keep, kept
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import GAIN, SampleRows, action_column
@@ -216,7 +216,12 @@ def known_truth(dataset: ReadableDataset, split: SplitName, scoring: GainScoring
             f"none of {len(sequences)} sequences brings an object nearer to its goal at any moment of the {split} "
             f"episodes of {dataset.name!r}; leave the gain out of '--metrics', or record more episodes."
         )
-    truth = Truth(sequences=sequences, moments=moments, oracle=_by_true_frames(dataset, scoring, moments, sequences))
+    truth = Truth(
+        sequences=sequences,
+        moments=moments,
+        oracle=_by_true_frames(dataset, scoring, moments, sequences),
+        recorded_goals=has_recorded_goals(dataset.recipe),
+    )
     keep(place, key, truth)
     return truth
 

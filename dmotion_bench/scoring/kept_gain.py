@@ -16,8 +16,9 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
+from dmotion_bench.errors import DmbenchError
 from dmotion_bench.planning.moments import Moment
-from dmotion_bench.planning.tasks import as_problems
+from dmotion_bench.planning.tasks import as_problems, has_recorded_goals
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_file import LARGEST, MOST_VALUES, parse_json, read_json
@@ -38,11 +39,13 @@ class Truth:
         sequences: The same at every moment.
         moments: In the order of their episodes.
         oracle: Which sequence the true frames speak for, at each moment.
+        recorded_goals: Whether the moments' goals are recorded frames, and none that the environment sets itself.
     """
 
     sequences: Int[np.ndarray, "s h"] | Float[np.ndarray, "s h a"]
     moments: Sequence[Moment]
     oracle: Int[np.ndarray, " m"]
+    recorded_goals: bool
 
 
 def keep(path: Path, key: Mapping[str, Any], truth: Truth) -> None:
@@ -57,7 +60,8 @@ def keep(path: Path, key: Mapping[str, Any], truth: Truth) -> None:
         {"task": list(one.problem.task), "offset": one.offset, "now": one.now, "after": one.after.tolist()}
         for one in truth.moments
     ]
-    known = json.dumps({"key": key, "moments": moments, "oracle": truth.oracle.tolist()}, sort_keys=True)
+    told = {"key": key, "moments": moments, "oracle": truth.oracle.tolist(), "recorded_goals": truth.recorded_goals}
+    known = json.dumps(told, sort_keys=True)
     content = {"format": FORMAT, "crc32": zlib.crc32(known.encode()), "known": known}
     write_atomically(path, json.dumps(content).encode())
 
@@ -70,6 +74,8 @@ def kept(
     sequences: Int[np.ndarray, "s h"] | Float[np.ndarray, "s h a"],
 ) -> Truth | None:
     """What a file knows; None where that is nothing, damaged, of something else, or cannot be.
+
+    Also None if the environment sets the goals, or may do so (files of earlier releases do not tell), and is not here.
 
     Args:
         path: The file.
@@ -96,12 +102,18 @@ def kept(
             return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError):  # JsonUnreadable is a ValueError
         return None
-    problems = as_problems(dataset, dict(enumerate(task for task, *_ in found)))
+    try:
+        recorded_goals = has_recorded_goals(dataset.recipe)
+    except DmbenchError:  # the environment is not here
+        recorded_goals = known.get("recorded_goals") is True
+        if not recorded_goals:
+            return None
+    problems = as_problems(dataset, dict(enumerate(task for task, *_ in found)), recorded_goals=recorded_goals)
     moments = [
         Moment(problem=problem, offset=offset, now=now, after=after)
         for problem, (_, offset, now, after) in zip(problems, found, strict=True)
     ]
-    return Truth(sequences=sequences, moments=moments, oracle=oracle)
+    return Truth(sequences=sequences, moments=moments, oracle=oracle, recorded_goals=recorded_goals)
 
 
 def _moment(stored: Mapping[str, Any], sequences: int) -> tuple[ControlTask, int, float, Float[np.ndarray, " s"]]:

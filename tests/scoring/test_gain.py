@@ -17,13 +17,13 @@ from known_model import Known, NoConfig, write_run
 from planning.worlds import PerfectGridModel
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.pairing import compare_runs
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.figures import figures_of
-from dmotion_bench.scoring.gain import GainScoring, gain_tables, known_truth
+from dmotion_bench.scoring.gain import GainScoring, gain_tables, known_truth, reason_against
 from dmotion_bench.scoring.kept_gain import FORMAT, kept
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import read_report
@@ -206,6 +206,35 @@ def test_a_cache_is_read_however_much_there_is_to_keep(
     monkeypatch.setattr("dmotion_bench.scoring.kept_gain.MOST_VALUES", 0)
 
     assert _kept(pushed, tmp_path / "gain.json", json.loads(_sound(pushed)["known"])) is not None
+
+
+def _not_installed(*_: Any) -> Any:
+    raise UnknownName("environment", "of another package", [])
+
+
+def test_what_is_kept_is_used_where_the_environment_is_not_installed(
+    pushed: Dataset, no_simulator: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = known_truth(pushed, "test", FEW, Execution())
+    monkeypatch.setattr("dmotion_bench.planning.tasks.environment_class", _not_installed)
+
+    assert reason_against(pushed, "test", FEW) is None
+    there = known_truth(pushed, "test", FEW, Execution())
+    for one, other in zip(there.moments, before.moments, strict=True):
+        assert one.problem.task == other.problem.task
+        np.testing.assert_array_equal(one.problem.goal_frame, other.problem.goal_frame)
+
+
+def test_what_an_earlier_release_kept_does_not_stand_in_for_an_environment_that_may_set_goals(
+    pushed: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = json.loads(_sound(pushed)["known"])
+    earlier = {name: value for name, value in known.items() if name != "recorded_goals"}
+    assert _kept(pushed, tmp_path / "gain.json", earlier) is not None
+    sequences = known_truth(pushed, "test", FEW, Execution()).sequences
+    monkeypatch.setattr("dmotion_bench.planning.tasks.environment_class", _not_installed)
+
+    assert kept(tmp_path / "gain.json", known["key"], pushed, "test", sequences) is None
 
 
 def test_other_settings_have_moments_of_their_own(pushed: Dataset, no_simulator: None) -> None:

@@ -50,12 +50,13 @@ class Discrete:
         names: In the order of their numbers.
 
     Raises:
-        InvalidSetting: There is no name, or two are the same.
+        InvalidSetting: There is no name, two are the same, or they are one text.
     """
 
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "names", _as_tuple("names", self.names))
         _check_names(self.names, MOST_ACTIONS)
 
     @classmethod
@@ -160,7 +161,7 @@ class Continuous:
         units: Such as ``"m"``; empty where they are not known.
 
     Raises:
-        InvalidSetting: There is no number, two have the same name, or a bound cannot be.
+        InvalidSetting: There is no number, two have the same name, a bound cannot be, or a field is no tuple.
     """
 
     names: tuple[str, ...]
@@ -169,6 +170,8 @@ class Continuous:
     units: tuple[str, ...]
 
     def __post_init__(self) -> None:
+        for name in ("names", "low", "high", "units"):
+            object.__setattr__(self, name, _as_tuple(name, getattr(self, name)))
         _check_names(self.names, MOST_NUMBERS)
         if not len(self.names) == len(self.low) == len(self.high) == len(self.units):
             raise InvalidSetting(
@@ -347,6 +350,17 @@ def actions_from_json(value: object) -> ActionSpec | None:
 
 def _is_number(value: object) -> bool:
     return type(value) is float or (type(value) is int and abs(value) <= 2**53)
+
+
+def _as_tuple(field: str, value: object) -> tuple[Any, ...]:
+    """A list as a tuple; a text is refused, since its letters would be taken for names.
+
+    Raises:
+        InvalidSetting: It is neither a tuple nor a list.
+    """
+    if not isinstance(value, tuple | list):
+        raise InvalidSetting(f"{field} of actions is {shown(value)}; give a tuple, such as ({shown(value)},).")
+    return tuple(value)
 
 
 def _check_names(names: tuple[str, ...], most: int) -> None:

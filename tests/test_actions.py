@@ -62,6 +62,18 @@ def test_what_is_no_specification_is_refused(wrong: Any, said: str) -> None:
         actions_from_json(wrong)
 
 
+def test_a_forgotten_comma_does_not_make_names_of_letters() -> None:
+    with pytest.raises(InvalidSetting, match=r"names of actions is 'up'; give a tuple, such as \('up',\)"):
+        Discrete("up")  # type: ignore[arg-type]
+    whole: dict[str, Any] = {"names": ("dx",), "low": (0.0,), "high": (1.0,), "units": ("m",)}
+    for field, value in (("names", "dx"), ("low", 0.0), ("high", 1.0), ("units", "m")):
+        with pytest.raises(InvalidSetting, match=f"{field} of actions is {value!r}; give a tuple"):
+            Continuous(**whole | {field: value})
+    listed: Any = {name: list(one) for name, one in whole.items()}
+    assert Continuous(**listed) == Continuous(**whole)
+    assert hash(Discrete(["up", "down"])) == hash(Discrete(("up", "down")))  # type: ignore[arg-type]
+
+
 @given(st.lists(st.tuples(st.floats(-0.04, 0.04), st.floats(0, math.pi)), min_size=1))
 @settings(deadline=None, derandomize=True)
 def test_normalised_actions_are_within_one_and_come_back(rows: list[tuple[float, float]]) -> None:

@@ -10,6 +10,7 @@ import pytest
 import torch
 from planning.worlds import FarWalks, PerfectGridModel, SmoothWalks, Walks, context, observed, unseen
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, UnknownName
 from dmotion_bench.planning.choices import make_solver
 from dmotion_bench.planning.dynamics.model import ModelDynamics
@@ -260,6 +261,15 @@ def test_an_unknown_solver_gets_the_close_match() -> None:
         make_solver("exhaustiv")
     with pytest.raises(InvalidSetting, match="1 to 8 steps"):
         Exhaustive(horizon=12)
+
+
+def test_all_sequences_are_not_looked_at_where_there_are_millions() -> None:
+    class Many(Walks):
+        actions = Discrete.numbered(12)
+
+    many = Many((0,))
+    with pytest.raises(InvalidSetting, match="6 steps of 12 actions make 2,985,984 sequences"):
+        many.plan(Exhaustive(horizon=6), context(1))
 
 
 def test_every_field_can_be_set_by_name() -> None:

@@ -70,11 +70,12 @@ class TaskRecord:
 def as_array(spec: ActionSpec, records: Iterable[TaskRecord]) -> Any:
     """The actions of several tasks: a row a task, a column a step; NaN where no continuous action was taken."""
     taken = [record.actions for record in records]
+    steps = len(taken[0]) if taken else 0
     if isinstance(spec, Discrete):
-        return np.array(taken, np.int64).reshape(len(taken), -1)
+        return np.array(taken, np.int64).reshape(len(taken), steps)
     none = [float("nan")] * spec.width
     plain = [[none if action is None else action for action in own] for own in taken]
-    return np.array(plain, np.float64).reshape(len(taken), -1, spec.width)
+    return np.array(plain, np.float64).reshape(len(taken), steps, spec.width)
 
 
 @dataclass(frozen=True, kw_only=True)

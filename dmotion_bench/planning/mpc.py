@@ -58,7 +58,7 @@ class ControlSettings:
     group: int = GROUP
 
     def __post_init__(self) -> None:
-        require_bounds(self, from_one=("steps", "group"))
+        require_bounds(self, from_one=("steps", "group"), from_zero=("seed",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,12 +170,13 @@ def control(
         for env in envs:
             env.close()
     records = [loop.records[problem.number] for problem in problems]
+    moments = len(records[0].distance) if records else settings.steps + 1
     return ControlResult(
         tasks=tuple(problem.number for problem in problems),
         episodes=tuple(problem.task.episode for problem in problems),
         starts=tuple(problem.task.start for problem in problems),
-        distance=np.array([record.distance for record in records]).reshape(len(records), -1),
-        lost=np.array([record.lost for record in records], np.int64).reshape(len(records), -1),
+        distance=np.array([record.distance for record in records]).reshape(len(records), moments),
+        lost=np.array([record.lost for record in records], np.int64).reshape(len(records), moments),
         actions=as_array(loop.actions, records),
         frames=sum(record.frames for record in records),
         seconds=loop.seconds,

@@ -52,6 +52,7 @@ from dmotion_bench.scoring.kept_control import journal_of, kept_by_reference
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows
 from dmotion_bench.storage.readable import ReadableDataset
+from dmotion_bench.values import require_bounds
 
 QUICK: Final = ("idle", "random", "scripted")
 """References that take seconds."""
@@ -94,6 +95,7 @@ class ControlScoring:
             self._take(column_named(self.column))
         if self.tasks is not None and self.tasks < 1:
             raise InvalidSetting(f"tasks is {self.tasks}; control is scored on 1 or more.")
+        require_bounds(self, from_one=("steps", "group"), from_zero=("seed",))
         make_solver(self.planner, self.planner_set)
         if self.objective is not None:
             object.__setattr__(self, "objective", present_name(self.objective))

@@ -96,7 +96,7 @@ class GainScoring:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        require_bounds(self, from_one=("moments", "sequences", "horizon"))
+        require_bounds(self, from_one=("moments", "sequences", "horizon"), from_zero=("seed",))
         if self.objective is not None:
             object.__setattr__(self, "objective", present_name(self.objective))
             make_objective(self.objective, self.objective_set)

@@ -12,6 +12,7 @@ from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.prediction import Precision
 from dmotion_bench.scoring.statistics import RESAMPLES
 from dmotion_bench.specs import SplitName
+from dmotion_bench.values import require_bounds
 
 Metric = Literal["prediction", "rollout", "gain", "control"]
 METRICS: tuple[Metric, ...] = get_args(Metric)
@@ -47,6 +48,7 @@ class ScoreSettings:
     def __post_init__(self) -> None:
         if self.horizon < 1:
             raise InvalidSetting(f"the horizon is {self.horizon}; a rollout has at least 1 step.")
+        require_bounds(self, from_one=("resamples",))
 
     def to_json(self, metrics: tuple[str, ...]) -> dict[str, Any]:
         """The settings as a report with these groups of figures stores them."""

@@ -375,6 +375,12 @@ def test_figures_are_means_over_tasks(dataset: Dataset) -> None:
     assert reports[-1].distance == pytest.approx(result.distance[:, -1].mean())
 
 
+def test_no_tasks_are_no_error() -> None:
+    result = control(IdleAgent(ACTIONS), [], GridWorld, ControlSettings(steps=3))
+    assert result.distance.shape == result.lost.shape == (0, 4)
+    assert result.tasks == ()
+
+
 def test_mistakes_get_sentences(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(UnknownName, match=r"no reference named 'orakel'; did you mean 'oracle'\?"):
         make_reference("orakel", FACTS, GridWorld, SMALL)
@@ -384,6 +390,11 @@ def test_mistakes_get_sentences(dataset: Dataset, tmp_path: Path) -> None:
         ControlScoring(planner="cen")
     with pytest.raises(InvalidSetting, match="tasks is 0"):
         ControlScoring(tasks=0)
+    for wrong in ({"steps": 0}, {"group": 0}, {"seed": -1}):
+        with pytest.raises(InvalidSetting, match=next(iter(wrong))):
+            ControlScoring(**wrong)
+        with pytest.raises(InvalidSetting, match=next(iter(wrong))):
+            ControlSettings(**wrong)
     record_dataset(tmp_path / "none", DatasetRecipe(environment="grid_world", episodes=2, frames=4))
     with pytest.raises(DatasetError, match="'dmbench record grid_world --tasks 20'"):
         load_problems(Dataset.open(tmp_path / "none"))

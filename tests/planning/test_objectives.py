@@ -114,6 +114,9 @@ def test_objectives_are_made_by_name_and_every_field_can_be_set() -> None:
         make_objective("tabletop", ["around_std=0"])
     with pytest.raises(InvalidSetting, match=r"lost_distance is -1\.0; it cannot be below zero"):
         make_objective("tracked", ["lost_distance=-1"])
+    for wrong in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(InvalidSetting, match=f"lost_distance is {wrong}; it cannot be below zero"):
+            Centres(lost_distance=wrong)
 
 
 @pytest.mark.parametrize("name", ["centres", "tracked", "tracked-risk", "tabletop"])

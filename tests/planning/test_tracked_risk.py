@@ -133,3 +133,5 @@ def test_its_settings() -> None:
     assert make_objective("tracked-risk", ["lost_below=0.2"]) == TrackedRisk(lost_below=0.2)
     with pytest.raises(InvalidSetting, match=r"lost_below is 0\.6 and safe_from 0\.6; the first must be less"):
         make_objective("tracked-risk", ["lost_below=0.6"])
+    with pytest.raises(InvalidSetting, match="safe_from is inf"):  # its costs would be no numbers
+        TrackedRisk(safe_from=float("inf"))

@@ -299,7 +299,7 @@ def test_runs_are_compared_at_the_same_moments(
 
 
 def test_a_gain_that_cannot_be_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    for wrong in ({"moments": 0}, {"sequences": 0}, {"horizon": 0}, {"objective_set": ("a=1",)}):
+    for wrong in ({"moments": 0}, {"sequences": 0}, {"horizon": 0}, {"seed": -1}, {"objective_set": ("a=1",)}):
         with pytest.raises(InvalidSetting):
             GainScoring(**wrong)
     monkeypatch.setattr("dmotion_bench.scoring.gain._stretches", lambda *_: [])

@@ -456,3 +456,10 @@ def test_a_report_that_names_code_is_of_the_version_that_the_code_stands_for(mak
     assert older is not None
     assert older.scoring_version == "0.1.0+c526c1fffaf4"
     assert score_run(tmp_path / "run", settings=QUICK, renew=False).scoring_version == SCORING_VERSION
+
+
+def test_settings_without_a_draw_or_a_step_are_refused() -> None:
+    for name in ("resamples", "horizon"):
+        for wrong in (0, -1):
+            with pytest.raises(InvalidSetting, match=f"{name} is {wrong}"):
+                ScoreSettings(**{name: wrong})

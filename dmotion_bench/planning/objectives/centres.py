@@ -19,6 +19,7 @@ from dmotion_bench.planning.dynamics.base import Dynamics, State, pixels_of
 from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import EnvSpec
+from dmotion_bench.values import require_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +34,7 @@ class Centres:
     finds_objects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.lost_distance < 0:
-            raise InvalidSetting(f"lost_distance is {self.lost_distance}; it cannot be below zero.")
+        require_bounds(self, from_zero=("lost_distance",))
 
     def reset(
         self, spec: EnvSpec, first: UInt8[np.ndarray, "b h w 3"], goals: UInt8[np.ndarray, "b h w 3"]

@@ -46,7 +46,7 @@ class TrackedRisk(Tracked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_bounds(self, from_zero=("lost_below",))
+        require_bounds(self, from_zero=("lost_below", "safe_from"))
         if not self.lost_below < self.safe_from:
             raise InvalidSetting(
                 f"lost_below is {self.lost_below} and safe_from {self.safe_from}; the first must be less."

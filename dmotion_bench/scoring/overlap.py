@@ -32,8 +32,10 @@ def copied_episodes(own: Dataset, trained: Sequence[int], other: Dataset, asked:
         own: The data set of the training.
         trained: The episodes that were trained or validated on.
         other: Of frames of the same size.
-        asked: Episodes of it.
+        asked: Episodes of it; of none, as of the test of an import of one episode, none is a copy.
     """
+    if not len(asked):
+        return []
     named = (own.path, own.fingerprint, tuple(trained), other.path, other.fingerprint, tuple(asked))
     return list(_copied_episodes(*named))
 

@@ -17,7 +17,7 @@ from PIL import Image
 from torch import Tensor
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.errors import DatasetMissing, LabelsNotAvailable, RunMismatch, UsageError
+from dmotion_bench.errors import DatasetError, DatasetMissing, LabelsNotAvailable, RunMismatch, UsageError
 from dmotion_bench.learning.action_encoding import ActionEncoding
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
@@ -191,6 +191,12 @@ def test_the_paper_s_split_has_trained_on_every_episode(make_run: MakeRun, grid:
     shuffled = make_run(tmp_path / "shuffled", protocol="paper")
     with pytest.raises(RunMismatch, match=r"3 of the 3 test episodes .* show the same as"):
         _score(shuffled, write_import(tmp_path / "copy", grid))
+
+
+def test_an_import_without_a_test_episode_gets_a_sentence(run: Run, tmp_path: Path) -> None:
+    single = write_dataset(tmp_path / "single", seed=5, episodes=1)
+    with pytest.raises(DatasetError, match="the test split of 'import' has no triplet"):
+        _score(run, write_import(tmp_path / "import", single))
 
 
 def test_static_frames_that_two_recordings_share_are_no_copy(

@@ -9,6 +9,7 @@ Figures that were measured with different settings are left out: their differenc
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.learning.runs.run import Run
@@ -68,7 +69,12 @@ _PAIRED: Final = ("prediction", "rollout", GAIN, CONTROL, PICTURE_CONTROL)
 """The metrics of samples, in the order of their figures."""
 _LOG: Final = logging.getLogger(__name__)
 _KEY: Final = ("episode", "step", "ahead")
-_TASK_KEY: Final = ("task", "ahead")
+_KEYS: Final[Mapping[str, tuple[str, ...]]] = {
+    CONTROL: ("task", "ahead"),
+    PICTURE_CONTROL: ("task", "ahead"),
+    GAIN: (*_KEY, "best_gain"),  # two stretches of an episode may have their moments at one frame, with other goals
+}
+"""Of samples that ``_KEY`` does not name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +263,7 @@ def _of_model(samples: pa.Table) -> pa.Table:
 def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
     for metric in _PAIRED:
         one, other = (samples.filter(pc.equal(samples["metric"], metric)) for samples in (first, second))
-        one, other = _aligned(one, other, _TASK_KEY if metric in (CONTROL, PICTURE_CONTROL) else _KEY)
+        one, other = _aligned(one, other, _KEYS.get(metric, _KEY))
         if not len(one):
             continue
         episode, ahead = column(one, "episode"), column(one, "ahead")
@@ -294,14 +300,13 @@ def _differences(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
 
 
 def _gain_difference(first: pa.Table, second: pa.Table) -> Iterator[Difference]:
-    """The difference in the gain captured at the same moments, where as much could be gained in both."""
+    """The difference in the gain captured at the same moments; as much can be gained at each in both."""
     best = _values(first, "best_gain")
-    same = best == _values(second, "best_gain")
-    left, right = (np.where(same, _values(table, "gain"), np.nan) for table in (first, second))
+    left, right = (_values(table, "gain") for table in (first, second))
     estimate = EpisodeBootstrap(column(first, "episode")).ratio(left - right, best)
     if estimate is not None:
-        whole = best[same].sum()
-        means = (float(np.nansum(one) / whole) for one in (left, right))
+        both = np.isfinite(left) & np.isfinite(right) & (best > 0)
+        means = (float(one[both].sum() / best[both].sum()) for one in (left, right))
         yield Difference(figure="planning_gain", first=next(means), second=next(means), difference=estimate)
 
 
@@ -315,8 +320,16 @@ def _aligned(first: pa.Table, second: pa.Table, key: Sequence[str]) -> tuple[pa.
     """The rows that both have, in the same order."""
     if not len(first) or not len(second):
         return first.slice(0, 0), second.slice(0, 0)
-    keys = [np.stack([column(table, name) for name in key], axis=1) for table in (first, second)]
-    places = [{tuple(key): place for place, key in enumerate(table.tolist())} for table in keys]
+    places = [_places(np.stack([column(table, name) for name in key], axis=1)) for table in (first, second)]
     common = [key for key in places[0] if key in places[1]]
     left, right = ([own[key] for key in common] for own in places)
     return first.take(pa.array(left, pa.int64())), second.take(pa.array(right, pa.int64()))
+
+
+def _places(keys: Shaped[np.ndarray, "n k"]) -> dict[tuple[float, ...], int]:
+    """The row of each key; the last number of a key says how many rows before had the same."""
+    met, found = Counter[tuple[float, ...]](), dict[tuple[float, ...], int]()
+    for place, key in enumerate(map(tuple, keys.tolist())):
+        found[*key, met[key]] = place
+        met[key] += 1
+    return found

@@ -20,7 +20,7 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.pairing import compare_runs
+from dmotion_bench.pairing import _differences, compare_runs
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.gain import GainScoring, gain_tables, known_truth, reason_against
@@ -81,6 +81,22 @@ def test_the_figure_is_a_share_of_all_that_could_be_gained() -> None:
     assert figure.low <= figure.mean <= figure.high
     assert (_figures(samples).low, _figures(samples).episodes) == (None, 2)
     assert figure.std == pytest.approx(np.std([1, 0, -0.5]))
+
+
+def test_moments_of_two_stretches_at_one_frame_are_all_compared() -> None:
+    """Frame 3 of episode 1 is a moment three times, with other goals; twice as much can be gained."""
+    first = _rows([0.5, 0.1, 0.0, 0.2], [0.5, 0.4, 0.4, 0.2], [1, 1, 1, 2])
+    frames = pa.array([3, 3, 3, 0], pa.int32())
+    first = first.set_column(first.column_names.index("step"), "step", frames)
+    second = first.set_column(first.column_names.index("gain"), "gain", pa.array([0.25, 0.4, 0.1, 0.2], pa.float32()))
+
+    (found,) = _differences(first, second)
+
+    assert found.difference.n == 4
+    for mine, samples in ((found.first, first), (found.second, second)):
+        assert mine == pytest.approx(figures_of(samples, MODEL)["planning_gain"].mean)
+    (fewer,) = _differences(first, second.filter(pc.greater(second["best_gain"], 0.41)))
+    assert (fewer.difference.n, fewer.first, fewer.second) == (1, pytest.approx(1.0), pytest.approx(0.5))
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from dmotion_bench.api.scoring import control_scoring
 from dmotion_bench.api.settings import Settings, whole
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
+from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.driving import predicted
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
@@ -235,7 +236,7 @@ class Trial:
     def _log(self, recording: rr.RecordingStream, scene: Scene) -> None:
         futures, seen, model = None, scene.context.observation, self.model
         if self._pictures and model is not None and scene.decision.plan is not None:
-            best = in_units(model.inputs.actions, torch.from_numpy(scene.decision.plan.candidates[0, :SHOWN]))
+            best = in_units(model.inputs.actions, as_tensor(scene.decision.plan.candidates[0, :SHOWN]))
             previous, current = (torch.from_numpy(images[0]) for images in (seen.previous, seen.current))
             futures = predicted(model, previous, current, best).numpy()
         world = scene.worlds[0]

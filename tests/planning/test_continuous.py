@@ -12,7 +12,7 @@ import torch
 from planning.sliding import ACTIONS, FACTS, SIZE, STEP, Blob, Sliding, problem
 from planning.worlds import Walks, context, observed, unseen
 
-from dmotion_bench.errors import InvalidSetting, ModelContractBroken
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken, PlannerContractBroken
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.planning.agents import IdleAgent, ModelAgent, RandomAgent, make_reference
 from dmotion_bench.planning.choices import make_objective, make_solver
@@ -139,6 +139,35 @@ def test_path_integrals_leave_out_sequences_of_infinite_cost() -> None:
     weights = PathIntegral()._weights(costs)
     np.testing.assert_array_equal(weights[:, [0, 2, 3]], PathIntegral()._weights(costs[:, [0, 2, 3]]))
     np.testing.assert_array_equal(weights[:, [1, 4]], 0)
+
+
+class Distance(FeatureEvaluator):
+    """A root, which has no gradient where it is zero; or NaN; or infinite, with a gradient of NaN."""
+
+    def __init__(self, goals: np.ndarray, kind: str) -> None:
+        super().__init__(goals)
+        self.kind = kind
+
+    def step(self, dynamics: Any, state: Any, task: Any, action: Any, cost_state: Any) -> Any:
+        cost, carried = super().step(dynamics, state, task, action, cost_state)
+        factor = {"no gradient": 0.0, "not a number": torch.nan, "infinite": torch.inf}[self.kind]
+        return StepCost.of((cost.total * factor).sqrt() if self.kind != "infinite" else cost.total * factor), carried
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"), [("no gradient", "the gradient of the cost holds NaN"), ("not a number", "not numbers")]
+)
+def test_what_a_gradient_cannot_follow_is_said(kind: str, said: str) -> None:
+    given = replace(TWO, generators=generators(0, 1))
+    with pytest.raises(PlannerContractBroken, match=said):
+        make_solver("gradient").plan(ModelDynamics(Blob(), bf16=False), Distance(TWO.observation.goals, kind), given)
+
+
+def test_a_sequence_of_infinite_cost_stays_where_it_is() -> None:
+    given = replace(TWO, generators=generators(0, 1))
+    evaluator = Distance(TWO.observation.goals, "infinite")
+    plan = make_solver("gradient").plan(ModelDynamics(Blob(), bf16=False), evaluator, given)
+    assert np.isfinite(plan.candidates).all()
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])

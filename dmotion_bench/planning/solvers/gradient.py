@@ -10,13 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
-from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.errors import InvalidSetting, PlannerContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.objectives.base import Evaluator
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Ranked, best_first
 from dmotion_bench.planning.solvers.proposals import require_continuous, shifted
 from dmotion_bench.planning.solvers.rollouts import Rollouts
+from dmotion_bench.planning.solvers.search import known_costs
 from dmotion_bench.values import require_bounds
 
 
@@ -44,6 +47,7 @@ class GradientDescent:
 
         Raises:
             InvalidSetting: The actions are discrete, or the model or the objective has no gradient.
+            PlannerContractBroken: A cost is NaN, or the gradient of a finite one is not finite.
         """
         tasks, width = len(context.generators), require_continuous(dynamics.actions, "gradient").width
         rollouts = Rollouts(dynamics, evaluator, context.observation, gradients=True)
@@ -65,13 +69,29 @@ class GradientDescent:
                     "plan with '--objective pixel' or '--objective feature'."
                 )
             now = actions.detach().cpu().double().numpy().reshape(tasks, *shape)
-            costs = lowest.detach().cpu().double().numpy().reshape(tasks, self.samples)
+            costs = known_costs(lowest.detach().cpu().double().numpy().reshape(tasks, self.samples))
             found = best_first(now, costs, before=found)
             progress.append(found[1][:, 0])
             if step < self.iterations:
-                (actions.grad,) = torch.autograd.grad(lowest.sum(), [actions])
+                (gradient,) = torch.autograd.grad(lowest.sum(), [actions])
+                actions.grad = _known(gradient, lowest.detach())
                 adam.step()
                 with torch.no_grad():
                     actions.clamp_(-1, 1)
         assert found is not None, "there is an iteration"
         return rollouts.plan(*found, progress, memory=found[0][:, :1])
+
+
+def _known(gradient: Float[Tensor, "n t a"], costs: Float[Tensor, " n"]) -> Float[Tensor, "n t a"]:
+    """The gradient, zero for a sequence that has none because its cost is infinite.
+
+    Raises:
+        PlannerContractBroken: A finite cost has none.
+    """
+    without = ~torch.isfinite(gradient).flatten(1).all(dim=1)
+    if bool((without & torch.isfinite(costs)).any()):
+        raise PlannerContractBroken(
+            "the gradient of the cost holds NaN or infinity, so the planner 'gradient' cannot follow it; plan with "
+            "'icem' or 'mppi'."
+        )
+    return gradient.masked_fill(without[:, None, None], 0.0)

@@ -14,6 +14,17 @@ from dmotion_bench.planning.objectives.base import PARTS
 from dmotion_bench.planning.solvers.base import Plan, Sequences
 
 
+def known_costs(costs: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The costs, if all are numbers; infinite ones are.
+
+    Raises:
+        PlannerContractBroken: One is NaN.
+    """
+    if np.isnan(costs).any():
+        raise PlannerContractBroken("the objective gives costs that are not numbers (NaN), so nothing can be planned.")
+    return costs
+
+
 class Search(ABC):
     """Predicts sequences of actions for some tasks from one control step on, and remembers what they cost.
 
@@ -33,12 +44,7 @@ class Search(ABC):
         Raises:
             PlannerContractBroken: The objective gives costs that are not numbers.
         """
-        costs = self.stacked_costs(sequences)[..., 0]
-        if np.isnan(costs).any():
-            raise PlannerContractBroken(
-                "the objective gives costs that are not numbers (NaN), so nothing can be planned."
-            )
-        return costs
+        return known_costs(self.stacked_costs(sequences)[..., 0])
 
     def parts(self, sequences: Sequences, step: Int[np.ndarray, "b s"]) -> Mapping[str, Float[np.ndarray, "b s"]]:
         """The parts of the cost of each sequence at one of its steps."""

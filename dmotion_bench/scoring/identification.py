@@ -329,21 +329,20 @@ def motion_within_over_between(
         return None
     ratio = ((vectors - means[index]) ** 2).sum(1) / between
     size = vectors.shape[1]
-    columns = np.concatenate(
-        [of_action, (of_action[:, :, None] * vectors[:, None]).reshape(len(vectors), -1), vectors**2], axis=1
-    )
+    by_episode = bootstrap.totals_by(vectors, index, len(known))
+    totals = [bootstrap.totals(of_action), by_episode.reshape(len(by_episode), -1), bootstrap.totals(vectors**2)]
 
     def statistic(sums: Float[np.ndarray, "r m"]) -> Float[np.ndarray, " r"]:
-        counts, totals, squares = np.split(sums, [len(known), len(known) * (1 + size)], axis=1)
+        counts, vector_sums, squares = np.split(sums, [len(known), len(known) * (1 + size)], axis=1)
         everything = counts.sum(1, keepdims=True)
-        by_action = totals.reshape(len(sums), len(known), size)
+        by_action = vector_sums.reshape(len(sums), len(known), size)
         explained = np.nansum(by_action**2 / counts[:, :, None], axis=1) / everything
         total = squares / everything
         across = (explained - (by_action.sum(1) / everything) ** 2).sum(1)
         across[across <= ROUNDING * total.sum(1)] = np.nan
         return np.asarray((total - explained).sum(1) / across)
 
-    low, high = bootstrap.interval(bootstrap.totals(columns), statistic)
+    low, high = bootstrap.interval(np.concatenate(totals, axis=1), statistic)
     return Estimate(
         mean=float(ratio.mean()),
         std=float(ratio.std()),

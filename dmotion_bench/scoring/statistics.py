@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy.special import ndtr, ndtri, stdtrit
 
 LEVEL = 0.95
@@ -133,6 +133,14 @@ class EpisodeBootstrap:
         """Sums over each episode's samples."""
         columns = values.astype(np.float64).T
         return np.stack([np.bincount(self._cluster, column, len(self._clusters)) for column in columns], axis=1)
+
+    def totals_by(
+        self, values: Float[np.ndarray, "n m"], group: Int[np.ndarray, " n"], groups: int
+    ) -> Float[np.ndarray, "e g m"]:
+        """Sums over each episode's samples of each group, whose numbers begin with 0."""
+        place, shape = self._cluster * groups + group, (len(self._clusters), groups)
+        columns = values.astype(np.float64).T
+        return np.stack([np.bincount(place, column, math.prod(shape)).reshape(shape) for column in columns], axis=2)
 
     def interval(
         self,

@@ -207,3 +207,16 @@ def test_the_rank_correlation_is_spearmans() -> None:
     assert found.low < found.mean < found.high
     assert rank_correlation(first[:4], second[:4]) is None  # too few to say anything
     assert rank_correlation(np.ones(8), second[:8]) is None
+
+
+def test_sums_of_groups_are_the_sums_of_what_the_groups_hold() -> None:
+    """Bit by bit, so that figures stay as they are whichever way their sums are made."""
+    generator = np.random.default_rng(0)
+    episodes, group, values = generator.integers(7, size=90), generator.integers(3, size=90), generator.random((90, 2))
+    bootstrap = EpisodeBootstrap(episodes)
+
+    found = bootstrap.totals_by(values, group, 4)
+
+    for number in range(4):
+        alone = np.where((group == number)[:, None], values, 0.0)
+        np.testing.assert_array_equal(found[:, number], bootstrap.totals(alone))

@@ -301,7 +301,7 @@ def _by_true_frames(
     sequences: Int[np.ndarray, "s h"] | Float[np.ndarray, "s h a"],
 ) -> Int[np.ndarray, " m"]:
     """The picks of somebody who foresees the true frames, and judges them by the same objective."""
-    objective = _frame_objective(dataset, scoring)
+    objective = taught(_frame_objective(dataset, scoring)[1], dataset)
     picks = []
     for moment in moments:
         env = task_environment(dataset.recipe)
@@ -316,11 +316,12 @@ def _by_true_frames(
     return np.concatenate(picks)
 
 
-def _frame_objective(dataset: ReadableDataset, scoring: GainScoring) -> Objective:
-    """By which the true frames are judged; one that looks at a model's features has none to look at."""
-    if scoring.objective in (None, "feature"):
-        return make_objective(generic_objective(dataset.spec, needs_pixels=True))
-    return taught(make_objective(scoring.objective, scoring.objective_set), dataset)
+def _frame_objective(dataset: ReadableDataset, scoring: GainScoring) -> tuple[str, Objective]:
+    """By which the true frames are judged, and its name; one that looks at a model's features has none to look at."""
+    if scoring.objective is None or scoring.objective == "feature":
+        name = generic_objective(dataset.spec, needs_pixels=True)
+        return name, make_objective(name)
+    return scoring.objective, make_objective(scoring.objective, scoring.objective_set)
 
 
 def _samples(who: str, spec: ActionSpec, truth: Truth, picks: Int[np.ndarray, " m"] | None) -> pa.Table:
@@ -344,12 +345,18 @@ def _samples(who: str, spec: ActionSpec, truth: Truth, picks: Int[np.ndarray, " 
 
 
 def _key(dataset: ReadableDataset, split: SplitName, scoring: GainScoring) -> dict[str, Any]:
-    """Everything that decides the truth and the oracle's picks."""
+    """Everything that decides the truth and the oracle's picks.
+
+    The generic objective stands there without its name, as in the files that there are. Another one is told by it: two
+    objectives may have the same fields, or none.
+    """
+    name, objective = _frame_objective(dataset, scoring)
+    told = "" if name == generic_objective(dataset.spec, needs_pixels=True) else name
     return {
         "version": GAIN_VERSION,
         "dataset": dataset.fingerprint,
         "split": split,
-        "objective": objective_configuration("", _frame_objective(dataset, scoring)),
+        "objective": objective_configuration(told, objective),
         **{name: getattr(scoring, name) for name in _DECISIVE},
     }
 

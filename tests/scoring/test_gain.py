@@ -21,9 +21,10 @@ from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.pairing import _differences, compare_runs
+from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.figures import figures_of
-from dmotion_bench.scoring.gain import GainScoring, gain_tables, known_truth, reason_against
+from dmotion_bench.scoring.gain import GainScoring, _key, gain_tables, known_truth, reason_against
 from dmotion_bench.scoring.kept_gain import FORMAT, kept
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import read_report
@@ -251,6 +252,25 @@ def test_what_an_earlier_release_kept_does_not_stand_in_for_an_environment_that_
     monkeypatch.setattr("dmotion_bench.planning.tasks.environment_class", _not_installed)
 
     assert kept(tmp_path / "gain.json", known["key"], pushed, "test", sequences) is None
+
+
+@pytest.mark.slow
+def test_an_objective_that_learns_from_video_can_be_picked_by(pushed: Dataset) -> None:
+    scoring = GainScoring(moments=2, sequences=5, horizon=2, objective="tracked-belief")
+    tables = pa.concat_tables(gain_tables(PerfectGridModel(2).eval(), pushed, "test", scoring, Execution()))
+
+    assert _figures(tables).mean == _figures(tables, "oracle").mean
+    assert known_truth(pushed, "test", scoring, Execution()).moments  # out of the cache
+
+
+def test_an_objective_with_the_fields_of_another_does_not_take_its_picks(
+    pushed: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.scoring.gain.make_objective", lambda *_: Pixel())
+    keys = [_key(pushed, "test", replace(FEW, objective=name)) for name in ("pixel", "mine")]
+
+    assert keys[0] != keys[1]
+    assert _key(pushed, "test", FEW)["objective"]["name"] == ""  # as in files that there are
 
 
 def test_other_settings_have_moments_of_their_own(pushed: Dataset, no_simulator: None) -> None:

@@ -286,7 +286,7 @@ class TaskMeasure(Protocol):
     """How far an environment is from a control task's goal."""
 
     def distance(self, env: Environment) -> float:
-        """The judged distance: 1 at the start, 0 at the goal."""
+        """The judged distance, a finite number: 1 at the start, 0 at the goal."""
 
     def lost(self, env: Environment) -> int:
         """How many things that the goal needs are lost for good."""

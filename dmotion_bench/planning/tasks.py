@@ -14,6 +14,7 @@ image, divided by the same at the start. A figure of that kind has a name of its
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
@@ -23,7 +24,7 @@ from jaxtyping import Float, Int, UInt8
 
 from dmotion_bench.actions import ActionTaken, as_actions, given
 from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, SetsGoal, TaskMeasure
-from dmotion_bench.errors import DatasetError, UnknownName
+from dmotion_bench.errors import DatasetError, DmbenchError, UnknownName
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, ObjectStates, delay_of
@@ -148,6 +149,21 @@ def measure_of(env: Environment, problem: Problem) -> TaskMeasure:
     if judge_of(env) is Judge.OBJECTS:
         return ObjectDistances(problem.start_objects, problem.goal_objects)
     return PictureDistance(problem.start_frame, problem.goal_frame)
+
+
+def judged_distance(measure: TaskMeasure, env: Environment, problem: Problem) -> float:
+    """How far an environment is from a problem's goal: 1 at the start, 0 at the goal.
+
+    Raises:
+        DmbenchError: It is no finite number, which a mean over tasks would leave out.
+    """
+    distance = measure.distance(env)
+    if not math.isfinite(distance):
+        raise DmbenchError(
+            f"the environment {env.facts.id!r} judges task {problem.number} to be {distance} away from its goal; a "
+            "judged distance must be a finite number, 1 at the start."
+        )
+    return distance
 
 
 def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None = None) -> list[Problem]:
@@ -283,8 +299,8 @@ class World:
 
     @property
     def distance(self) -> float:
-        """Normalised, 1 at the start."""
-        return self._measure.distance(self.env)
+        """Normalised, 1 at the start; errors as of ``judged_distance``."""
+        return judged_distance(self._measure, self.env, self.problem)
 
     @property
     def lost(self) -> int:

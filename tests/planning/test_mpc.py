@@ -18,6 +18,7 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import Environment
 from dmotion_bench.errors import (
     DatasetError,
+    DmbenchError,
     InvalidSetting,
     ModelContractBroken,
     UnknownName,
@@ -122,6 +123,27 @@ class Drawer(GridWorld):
 
     def cost(self, env: Environment) -> float:
         return self.distance(env) ** 2
+
+
+class Unsure(Drawer):
+    """Does not know how far it is once the agent has left its column."""
+
+    def distance(self, env: Environment) -> float:
+        there = super().distance(env)
+        return float("nan") if there != self.began else there
+
+    def reset(self, **options: Any) -> Any:
+        found = super().reset(**options)
+        self.began = super().distance(self)
+        return found
+
+
+def test_a_distance_that_is_no_number_is_said_and_not_left_out(problems: list[Problem]) -> None:
+    match = "judges task 0 to be nan away from its goal"
+    with pytest.raises(DmbenchError, match=match):
+        control(RandomAgent(ACTIONS), problems[:1], Unsure, ControlSettings(steps=40))
+    with pytest.raises(DmbenchError, match=match):
+        control(OracleAgent(FACTS, Exhaustive(horizon=2), Unsure), problems[:1], Unsure, ControlSettings(steps=1))
 
 
 def test_an_environment_may_judge_its_tasks_itself(problems: list[Problem]) -> None:

@@ -26,7 +26,7 @@ from dmotion_bench.environment import Environment, ObjectEnvironment, Rememberin
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.planning.dynamics.base import Actions, Observation, State
-from dmotion_bench.planning.tasks import Problem, World, measure_of, start, take
+from dmotion_bench.planning.tasks import Problem, World, judged_distance, measure_of, start, take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,7 @@ class Simulation:
         picture = None
         if self._pictures and frame is not None:
             picture = zlib.compress(np.ascontiguousarray(frame).tobytes(), 1)
-        cost, distance = self._measure.cost(self.env), self._measure.distance(self.env)
+        cost, distance = self._measure.cost(self.env), judged_distance(self._measure, self.env, self.problem)
         return replace(self._seen_from(self.env, actions), cost=cost, distance=distance, picture=picture)
 
     def _seen_from(self, env: Environment, actions: tuple[ActionTaken, ...]) -> Place:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -37,7 +36,7 @@ from dmotion_bench.learning.training.conditions import choose_conditions
 from dmotion_bench.learning.training.hardness import Hardness
 from dmotion_bench.learning.training.metrics_log import MetricsLog
 from dmotion_bench.learning.training.optimizer import AveragedWeights, learning_rate, optimizer_of, set_learning_rate
-from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints
+from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints, NextRow
 from dmotion_bench.learning.training.samples import FOLDER as SAMPLES
 from dmotion_bench.learning.training.samples import write_sample
 from dmotion_bench.learning.training.state import TrainingState
@@ -196,8 +195,6 @@ class _Trainer:
     def _fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)
-        sums: dict[str, float] = defaultdict(float)
-        counted = 0
         saved = time.monotonic()
         self.model.train()
         with self._log() as log, stop_between_steps() as stopping:
@@ -206,14 +203,10 @@ class _Trainer:
                     continue
                 self.model.enter(part.phase)
                 self.state.enter(part)
-                sums.clear()  # where a phase ended early; no row is of two phases
-                counted = 0
                 for step in range(self.state.step, part.stop):
                     terms, weight = self._train(part, step)
                     self.state.step = step + 1
-                    for name, value in terms.items():
-                        sums[name] += value * weight
-                    counted += 1
+                    self.state.row.add(terms, weight)
                     on_step(
                         Report(
                             step=self.state.step,
@@ -224,11 +217,10 @@ class _Trainer:
                         )
                     )
                     if self.state.step % log_every == 0 or self.state.step == part.stop:
-                        everybodys = self.companions.summed(sums)
-                        counted *= self.companions.world
+                        everybodys = self.companions.summed(self.state.row.sums)
+                        counted = self.state.row.steps * self.companions.world
                         self._write(log, {name: total / counted for name, total in everybodys.items()})
-                        sums.clear()
-                        counted = 0
+                        self.state.row = NextRow()
                     validated = self.state.step % validate_every == 0 or self.state.step == part.stop
                     if validated:
                         self._validate(part, log)

@@ -29,7 +29,7 @@ from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.manifest import Conditions, RunResult
-from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.run import SAMPLES, Run
 from dmotion_bench.learning.training.adaptation import finetune
 from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.conditions import choose_conditions
@@ -37,7 +37,6 @@ from dmotion_bench.learning.training.hardness import Hardness
 from dmotion_bench.learning.training.metrics_log import MetricsLog
 from dmotion_bench.learning.training.optimizer import AveragedWeights, learning_rate, optimizer_of, set_learning_rate
 from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints, NextRow
-from dmotion_bench.learning.training.samples import FOLDER as SAMPLES
 from dmotion_bench.learning.training.samples import write_sample
 from dmotion_bench.learning.training.state import TrainingState
 from dmotion_bench.learning.training.step import Stepper

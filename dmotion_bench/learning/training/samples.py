@@ -23,9 +23,9 @@ from torch import Tensor
 from dmotion_bench.learning.demonstrations import READ_AT_ONCE, Demonstrations
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.model import ForwardModel, TripletBatch
+from dmotion_bench.learning.runs.run import SAMPLES
 from dmotion_bench.storage.atomic import atomic_file
 
-FOLDER: Final = "samples"
 COLUMNS: Final = 4
 GAP, GREY = 3, 90
 """Width [px] and level of the lines between frames."""
@@ -49,7 +49,7 @@ def sample_of_triplets(model: ForwardModel[Any], batch: TripletBatch) -> UInt8[n
 
 def write_sample(run: Path, step: int, picture: UInt8[np.ndarray, "h w 3"]) -> Path:
     """Write a picture to a run's folder."""
-    path = run / FOLDER / f"{step:08d}.png"
+    path = run / SAMPLES / f"{step:08d}.png"
     path.parent.mkdir(exist_ok=True)
     with atomic_file(path) as file:
         Image.fromarray(picture).save(file, format="png")
@@ -58,7 +58,7 @@ def write_sample(run: Path, step: int, picture: UInt8[np.ndarray, "h w 3"]) -> P
 
 def samples_of(run: Path) -> Mapping[int, Path]:
     """The pictures of a run by their steps, in order."""
-    found = {int(path.stem): path for path in (run / FOLDER).glob("*.png") if path.stem.isdecimal()}
+    found = {int(path.stem): path for path in (run / SAMPLES).glob("*.png") if path.stem.isdecimal()}
     return dict(sorted(found.items()))
 
 

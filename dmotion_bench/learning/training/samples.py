@@ -32,18 +32,18 @@ GAP, GREY = 3, 90
 
 
 def sample_of_demonstrations(model: ForwardModel[Any], given: Demonstrations) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture of predictions of a few demonstrations, by a copy of the model that is aligned with them."""
+    """A picture of predictions of a few demonstrations, by a copy of the model that is aligned with some of them."""
     aligned = copy.deepcopy(model).eval()
-    few = given if len(given) <= READ_AT_ONCE else given.subset(torch.arange(READ_AT_ONCE))
-    aligned.align(few)
-    drawn = given.subset(_evenly(len(given)))
+    # from all over them: they may stand in the order of their actions
+    aligned.align(given if len(given) <= READ_AT_ONCE else given.subset(_evenly(len(given), READ_AT_ONCE)))
+    drawn = given.subset(_evenly(len(given), COLUMNS))
     return _sheet(aligned, drawn.previous, drawn.current, drawn.next, drawn.action)
 
 
 def sample_of_triplets(model: ForwardModel[Any], batch: TripletBatch) -> UInt8[np.ndarray, "h w 3"]:
     """A picture of the model's predictions of a few labelled triplets."""
     assert batch.action is not None, "only phases with labels have their pictures made of triplets"
-    few = _evenly(len(batch.action))
+    few = _evenly(len(batch.action), COLUMNS)
     return _sheet(model, batch.previous[few], batch.current[few], batch.next[few], batch.action[few])
 
 
@@ -68,8 +68,9 @@ def read_sample(path: Path) -> UInt8[np.ndarray, "h w 3"]:
         return np.asarray(opened.convert("RGB"))
 
 
-def _evenly(count: int) -> Int[Tensor, " n"]:
-    return torch.linspace(0, count - 1, min(count, COLUMNS)).round().long()
+def _evenly(count: int, most: int) -> Int[Tensor, " n"]:
+    """At most so many of so many places, spread evenly."""
+    return torch.linspace(0, count - 1, min(count, most)).round().long()
 
 
 def _sheet(

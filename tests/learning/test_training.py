@@ -154,12 +154,10 @@ def test_a_kill_between_two_rows_of_the_log_changes_neither(recorded, tmp_path, 
 
 def test_a_row_that_no_checkpoint_can_hold_is_left_out_of_it() -> None:
     state = TrainingState(step=1)
-    state.row.add({"loss": 0.5}, 1.0)
-    assert state.facts().row == NextRow(sums={"loss": 0.5}, steps=1)
-    for terms in ({"loss": math.nan}, {f"{number:0300}": 1.0 for number in range(200)}):
-        state = TrainingState(step=1)
-        state.row.add(terms, 1.0)
-        assert state.facts().row == NextRow()
+    small = NextRow(sums={"loss": 0.5}, steps=1)
+    assert state.facts(small).row == small
+    for sums in ({"loss": math.nan}, {f"{number:0300}": 1.0 for number in range(200)}):
+        assert state.facts(NextRow(sums=sums, steps=1)).row == NextRow()
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import torch
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 
 CHECKPOINT_SECONDS = 60.0
 LOG_ROWS = 200  # rows of metrics.jsonl in a training
+_STOP: Final = 2  # 1 asks for a checkpoint alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,11 +230,12 @@ class _Trainer:
                         if self.state.step == self.unlabelled_steps:  # first: a kill in between takes this step again
                             self._write_checkpoint(self.run.unlabelled_stage)
                         saved = self._save()
-                    stop = self.companions.any(stopping())  # all at the same step, though a signal comes to each alone
-                    if not validated and (stop or time.monotonic() - saved > CHECKPOINT_SECONDS):
+                    wanted = _STOP if stopping() else int(time.monotonic() - saved > CHECKPOINT_SECONDS)
+                    wanted = self.companions.highest(wanted)  # all at the same step; a signal comes to each alone
+                    if wanted and not validated:
                         saved = self._save()
-                    if stop:
-                        self.companions.any(stop)  # nobody leaves before the checkpoint is written
+                    if wanted == _STOP:
+                        self.companions.any(True)  # nobody leaves before the checkpoint is written
                         raise KeyboardInterrupt
                     if self.state.step == part.stop:
                         break
@@ -314,9 +316,19 @@ class _Trainer:
         return time.monotonic()
 
     def _write_checkpoint(self, path: Path) -> None:
+        row = self._row_of_each()
         if self.companions.is_first:
             begun = [part.phase.name for part in self.parts if part.start < self.state.step]
-            self.checkpoints.save(path, self.state.facts(), [name for name in begun if name in self.hardness.of_phases])
+            self.checkpoints.save(
+                path, self.state.facts(row), [name for name in begun if name in self.hardness.of_phases]
+            )
+
+    def _row_of_each(self) -> NextRow:
+        """What the next row has so far, in equal shares: any number of processes can go on with it."""
+        sums = self.companions.summed(self.state.row.sums)
+        return NextRow(
+            sums={name: total / self.companions.world for name, total in sums.items()}, steps=self.state.row.steps
+        )
 
     def _resume(self) -> None:
         facts = self.checkpoints.restore()

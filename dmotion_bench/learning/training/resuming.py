@@ -66,7 +66,7 @@ class LastFacts:
         best_step: Where it was.
         seconds: Spent in steps.
         ended: Where phases ended early, by their names.
-        row: What the next row of the log has so far: of the first process, where several share the batches.
+        row: What the next row of the log has so far: an equal share, where several processes share the batches.
     """
 
     step: int

@@ -70,15 +70,15 @@ class TrainingState:
         """The steps that a phase that is over took."""
         return self.ended.get(part.phase.name, part.stop) - part.start
 
-    def facts(self) -> LastFacts:
-        """For a checkpoint."""
+    def facts(self, row: NextRow) -> LastFacts:
+        """For a checkpoint, with the part of the next row that each process goes on from."""
         return LastFacts(
             step=self.step,
             best=self.best if math.isfinite(self.best) else None,
             best_step=self.best_step,
             seconds=self.seconds_in_all,
             ended=dict(self.ended),
-            row=self.row if self.row.is_kept else NextRow(),
+            row=row if row.is_kept else NextRow(),
         )
 
     def restore(self, facts: LastFacts) -> None:

@@ -98,7 +98,9 @@ def _begin(rank: int, world: int, port: int, path: list[str], work: Callable[...
         torch.distributed.destroy_process_group()  # its threads may abort the end of this process
 
 
-def train_exact(rank: int, data: Path, folder: Path, settings: tuple[str, ...], stop_at: int | None = None) -> None:
+def train_exact(
+    rank: int, data: Path, folder: Path, settings: tuple[str, ...], stop_at: int | None = None, log_rows: int = 200
+) -> None:
     """Train ``Exact`` in this process, alone or as one of several; a stop is a Ctrl-C that only this rank 0 gets."""
     import signal
     from unittest import mock
@@ -116,6 +118,7 @@ def train_exact(rank: int, data: Path, folder: Path, settings: tuple[str, ...], 
     with (
         mock.patch("dmotion_bench.learning.runs.manifest.model_class", return_value=Exact),
         mock.patch("dmotion_bench.learning.runs.start.model_class", return_value=Exact),
+        mock.patch("dmotion_bench.learning.training.loop.LOG_ROWS", log_rows),
     ):
         dataset = Dataset.open(data)
         asked = TrainingRequest(model="ed-cnn", labels="100%", settings=settings, threads=1)

@@ -58,7 +58,7 @@ class Dataset(stored.Dataset):
             split: ``"train"``, ``"validation"`` or ``"test"``.
             labels: A label budget, such as ``"10%"``, ``"all"`` or ``64``: only the triplets whose actions it pays
                 for, and those actions. None or ``"none"``: all triplets, without actions; ``labels/`` is not opened.
-            seed: Of the budget.
+            seed: Changes nothing: what the budgets that are allowed here give is the same for every seed.
             protocol: ``"episode"`` keeps whole episodes apart; ``"paper"`` shuffles triplets as the paper does.
 
         Raises:

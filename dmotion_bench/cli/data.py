@@ -43,7 +43,7 @@ def info(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
         print_json(summary)
         return
     for name, text in _lines(summary):
-        typer.echo(f"{name:12s} {text}")
+        typer.echo(f"{name:12s} {_printable(text)}")
 
 
 def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
@@ -75,6 +75,11 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("fingerprint", summary["fingerprint"]),
         ("made with", ", ".join(f"{name} {version}" for name, version in summary["versions"].items())),
     ]
+
+
+def _printable(text: str) -> str:
+    """A line without what would move the terminal's cursor: the names in a data set may come from anybody."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
 def _actions(actions: list[str] | dict[str, Any]) -> str:

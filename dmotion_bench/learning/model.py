@@ -131,7 +131,8 @@ class TrainingConfig:
         schedule: ``"one-cycle"`` (warm-up, then cosine to zero), ``"linear"`` (warm-up, then a line to zero),
             ``"cosine"`` or ``"constant"``.
         optimizer: ``"adamw"``, ``"adam"`` or ``"muon"``.
-        weight_decay: Decoupled, AdamW's.
+        weight_decay: Of weights, not of biases and gains: decoupled, AdamW's, also with ``"muon"``; with ``"adam"`` it
+            is added to the gradient.
         clip_norm: Largest norm of the gradient; 0 leaves it alone.
         precision: ``"bf16"`` autocast where the hardware has it, ``"float32"``, or ``"auto"``: whichever takes less
             time here (``precision.py``).
@@ -139,8 +140,9 @@ class TrainingConfig:
             contiguous, which a model needs that calls ``view`` on what a convolution gives.
         ema: Decay of the averaged weights that are validated and kept; 0 keeps the raw ones.
         hard_share: Share of each batch, after the first epoch, that is drawn by the square roots of the
-            triplets' latest losses instead of evenly; needs ``Losses.per_triplet``. Rare events, such as pushes, are
-            seen more often. Of a phase with ``Phase.together`` whole groups are drawn, by their mean losses.
+            triplets' latest losses instead of evenly. Rare events, such as pushes, are seen more often. Of a phase with
+            ``Phase.together`` whole groups are drawn, by their mean losses. Batches of a model that tells no
+            ``Losses.per_triplet`` stay as they are.
         validations: How many times the run is validated and its checkpoint written.
         patience: A phase ends after so many validations in a row without a lower loss; 0 takes all of its steps. The
             weights with the lowest loss are kept in either case.

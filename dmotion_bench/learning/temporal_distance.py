@@ -220,7 +220,12 @@ def load(name: str, workspace: Workspace | None = None) -> TemporalDistance:
         )
     weights, facts = checkpoint.load(path)
     try:
-        network = TemporalDistance(TemporalDistanceConfig(**facts["config"]))
+        config = TemporalDistanceConfig(**facts["config"])
+        with torch.device("meta"):  # no memory is taken for a width that the file only claims
+            forms = checkpoint.forms_of(TemporalDistance(config).state_dict())
+        if forms != checkpoint.forms_of(weights):
+            raise InvalidSetting(f"{str(path)!r} holds no learned distance: its weights are of another width.")
+        network = TemporalDistance(config)
         network.load_state_dict(weights)
     except (KeyError, TypeError, RuntimeError) as error:
         raise InvalidSetting(f"{str(path)!r} holds no learned distance: {error}.") from None

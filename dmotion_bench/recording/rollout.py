@@ -142,7 +142,7 @@ def _factors(facts: EnvSpec, info: object) -> dict[str, Scalar]:
     """An episode's factors of variation, out of what ``reset`` tells beside the frame.
 
     Raises:
-        RecordingFailed: It is no dictionary, or a factor is neither a number nor a text.
+        RecordingFailed: It is no dictionary, or a factor is neither a number nor a text, or has a name that is none.
     """
     told = info.get("factors", {}) if isinstance(info, Mapping) else info
     if not isinstance(told, Mapping):
@@ -152,6 +152,10 @@ def _factors(facts: EnvSpec, info: object) -> dict[str, Scalar]:
         )
     factors = {name: _plain(value) for name, value in told.items()}
     for name, value in factors.items():
+        if not isinstance(name, str):
+            raise RecordingFailed(
+                f"the environment {facts.id!r} tells a factor of the name {shown(name)}; a name is to be a text."
+            )
         if not isinstance(value, Scalar):
             raise RecordingFailed(
                 f"the environment {facts.id!r} tells a {type(value).__name__} as its factor {shown(name)}; it is to be "

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, require_discrete
 from dmotion_bench.errors import InvalidSetting
-from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectStates, Scalar
+from dmotion_bench.specs import EnvSpec, EpisodeLabels, ObjectSpec, ObjectStates, Scalar
 from dmotion_bench.storage.json_file import JsonUnreadable, parse_json
 from dmotion_bench.storage.mcap_reader import DamagedFile, MessageView
 from dmotion_bench.storage.mcap_writer import CHUNK_LIMIT, Message
@@ -55,8 +55,12 @@ _FACTORS_LARGEST: Final = 2**20  # [bytes]
 
 def chunk_limit(spec: EnvSpec) -> int:
     """Largest uncompressed chunk that a data set of this kind can hold [bytes]."""
-    states = 256 * (len(spec.objects) + len(spec.agents))
-    return CHUNK_LIMIT + spec.height * spec.width * 3 + states + _MESSAGE_OVERHEAD
+    return CHUNK_LIMIT + spec.height * spec.width * 3 + _largest_states((*spec.agents, *spec.objects))
+
+
+def _largest_states(things: Sequence[ObjectSpec]) -> int:
+    """More than the message of the states of some things can take [bytes]."""
+    return _MESSAGE_OVERHEAD + sum(len(one.name.encode()) + _STATE_OVERHEAD for one in things)
 
 
 def _stamp(t_ns: int) -> bytes:
@@ -162,11 +166,15 @@ def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: 
     """The messages of ``/factors``, ``/action``, ``/agent`` and ``/objects``, in the order of their times.
 
     Raises:
-        InvalidSetting: A continuous action is none that the environment has.
+        InvalidSetting: An action is none that the environment has, or its factors could not be read again.
     """
     acts = _acts(labels, spec)
     if labels.factors:
         content = json.dumps(dict(labels.factors), sort_keys=True)
+        try:
+            parse_json(content, largest=_FACTORS_LARGEST - _MESSAGE_OVERHEAD)
+        except JsonUnreadable as error:
+            raise _impossible(spec, f"factors of which no reader takes any: {error}") from None
         yield Message(
             _LABEL_NUMBER[FACTORS_TOPIC], start_ns, (_stamp(start_ns), _serialized(FACTORS.new(json=content)))
         )
@@ -184,11 +192,9 @@ def encode_states(labels: EpisodeLabels, spec: EnvSpec, start_ns: int, step_ns: 
 def _acts(labels: EpisodeLabels, spec: EnvSpec) -> list[bytes]:
     """What follows the stamp in the message of each action."""
     pushed = labels.pushed.tolist()
+    if spec.actions is not None and (fault := spec.actions.fault(labels.actions)):
+        raise _impossible(spec, fault)
     if isinstance(spec.actions, Continuous):
-        if fault := spec.actions.fault(labels.actions):
-            raise InvalidSetting(
-                f"an episode of {shown(spec.id)} holds {fault}; mend the environment or recording that it comes from."
-            )
         values = np.asarray(labels.actions, np.float64).tolist()
         return [
             _serialized(CONTINUOUS_ACTION.new(values=one, pushed=moved))
@@ -197,12 +203,17 @@ def _acts(labels: EpisodeLabels, spec: EnvSpec) -> list[bytes]:
     numbers = labels.actions.tolist()
     names = require_discrete(spec.actions, "a label").names if numbers else ()
     known = {
-        (number, moved): _serialized(
-            ACTION.new(action=number, name=names[number] if number < len(names) else "", pushed=moved)
-        )
+        (number, moved): _serialized(ACTION.new(action=number, name=names[number], pushed=moved))
         for number, moved in set(zip(numbers, pushed, strict=True))
     }
     return [known[act] for act in zip(numbers, pushed, strict=True)]
+
+
+def _impossible(spec: EnvSpec, what: str) -> InvalidSetting:
+    """The error for an episode that could be written and not read."""
+    return InvalidSetting(
+        f"an episode of {shown(spec.id)} holds {what}; mend the environment or recording that it comes from."
+    )
 
 
 class _StatesEncoder:
@@ -257,10 +268,7 @@ class StateLabels:
 def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -> StateLabels:
     """The labels of an episode of so many frames."""
     actions, pushed = _ActionsDecoder(spec.actions, frames), np.empty(max(frames - 1, 0), np.bool_)
-    agent, objects = (
-        _StatesDecoder(tuple(one.name for one in spec.agents), frames),
-        _StatesDecoder(tuple(one.name for one in spec.objects), frames),
-    )
+    agent, objects = _StatesDecoder(spec.agents, frames), _StatesDecoder(spec.objects, frames)
     factors: dict[str, Scalar] = {}
     for view in messages:
         topic = LABEL_CHANNELS[view.channel - 1][0] if 1 <= view.channel <= len(LABEL_CHANNELS) else ""
@@ -330,10 +338,10 @@ class _StatesDecoder:
         count: Messages so far.
     """
 
-    def __init__(self, names: tuple[str, ...], frames: int) -> None:
-        self._names, self.count = list(names), 0
-        self._largest = _MESSAGE_OVERHEAD + sum(len(name.encode()) + _STATE_OVERHEAD for name in names)
-        self._table = np.empty((frames, len(names), _STATE_NUMBERS), np.float64)
+    def __init__(self, things: Sequence[ObjectSpec], frames: int) -> None:
+        self._names, self.count = [one.name for one in things], 0
+        self._largest = _largest_states(things)
+        self._table = np.empty((frames, len(things), _STATE_NUMBERS), np.float64)
 
     def decode(self, view: MessageView) -> None:
         """Take one message."""

@@ -14,6 +14,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable
 from dmotion_bench.storage.check import labels_state
@@ -36,6 +37,8 @@ from dmotion_bench.storage.tables import EpisodeTable, read_episodes
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.wording import command
 
+_PACKER: Final = "zstandard"
+"""The package that packs what is kept anew; the others made what is in it, long before."""
 _UNFINISHED = "repairing"
 _ORIGINAL = "damaged"
 """Folders beside the data set, one level down, so that the workspace does not list what is in them."""
@@ -70,6 +73,8 @@ def rebuild_tables(path: Path, manifest: Manifest) -> None:
 def salvage(path: Path) -> Salvaged:
     """Replace a data set by a new one with everything that can still be read, and keep the old one beside it.
 
+    The new one names the packages that made the old one. Where the recording did not repeat, it has no control tasks.
+
     Raises:
         DatasetCorrupt: Nothing can be read, or an earlier repair's original is still there.
     """
@@ -93,12 +98,15 @@ def salvage(path: Path) -> Salvaged:
             )
         unfinished = path.parent / _UNFINISHED / path.name
         shutil.rmtree(unfinished, ignore_errors=True)
-        recipe = dataclasses.replace(manifest.recipe, episodes=len(kept))
+        repeats = manifest.replay is None or manifest.replay.identical  # else a task could not be begun
+        tasks = manifest.recipe.tasks if repeats else 0
+        recipe = dataclasses.replace(manifest.recipe, episodes=len(kept), tasks=tasks)
         with DatasetWriter.create_or_resume(unfinished, recipe, manifest.spec) as writer:
             for index in writer.missing:
                 places = [kept[number] for number in shard_range(recipe, index)]
                 writer.write_shard(index, (_footage(damaged, place, labelled) for place in places))
-            writer.finish(salvaged=True)
+            packed = {_PACKER: writer.versions[_PACKER]} if _PACKER in writer.versions else {}
+            writer.finish(salvaged=True, made_with={**manifest.versions, **packed})
         original.parent.mkdir(exist_ok=True)
         path.rename(original)
         unfinished.rename(path)

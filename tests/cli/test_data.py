@@ -65,6 +65,18 @@ def test_info_of_an_unfinished_recording_says_how_to_go_on(run: Run, folder: Pat
     assert "dmbench record grid_world" in checked.sentence()
 
 
+def test_info_prints_nothing_that_moves_the_cursor(run: Run, folder: Path) -> None:
+    manifest = folder / "dataset.json"
+    content = json.loads(manifest.read_text())
+    content["recipe"]["policy"] = "random\x1b[2J\nstate        complete"
+    content["versions"]["numpy"] = "2\r\x07"
+    manifest.write_text(json.dumps(content | {"complete": False, "shards": [], "tables": {}}))
+    said = run("info").out
+    assert said.replace("\n", "").isprintable()
+    assert r"policy random\x1b[2J\nstate        complete, seed 0" in said
+    assert not any(line.startswith("state        complete") for line in said.splitlines())
+
+
 def test_a_sound_data_set(run: Run, folder: Path) -> None:
     assert run("check").out == f"{folder} is sound: 10 episodes, 50 frames, labels present.\n"
     assert json.loads(run("check", "--json").out) == {

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import ClassVar, NoReturn
 
 import numpy as np
 import pytest
 import torch
 from walking_square import record_walks
 
+from dmotion_bench.actions import Discrete
+from dmotion_bench.learning.demonstrations import READ_AT_ONCE, Demonstrations
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.images import to_model, to_pixels
+from dmotion_bench.learning.model import ForwardModel, ModelInputs, TripletBatch
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training.loop import train
-from dmotion_bench.learning.training.samples import GAP, read_sample, samples_of
+from dmotion_bench.learning.training.samples import GAP, read_sample, sample_of_demonstrations, samples_of
+from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -77,6 +82,31 @@ def test_they_change_neither_the_weights_nor_the_labels_that_are_paid(
         assert with_pictures.result[fact] == without.result[fact]
     for name in ("best.safetensors",):
         assert (with_pictures.path / name).read_bytes() == (without.path / name).read_bytes()
+
+
+class _Noting(ForwardModel[None]):
+    """Notes which actions it was told of."""
+
+    supervision: ClassVar[Supervision] = Supervision.NONE
+    told: ClassVar[set[int]] = set()
+
+    def losses(self, batch: TripletBatch) -> NoReturn:
+        raise AssertionError("it is not trained")
+
+    def align(self, demonstrations: Demonstrations) -> None:
+        self.told.update(demonstrations.action.tolist())
+
+    def predict(self, previous: torch.Tensor, current: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return current
+
+
+def test_a_picture_of_many_demonstrations_knows_all_of_their_actions() -> None:
+    action = torch.arange(3).repeat_interleave(READ_AT_ONCE)  # K-shot: by action
+    images = torch.zeros(len(action), 3, 1, 1)
+    given = Demonstrations(previous=images, current=images, next=images, action=action)
+    model = _Noting(None, ModelInputs(height=1, width=1, actions=Discrete(("a", "b", "c"))))
+    sample_of_demonstrations(model, given)
+    assert model.told == {0, 1, 2}
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from dmotion_bench.learning.runs.source import changed_modules, code_of
 from dmotion_bench.learning.settings import to_json
 from dmotion_bench.learning.training.beginning import finished_result
 from dmotion_bench.registry import model_class, register_model
+from dmotion_bench.versions import versions
 
 MODEL = '''"""A model."""
 from baselines.lapo import Lapo
@@ -234,7 +235,7 @@ def _trained(package: Path, folder: Path) -> Run:
     """A finished run of the model 'edited', begun by the code as it is."""
     config, training = to_json(model_class("lapo").Config()), to_json(TrainingConfig(epochs=1))
     spec = spec_with(model="edited", config=config, training=training, labels="none")
-    run = Run.create_or_open(folder, spec, dataset_path="data/grid", versions={})
+    run = Run.create_or_open(folder, spec, dataset_path="data/grid", versions={"torch": "1.0"})
     folder.mkdir(parents=True)
     run.metrics.touch()
     weights = {"a": torch.ones(3)}
@@ -289,14 +290,20 @@ def test_so_does_a_budget_that_takes_the_training_over(package: Path, tmp_path: 
     assert "which differs only in its labels. the code of the model 'edited' was changed" in told
     assert f"delete {str(run.path)!r} first" in told
     assert Run.open(other.path).changed_modules == ["edited_models.parts"]  # it is what the other one was trained with
+    assert Run.open(other.path).manifest["versions"] == {"torch": "1.0"}
 
 
 def test_damaged_weights_are_trained_anew_by_the_code_as_it_is(package: Path, tmp_path: Path) -> None:
     run = _trained(package, tmp_path / "runs" / "one")
     (package / "parts.py").write_text("WIDTH = 5\n")
     run.best.unlink()
+    (run.path / "samples").mkdir()
+    (run.path / "samples" / "00000008.png").touch()
+    assert run.manifest["versions"] == {"torch": "1.0"}
     assert "training" in _told(run)
     assert run.changed_modules == []
+    assert Run.open(run.path).manifest["versions"] == versions()
+    assert not list((run.path / "samples").iterdir())
 
 
 def test_a_run_of_before_says_nothing(package: Path, tmp_path: Path) -> None:

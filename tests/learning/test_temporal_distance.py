@@ -120,6 +120,12 @@ def test_what_is_no_learned_distance_is_refused(trained: TemporalDistance, tmp_p
     checkpoint.save(place_of("1" * 64, workspace), other, {})
     with pytest.raises(InvalidSetting, match="holds no learned distance"):
         load("1" * 64, workspace)
+    for width in (9, 2**20, 2**63):
+        checkpoint.save(place_of("2" * 64, workspace), other, {"config": vars(CONFIG) | {"width": width}})
+        with pytest.raises(
+            InvalidSetting, match=r"holds no learned distance: (its weights are of another|.*[Oo]verflow)"
+        ):
+            load("2" * 64, workspace)
 
 
 @pytest.mark.parametrize(

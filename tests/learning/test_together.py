@@ -78,6 +78,15 @@ def test_a_run_goes_on_with_other_numbers_of_processes(data, alone, tmp_path) ->
 
 
 @pytest.mark.slow
+def test_rows_of_the_log_that_a_stop_cuts_are_those_of_one_process(data, tmp_path) -> None:
+    rows = 4
+    together(1, train_exact, data, tmp_path / "alone", SETTINGS, None, rows)
+    for world, stop_at in ((2, 5), (3, 14), (1, 22), (2, None)):
+        together(world, train_exact, data, tmp_path / "run", SETTINGS, stop_at, rows)
+    _require_same_training(tmp_path / "run", tmp_path / "alone")
+
+
+@pytest.mark.slow
 def test_processes_understand_each_other(tmp_path) -> None:
     together(2, talk, tmp_path)
     first, second = ((tmp_path / f"{rank}.txt").read_text().splitlines() for rank in (0, 1))

@@ -32,7 +32,9 @@ from dmotion_bench.learning.runs.start import TrainingRequest, default_path, ope
 from dmotion_bench.learning.training.beginning import finished_result
 from dmotion_bench.learning.training.figures import StepFigures
 from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.resuming import NextRow
 from dmotion_bench.learning.training.shared_pretraining import take_over
+from dmotion_bench.learning.training.state import TrainingState
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.workspace import Workspace
@@ -128,6 +130,34 @@ def test_a_killed_run_ends_with_the_same_bits(recorded, trained, tmp_path, monke
     assert again.result["best_step"] == trained.result["best_step"]
     steps = [json.loads(line)["step"] for line in again.metrics.read_text().splitlines()]
     assert steps == [json.loads(line)["step"] for line in trained.metrics.read_text().splitlines()]
+
+
+@pytest.mark.slow
+def test_a_kill_between_two_rows_of_the_log_changes_neither(recorded, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("dmotion_bench.learning.training.loop.CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr("dmotion_bench.learning.training.loop.LOG_ROWS", 2)
+    few = ("batch_size=16", "epochs=1.5", "validations=2", "precision=float32")
+
+    def rows_of(name: str, *stops: int) -> list[dict[str, float]]:
+        for stop_at in (*stops, None):
+            request = TrainingRequest(model="ed-cnn", labels="100%", settings=few)
+            run = open_run(request, Dataset.open(recorded), tmp_path / name, Workspace(tmp_path))
+            with contextlib.suppress(Stopped):
+                _train(run, recorded, stop_at)
+        rows = [json.loads(line) for line in (tmp_path / name / "metrics.jsonl").read_text().splitlines()]
+        return [{key: row[key] for key in row if key not in ("seconds", "triplets_per_s")} for row in rows]
+
+    whole = rows_of("whole")
+    assert [row["step"] for row in whole if "loss" in row] == [4, 8]
+    assert rows_of("killed", 3, 7) == whole
+
+
+def test_a_row_that_no_checkpoint_can_hold_is_left_out_of_it() -> None:
+    state = TrainingState(step=1)
+    small = NextRow(sums={"loss": 0.5}, steps=1)
+    assert state.facts(small).row == small
+    for sums in ({"loss": math.nan}, {f"{number:0300}": 1.0 for number in range(200)}):
+        assert state.facts(NextRow(sums=sums, steps=1)).row == NextRow()
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.manifest import Manifest, Replay
 
 RECIPE = DatasetRecipe(environment="grid_world", episodes=10, frames=5, tasks=2, shard_episodes=4)
 
@@ -161,3 +162,28 @@ def test_the_packages_that_made_a_data_set_stay_named(dataset: Path) -> None:
     repair_dataset(dataset)
     record_dataset(dataset, RECIPE)  # complete: nothing to do
     assert json.loads(manifest.read_text())["versions"]["numpy"] == "1.99"
+
+
+def test_what_is_salvaged_names_the_packages_that_recorded_it(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(restore, "is_environment", lambda name: False)
+    manifest = Manifest.read(dataset)
+    before = {**manifest.versions, "numpy": "1.99", "zstandard": "0.1"}
+    dataclasses.replace(manifest, versions=before).write(dataset)
+    (dataset / "video" / "shard-00001.mcap").unlink()
+    assert repair_dataset(dataset).how == "salvaged"
+    after = dict(Manifest.read(dataset).versions)
+    assert after == before | {"zstandard": manifest.versions["zstandard"]}
+
+
+@pytest.mark.parametrize(("differs", "tasks"), [("", 2), ("frame 3 of episode 0", 0)])
+def test_a_recording_that_does_not_repeat_has_no_tasks_after_a_salvage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, differs: str, tasks: int
+) -> None:
+    dataset = tmp_path / "long"
+    record_dataset(dataset, dataclasses.replace(RECIPE, frames=30))
+    monkeypatch.setattr(restore, "is_environment", lambda name: False)
+    replay = Replay(episodes=(0, 9), differs=differs)
+    dataclasses.replace(Manifest.read(dataset), replay=replay).write(dataset)
+    (dataset / "video" / "shard-00002.mcap").unlink()
+    assert repair_dataset(dataset).how == "salvaged"
+    assert len(Dataset.open(dataset).tasks()) == tasks

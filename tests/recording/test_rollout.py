@@ -106,6 +106,7 @@ def test_arrays_that_an_environment_or_a_policy_uses_again_are_copied() -> None:
         ("reset", lambda outcome: (outcome[0], None), "tells None in 'reset' beside the frame; that and its 'factors'"),
         ("reset", lambda outcome: (outcome[0], {"factors": [1]}), r"tells \[1\] in 'reset' beside the frame"),
         ("reset", lambda outcome: (outcome[0], {"factors": {"light": np.ones(2)}}), "a ndarray as its factor 'light'"),
+        ("reset", lambda outcome: (outcome[0], {"factors": {1: 2.0}}), "tells a factor of the name 1; a name is to be"),
         ("step", lambda outcome: outcome[:4], "raised ValueError in 'step' at step 0 of the episode with seed 0: not"),
         ("step", lambda outcome: 1 / 0, r"division by zero \(test_rollout.py, line \d+\)"),
         ("reset", lambda outcome: outcome[0], "raised ValueError in 'reset'"),

@@ -350,11 +350,12 @@ def test_an_action_that_does_not_exist_is_damage(sound: Path) -> None:
     dataset = Dataset.open(sound)
     labels = dataset.labels(0)
     for action in (2, -1):
-        labels.actions[0] = action
+        first = next(place for place, one in enumerate(encode_states(labels, dataset.spec, 0, 1)) if one.channel == 1)
         views = [
             MessageView(one.channel, one.t_ns, memoryview(b"".join(one.pieces)))
             for one in encode_states(labels, dataset.spec, 0, 1)
         ]
+        views[first] = views[first]._replace(data=memoryview(ACTION.new(action=action).SerializeToString()))
         with pytest.raises(DamagedFile, match=f"holds action {action}"):
             decode_states(views, dataset.spec, len(labels.masks))
 

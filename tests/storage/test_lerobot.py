@@ -7,6 +7,7 @@ decision 011); here stand the facts that it relies on.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,20 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
 from av.video.reformatter import Interpolation
+from noise_world import noise_spec, write_noise
 from storage.foreign import foxglove_file, steady, video
-from walking_square import record_walks
+from walking_square import SPEC, record_walks
+from walking_square import episode as walk
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import LabelsNotAvailable, RecordingImportError, UsageError
+from dmotion_bench.specs import DatasetRecipe, unplaced_labels
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import ExportReport, export_lerobot, has_labels
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.video.codecs import AV1
+from dmotion_bench.storage.writer import DatasetWriter
 
 CAMERA = "observation.images.camera"
 KINDS = {"int64": pa.int64(), "float32": pa.float32()}
@@ -87,6 +92,30 @@ def test_back_again(source: Dataset, exported: ExportReport, tmp_path: Path) -> 
     for episode in range(4):
         np.testing.assert_array_equal(back.video(episode), source.video(episode))
         np.testing.assert_array_equal(back.states(episode).actions, source.states(episode).actions)
+
+
+def test_a_size_that_a_codec_cannot_take_is_said_whole(tmp_path: Path) -> None:
+    noise = write_noise(tmp_path / "noise", episodes=1, shard_episodes=1, spec=noise_spec(height=5, width=6))
+    with pytest.raises(UsageError, match="av1 needs even sizes, not 6x5; use '--codec h264'"):
+        export_lerobot(noise, tmp_path / "lerobot", codec=AV1)
+
+
+def test_a_position_that_nothing_tells_is_no_feature(tmp_path: Path) -> None:
+    """As in data sets of Gymnasium's environments: NaN would spoil whatever learns from it."""
+    recipe = DatasetRecipe(environment="walk", episodes=2, frames=4, shard_episodes=2)
+    with DatasetWriter.create_or_resume(tmp_path / "walks", recipe, SPEC) as writer:
+        made = [walk(number, 4) for number in range(2)]
+        labels = [unplaced_labels(one.labels.actions, one.frames.shape[:3]) for one in made]
+        writer.write_shard(0, [replace(one, labels=its) for one, its in zip(made, labels, strict=True)])
+        writer.finish()
+    exported = export_lerobot(Dataset.open(tmp_path / "walks"), tmp_path / "lerobot")
+
+    assert "action" in info_of(exported)["features"]
+    assert "observation.state" not in info_of(exported)["features"]
+    assert "observation.state" not in parquet.read_schema(exported.path / "data/chunk-000/file-000.parquet").names
+    assert "NaN" not in (exported.path / "meta/stats.json").read_text()
+    placed = export_lerobot(Dataset.open(record_walks(tmp_path / "placed", episodes=2)), tmp_path / "with")
+    assert info_of(placed)["features"]["observation.state"]["shape"] == [3]
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,12 +19,13 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_protobuf.decoder import DecoderFactory
 from noise_world import assert_same_episode, noise_episode, noise_lengths, noise_spec, write_noise
 
-from dmotion_bench.specs import DatasetRecipe
-from dmotion_bench.storage import mcap_writer
+from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.specs import DatasetRecipe, ObjectSpec
+from dmotion_bench.storage import mcap_writer, messages
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.mcap_writer import LIBRARY
 from dmotion_bench.storage.schema import RAW_IMAGE, STATES
-from dmotion_bench.storage.shard import Footage, scan_shard, shard_path, write_shard
+from dmotion_bench.storage.shard import Footage, read_states, scan_shard, shard_path, write_shard
 from dmotion_bench.storage.writer import DatasetWriter
 
 
@@ -61,6 +63,37 @@ def test_a_shard_says_of_itself_what_its_writer_said(tmp_path: Path) -> None:
         members = range(3 * index, min(3 * index + 3, 5))
         written = write_shard(tmp_path, recipe, spec, index, (noise_episode(one, 9, spec) for one in members))
         assert scan_shard(tmp_path, spec, index) == written
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"factors": {"light": float("nan")}}, "factors of which no reader takes any: it holds the number 'NaN'"),
+        ({"factors": {"count": 2**70}}, "factors of which no reader takes any: .* does not fit in 64 bits"),
+        ({"factors": {"text": "x" * 2**20}}, "factors of which no reader takes any: it is larger than"),
+        ({"actions": np.array([0, 2])}, "action 2 at step 1; there are 2, numbered from 0"),
+        ({"actions": np.array([-1, 0])}, "action -1 at step 0; there are 2, numbered from 0"),
+    ],
+)
+def test_what_could_not_be_read_again_is_not_written(changed: dict[str, object], said: str, tmp_path: Path) -> None:
+    spec, recipe = noise_spec(), DatasetRecipe(environment="noise", episodes=1, frames=3)
+    episode = noise_episode(0, 3, spec)
+    labels = dataclasses.replace(episode.labels, **changed)
+    with pytest.raises(InvalidSetting, match=f"an episode of 'noise' holds {said}"):
+        write_shard(tmp_path, recipe, spec, 0, [dataclasses.replace(episode, labels=labels)])
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_a_chunk_with_the_longest_names_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = noise_spec(height=1, width=1)
+    spec = dataclasses.replace(
+        spec, objects=tuple(ObjectSpec(name=f"{n:03}" + "ü" * 253, shape="box", color=(0, 0, 0)) for n in range(20))
+    )
+    for module in (mcap_writer, messages):
+        monkeypatch.setattr(module, "CHUNK_LIMIT", 10)
+    recipe = DatasetRecipe(environment="noise", episodes=1, frames=3)
+    row = write_shard(tmp_path, recipe, spec, 0, [noise_episode(0, 3, spec)]).rows[0]
+    assert len(read_states(shard_path(tmp_path, "labels", 0), row.states, spec, 3).actions) == 2
 
 
 def test_the_official_reader_sees_the_same(tmp_path: Path) -> None:

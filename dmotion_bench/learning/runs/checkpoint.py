@@ -31,7 +31,7 @@ from dmotion_bench.wording import shown
 FACTS: Final = "dmbench"
 CHECKSUM: Final = "sha256"
 _LARGEST: Final = 2**34  # bytes of a file whose tensors are not known beforehand
-_LARGEST_FACTS: Final = 2**16  # characters
+LARGEST_FACTS: Final = 2**16  # characters
 _TOLD: Final = 3  # differences that a sentence names
 
 
@@ -137,7 +137,7 @@ def _load(path: Path, required: Forms | None, optional: Forms) -> tuple[dict[str
         with safetensors.safe_open(path, framework="pt") as opened:
             found = _header(opened)
             _require_forms(path, found, required, optional)
-            facts = parse_json((opened.metadata() or {}).get(FACTS, "null"), largest=_LARGEST_FACTS)
+            facts = parse_json((opened.metadata() or {}).get(FACTS, "null"), largest=LARGEST_FACTS)
             tensors = {name: opened.get_tensor(name) for name in found}
     except (safetensors.SafetensorError, ValueError, OSError) as error:
         raise damaged(path, f"cannot be read: {error}") from None

@@ -21,7 +21,7 @@ import json
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import torch
 from torch import Tensor
@@ -38,11 +38,14 @@ from dmotion_bench.learning.runs.source import changed_modules, code_of
 from dmotion_bench.learning.settings import from_json
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.remote_copy import copy_folder
+from dmotion_bench.versions import versions
 from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
 
 __all__ = ["Conditions", "Run", "RunSpec"]
 
+SAMPLES: Final = "samples"
+"""The folder of the pictures."""
 
 AnyRun = TypeVar("AnyRun", bound="Run")
 """Run, or what a layer above makes of it."""
@@ -276,10 +279,14 @@ class Run:
             )
 
     def begin_anew(self) -> None:
-        """Delete the result and everything that the training wrote, so that it starts again."""
-        for file in (self.last, self.best, self.unlabelled_stage, self.unadapted, self.metrics):
+        """Delete the result, the checkpoints, the curves and the pictures, so that the training starts again.
+
+        Its threads and precision stay; code and versions are then those of now.
+        """
+        files = (self.last, self.best, self.unlabelled_stage, self.unadapted, self.metrics)
+        for file in (*files, *(self.path / SAMPLES).glob("*.png")):
             file.unlink(missing_ok=True)
-        self.manifest |= {"code": code_of(self.spec.model), "result": None}
+        self.manifest |= {"versions": versions(), "code": code_of(self.spec.model), "result": None}
         self.manifest.pop("trained_as", None)
         self.write()
 

@@ -60,12 +60,16 @@ class Companions:
         return sums
 
     def any(self, mine: bool) -> bool:
-        """Whether it is so for one of them; cheap enough for every step."""
+        """Whether it is so for one of them."""
+        return bool(self.highest(int(mine)))
+
+    def highest(self, mine: int) -> int:
+        """The highest of their numbers; cheap enough for every step."""
         if self.world == 1:
             return mine
-        told = torch.tensor(int(mine), device=self._fabric.device)
+        told = torch.tensor(mine, device=self._fabric.device)
         torch.distributed.all_reduce(told, torch.distributed.ReduceOp.MAX)
-        return bool(told)
+        return int(told)
 
     def of_first(self, answer: Callable[[], Answer]) -> Answer:
         """The answer of the first process, which alone works it out; what it raises ends the others.

@@ -13,11 +13,10 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import torch
@@ -30,15 +29,14 @@ from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.manifest import Conditions, RunResult
-from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.run import SAMPLES, Run
 from dmotion_bench.learning.training.adaptation import finetune
 from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.conditions import choose_conditions
 from dmotion_bench.learning.training.hardness import Hardness
 from dmotion_bench.learning.training.metrics_log import MetricsLog
 from dmotion_bench.learning.training.optimizer import AveragedWeights, learning_rate, optimizer_of, set_learning_rate
-from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints
-from dmotion_bench.learning.training.samples import FOLDER as SAMPLES
+from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints, NextRow
 from dmotion_bench.learning.training.samples import write_sample
 from dmotion_bench.learning.training.state import TrainingState
 from dmotion_bench.learning.training.step import Stepper
@@ -53,6 +51,7 @@ if TYPE_CHECKING:
 
 CHECKPOINT_SECONDS = 60.0
 LOG_ROWS = 200  # rows of metrics.jsonl in a training
+_STOP: Final = 2  # 1 asks for a checkpoint alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,8 +195,6 @@ class _Trainer:
     def _fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)
-        sums: dict[str, float] = defaultdict(float)
-        counted = 0
         saved = time.monotonic()
         self.model.train()
         with self._log() as log, stop_between_steps() as stopping:
@@ -206,14 +203,10 @@ class _Trainer:
                     continue
                 self.model.enter(part.phase)
                 self.state.enter(part)
-                sums.clear()  # where a phase ended early; no row is of two phases
-                counted = 0
                 for step in range(self.state.step, part.stop):
                     terms, weight = self._train(part, step)
                     self.state.step = step + 1
-                    for name, value in terms.items():
-                        sums[name] += value * weight
-                    counted += 1
+                    self.state.row.add(terms, weight)
                     on_step(
                         Report(
                             step=self.state.step,
@@ -224,11 +217,10 @@ class _Trainer:
                         )
                     )
                     if self.state.step % log_every == 0 or self.state.step == part.stop:
-                        everybodys = self.companions.summed(sums)
-                        counted *= self.companions.world
+                        everybodys = self.companions.summed(self.state.row.sums)
+                        counted = self.state.row.steps * self.companions.world
                         self._write(log, {name: total / counted for name, total in everybodys.items()})
-                        sums.clear()
-                        counted = 0
+                        self.state.row = NextRow()
                     validated = self.state.step % validate_every == 0 or self.state.step == part.stop
                     if validated:
                         self._validate(part, log)
@@ -238,11 +230,12 @@ class _Trainer:
                         if self.state.step == self.unlabelled_steps:  # first: a kill in between takes this step again
                             self._write_checkpoint(self.run.unlabelled_stage)
                         saved = self._save()
-                    stop = self.companions.any(stopping())  # all at the same step, though a signal comes to each alone
-                    if not validated and (stop or time.monotonic() - saved > CHECKPOINT_SECONDS):
+                    wanted = _STOP if stopping() else int(time.monotonic() - saved > CHECKPOINT_SECONDS)
+                    wanted = self.companions.highest(wanted)  # all at the same step; a signal comes to each alone
+                    if wanted and not validated:
                         saved = self._save()
-                    if stop:
-                        self.companions.any(stop)  # nobody leaves before the checkpoint is written
+                    if wanted == _STOP:
+                        self.companions.any(True)  # nobody leaves before the checkpoint is written
                         raise KeyboardInterrupt
                     if self.state.step == part.stop:
                         break
@@ -323,9 +316,19 @@ class _Trainer:
         return time.monotonic()
 
     def _write_checkpoint(self, path: Path) -> None:
+        row = self._row_of_each()
         if self.companions.is_first:
             begun = [part.phase.name for part in self.parts if part.start < self.state.step]
-            self.checkpoints.save(path, self.state.facts(), [name for name in begun if name in self.hardness.of_phases])
+            self.checkpoints.save(
+                path, self.state.facts(row), [name for name in begun if name in self.hardness.of_phases]
+            )
+
+    def _row_of_each(self) -> NextRow:
+        """What the next row has so far, in equal shares: any number of processes can go on with it."""
+        sums = self.companions.summed(self.state.row.sums)
+        return NextRow(
+            sums={name: total / self.companions.world for name, total in sums.items()}, steps=self.state.row.steps
+        )
 
     def _resume(self) -> None:
         facts = self.checkpoints.restore()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import torch
@@ -23,6 +24,37 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.settings import from_json
 from dmotion_bench.learning.training.optimizer import AveragedWeights, has_own_optimizer, named_optimizer, optimizer_of
 
+LARGEST_ROW: Final = checkpoint.LARGEST_FACTS // 2
+"""Characters of the terms of a row that a checkpoint holds."""
+
+
+@dataclass(kw_only=True)
+class NextRow:
+    """What was measured since the last row of ``metrics.jsonl``: a training that goes on writes the same next row.
+
+    Attributes:
+        sums: Of each term over the steps.
+        steps: How many.
+    """
+
+    sums: dict[str, float] = field(default_factory=dict)
+    steps: int = 0
+
+    def __post_init__(self) -> None:
+        if self.steps < 0 or not all(type(total) in (int, float) for total in self.sums.values()):
+            raise InvalidSetting("its sums cannot be.")
+
+    def add(self, terms: Mapping[str, float], weight: float) -> None:
+        """Count a step; ``weight`` is that of its terms in their mean over all processes."""
+        for name, value in terms.items():
+            self.sums[name] = self.sums.get(name, 0.0) + value * weight
+        self.steps += 1
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether a checkpoint can hold it: its numbers are finite, and there are not too many."""
+        return all(map(math.isfinite, self.sums.values())) and len(json.dumps(self.sums)) <= LARGEST_ROW
+
 
 @dataclass(frozen=True, kw_only=True)
 class LastFacts:
@@ -34,6 +66,7 @@ class LastFacts:
         best_step: Where it was.
         seconds: Spent in steps.
         ended: Where phases ended early, by their names.
+        row: What the next row of the log has so far: an equal share, where several processes share the batches.
     """
 
     step: int
@@ -41,6 +74,7 @@ class LastFacts:
     best_step: int
     seconds: float
     ended: Mapping[str, int] = field(default_factory=dict)
+    row: NextRow = field(default_factory=NextRow)
 
     def __post_init__(self) -> None:
         if not -1 <= self.best_step <= self.step or not 0 <= self.seconds < math.inf:

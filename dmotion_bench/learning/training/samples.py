@@ -23,33 +23,33 @@ from torch import Tensor
 from dmotion_bench.learning.demonstrations import READ_AT_ONCE, Demonstrations
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.model import ForwardModel, TripletBatch
+from dmotion_bench.learning.runs.run import SAMPLES
 from dmotion_bench.storage.atomic import atomic_file
 
-FOLDER: Final = "samples"
 COLUMNS: Final = 4
 GAP, GREY = 3, 90
 """Width [px] and level of the lines between frames."""
 
 
 def sample_of_demonstrations(model: ForwardModel[Any], given: Demonstrations) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture of predictions of a few demonstrations, by a copy of the model that is aligned with them."""
+    """A picture of predictions of a few demonstrations, by a copy of the model that is aligned with some of them."""
     aligned = copy.deepcopy(model).eval()
-    few = given if len(given) <= READ_AT_ONCE else given.subset(torch.arange(READ_AT_ONCE))
-    aligned.align(few)
-    drawn = given.subset(_evenly(len(given)))
+    # from all over them: they may stand in the order of their actions
+    aligned.align(given if len(given) <= READ_AT_ONCE else given.subset(_evenly(len(given), READ_AT_ONCE)))
+    drawn = given.subset(_evenly(len(given), COLUMNS))
     return _sheet(aligned, drawn.previous, drawn.current, drawn.next, drawn.action)
 
 
 def sample_of_triplets(model: ForwardModel[Any], batch: TripletBatch) -> UInt8[np.ndarray, "h w 3"]:
     """A picture of the model's predictions of a few labelled triplets."""
     assert batch.action is not None, "only phases with labels have their pictures made of triplets"
-    few = _evenly(len(batch.action))
+    few = _evenly(len(batch.action), COLUMNS)
     return _sheet(model, batch.previous[few], batch.current[few], batch.next[few], batch.action[few])
 
 
 def write_sample(run: Path, step: int, picture: UInt8[np.ndarray, "h w 3"]) -> Path:
     """Write a picture to a run's folder."""
-    path = run / FOLDER / f"{step:08d}.png"
+    path = run / SAMPLES / f"{step:08d}.png"
     path.parent.mkdir(exist_ok=True)
     with atomic_file(path) as file:
         Image.fromarray(picture).save(file, format="png")
@@ -58,7 +58,7 @@ def write_sample(run: Path, step: int, picture: UInt8[np.ndarray, "h w 3"]) -> P
 
 def samples_of(run: Path) -> Mapping[int, Path]:
     """The pictures of a run by their steps, in order."""
-    found = {int(path.stem): path for path in (run / FOLDER).glob("*.png") if path.stem.isdecimal()}
+    found = {int(path.stem): path for path in (run / SAMPLES).glob("*.png") if path.stem.isdecimal()}
     return dict(sorted(found.items()))
 
 
@@ -68,8 +68,9 @@ def read_sample(path: Path) -> UInt8[np.ndarray, "h w 3"]:
         return np.asarray(opened.convert("RGB"))
 
 
-def _evenly(count: int) -> Int[Tensor, " n"]:
-    return torch.linspace(0, count - 1, min(count, COLUMNS)).round().long()
+def _evenly(count: int, most: int) -> Int[Tensor, " n"]:
+    """At most so many of so many places, spread evenly."""
+    return torch.linspace(0, count - 1, min(count, most)).round().long()
 
 
 def _sheet(

@@ -65,7 +65,8 @@ def take_over(run: Run) -> Run | None:
         if source is None:  # the one that a killed process began to take over is gone
             run.begin_anew()
             return None
-        run.manifest |= {"trained_as": source.name, "code": source.manifest.get("code", {})}
+        taken = {"versions": source.manifest["versions"], "code": source.manifest.get("code", {})}
+        run.manifest |= {"trained_as": source.name, **taken}
         if source.conditions is None:
             run.write()
         else:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from dmotion_bench.learning.data.curriculum import Part
-from dmotion_bench.learning.training.resuming import LastFacts
+from dmotion_bench.learning.training.resuming import LastFacts, NextRow
 
 
 @dataclass
@@ -18,6 +18,7 @@ class TrainingState:
         best: Lowest validation loss of the present phase; infinite before there is one.
         best_step: Where it was.
         ended: Where phases ended early, by their names.
+        row: What the next row of the log has so far, of this process's part of the batches.
         seconds_before: Spent in steps before this process began.
         seconds, triplets: Spent and seen since.
     """
@@ -26,6 +27,7 @@ class TrainingState:
     best: float = math.inf
     best_step: int = -1
     ended: dict[str, int] = field(default_factory=dict)
+    row: NextRow = field(default_factory=NextRow)
     seconds_before: float = 0.0
     seconds: float = 0.0
     triplets: int = 0
@@ -41,9 +43,9 @@ class TrainingState:
         return self.seconds_before + self.seconds
 
     def enter(self, part: Part) -> None:
-        """Begin a phase, or go on with it: losses of different phases do not compare."""
+        """Begin a phase, or go on with it: losses of different phases do not compare, and no row is of two phases."""
         if self.step == part.start:
-            self.best = math.inf
+            self.best, self.row = math.inf, NextRow()  # a phase that ended early has left some
 
     def is_lower(self, loss: float) -> bool:
         """Whether a validation loss is the lowest of its phase; then it is kept."""
@@ -68,14 +70,15 @@ class TrainingState:
         """The steps that a phase that is over took."""
         return self.ended.get(part.phase.name, part.stop) - part.start
 
-    def facts(self) -> LastFacts:
-        """For a checkpoint."""
+    def facts(self, row: NextRow) -> LastFacts:
+        """For a checkpoint, with the part of the next row that each process goes on from."""
         return LastFacts(
             step=self.step,
             best=self.best if math.isfinite(self.best) else None,
             best_step=self.best_step,
             seconds=self.seconds_in_all,
             ended=dict(self.ended),
+            row=row if row.is_kept else NextRow(),
         )
 
     def restore(self, facts: LastFacts) -> None:
@@ -83,3 +86,4 @@ class TrainingState:
         self.step, self.best_step = facts.step, facts.best_step
         self.best = math.inf if facts.best is None else facts.best
         self.ended, self.seconds_before = dict(facts.ended), facts.seconds
+        self.row = NextRow(sums=dict(facts.row.sums), steps=facts.row.steps)

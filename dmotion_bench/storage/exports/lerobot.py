@@ -31,7 +31,6 @@ from jaxtyping import UInt8
 
 from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
-from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot_actions import ACTION, action_column, action_feature, matrix, narrowed
 from dmotion_bench.storage.exports.statistics import PixelCounts, Summary, of_numbers
@@ -133,7 +132,8 @@ def export_lerobot(
     if out.resolve().is_relative_to(dataset.path.resolve()):
         raise UsageError(f"{str(out)!r} lies in the data set itself; name a folder elsewhere with '--out DIR'.")
     if codec is not H264 and (dataset.spec.height % 2 or dataset.spec.width % 2):
-        raise UsageError(f"{codec.name} needs even sizes, not {dataset.spec.width}; use '--codec h264'.")
+        size = f"{dataset.spec.width}x{dataset.spec.height}"
+        raise UsageError(f"{codec.name} needs even sizes, not {size}; use '--codec h264'.")
     with staged(out, UNFINISHED) as folder:
         report = _Export(dataset, folder, codec, labels, progress).run()
     return ExportReport(path=out, labels=labels, codec=codec.name, **report)
@@ -145,7 +145,7 @@ class _Export:
     def __init__(self, dataset: Dataset, out: Path, codec: Codec, labels: bool, progress: Progress) -> None:
         self._dataset, self._out, self._codec, self._progress = dataset, out, codec, progress
         self._labels = labels
-        self._state = labels and dataset.recipe.environment != IMPORTED
+        self._state = labels and not np.isnan(dataset.states(0).agent.position).all()  # else nothing tells it
         self._fps = Fraction(1_000_000_000, dataset.spec.step_ns).limit_denominator(1001)
         self._pixels = PixelCounts()
 

@@ -48,7 +48,8 @@ def info(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
 
 def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
     recipe, frame = summary["recipe"], summary["frame"]
-    drawn = "".join(f", {key} {recipe[key]}" for key in ("parameters", "vary") if recipe[key])
+    drawn = "".join(f", {name}={value}" for name, value in recipe["parameters"].items())
+    drawn += f", varying {', '.join(recipe['vary'])}" if recipe["vary"] else ""
     lines = [
         ("data set", f"{summary['dataset']} ({summary['format']})"),
         ("made by", f"{recipe['environment']}, policy {recipe['policy']}, seed {recipe['seed']}{drawn}"),

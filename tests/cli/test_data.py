@@ -44,6 +44,14 @@ def test_info_says_how_it_was_made(run: Run, folder: Path) -> None:
         assert part in said
 
 
+def test_info_names_what_was_set_and_what_varies(run: Run, folder: Path) -> None:
+    manifest = folder / "dataset.json"
+    content = json.loads(manifest.read_text())
+    content["recipe"] |= {"parameters": {"scene": "distracted", "version": 2}, "vary": ["noise", "shake"]}
+    manifest.write_text(json.dumps(content | {"complete": False, "shards": [], "tables": {}}))
+    assert "policy random, seed 0, scene=distracted, version=2, varying noise, shake\n" in run("info").out
+
+
 def test_info_as_json(run: Run, folder: Path) -> None:
     told = json.loads(run("info", "grid", "--json").out)
     assert told["recipe"]["environment"] == "grid_world"

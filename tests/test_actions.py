@@ -63,15 +63,17 @@ def test_what_is_no_specification_is_refused(wrong: Any, said: str) -> None:
 
 
 def test_a_forgotten_comma_does_not_make_names_of_letters() -> None:
+    one: Any = "up"
     with pytest.raises(InvalidSetting, match=r"names of actions is 'up'; give a tuple, such as \('up',\)"):
-        Discrete("up")  # type: ignore[arg-type]
+        Discrete(one)
     whole: dict[str, Any] = {"names": ("dx",), "low": (0.0,), "high": (1.0,), "units": ("m",)}
     for field, value in (("names", "dx"), ("low", 0.0), ("high", 1.0), ("units", "m")):
         with pytest.raises(InvalidSetting, match=f"{field} of actions is {value!r}; give a tuple"):
             Continuous(**whole | {field: value})
     listed: Any = {name: list(one) for name, one in whole.items()}
     assert Continuous(**listed) == Continuous(**whole)
-    assert hash(Discrete(["up", "down"])) == hash(Discrete(("up", "down")))  # type: ignore[arg-type]
+    named: Any = ["up", "down"]
+    assert hash(Discrete(named)) == hash(Discrete(("up", "down")))
 
 
 @given(st.lists(st.tuples(st.floats(-0.04, 0.04), st.floats(0, math.pi)), min_size=1))

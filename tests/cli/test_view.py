@@ -124,6 +124,20 @@ def assert_nobody_serves(viewers: list[psutil.Process]) -> None:
     assert not psutil.wait_procs(viewers, timeout=20)[1]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign: signal.Signals) -> None:
+    process = start_dmbench(["view", "squares-tiny", "--web"], workspace, start_new_session=True)
+    try:
+        viewers = viewers_of(process)
+        process.send_signal(sign)
+        assert process.wait(timeout=20) == (0 if sign == signal.SIGINT else 143)
+    finally:
+        process.kill()
+        process.communicate()
+    assert_nobody_serves(viewers)
+
+
 @contextlib.contextmanager
 def following_on_a_page(workspace: Path, folder: Path) -> Iterator[tuple[subprocess.Popen[str], list[psutil.Process]]]:
     """A command that follows a run that was begun, and the processes of its viewer."""

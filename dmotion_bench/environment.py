@@ -218,8 +218,12 @@ class Versioned(Protocol):
 class HasTestTasks(Protocol):
     """An environment class with test tasks of the table of control (docs/protocol.md), on which nothing is chosen."""
 
-    test_tasks: ClassVar[Mapping[int, str]]
-    """The hash of each version's test tasks (``planning.columns.tasks_hash``); other tasks of that seed are refused."""
+    test_tasks: ClassVar[Mapping[int, Mapping[str, str]]]
+    """The hashes of each version's test tasks (``planning.columns.tasks_hash``), by the settings of their recording.
+
+    Settings are ``KEY=VALUE`` as for ``--set``, several separated by spaces; ``""`` are the usual ones. A data set with
+    the seed of the test and other tasks is refused.
+    """
 
 
 @runtime_checkable

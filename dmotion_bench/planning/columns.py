@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -25,7 +25,7 @@ from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.planning.objectives.base import Objective
 from dmotion_bench.planning.solvers.base import Solver
 from dmotion_bench.registry import environment_class
-from dmotion_bench.specs import EnvSpec
+from dmotion_bench.specs import VERSION, DatasetRecipe, EnvSpec
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.wording import command
 
@@ -153,11 +153,21 @@ class TaskData:
     seed: int
     episodes: int = 600
 
-    def words(self, environment: str) -> str:
-        """The command that records it."""
+    def folder(self, environment: str, settings: Sequence[str] = ()) -> str:
+        """The name of its folder; arguments as in ``words``."""
+        return "-".join([environment, *(setting.partition("=")[2] for setting in settings), self.name])
+
+    def words(self, environment: str, settings: Sequence[str] = ()) -> str:
+        """The command that records it.
+
+        Args:
+            environment: Registry name.
+            settings: ``KEY=VALUE`` for parameters that are not the environment's own.
+        """
         return command(
-            *("dmbench", "record", environment, "--episodes", str(self.episodes), "--tasks", str(TASKS)),
-            *("--seed", str(self.seed), "--out", f"data/{environment}-{self.name}"),
+            *("dmbench", "record", environment, *(word for setting in settings for word in ("--set", setting))),
+            *("--episodes", str(self.episodes), "--tasks", str(TASKS), "--seed", str(self.seed)),
+            *("--out", f"data/{self.folder(environment, settings)}"),
         )
 
 
@@ -193,13 +203,18 @@ def tasks_hash(dataset: ReadableDataset) -> str:
     return hashlib.sha256(json.dumps(told, separators=(",", ":")).encode()).hexdigest()
 
 
-def _published(dataset: ReadableDataset) -> str | None:
-    """The hash of the test tasks of a data set's world; None for a world without any, or that is not installed."""
+def settings_of(recipe: DatasetRecipe) -> tuple[str, ...]:
+    """The settings of a recording as ``KEY=VALUE``, without the version."""
+    return tuple(f"{key}={value}" for key, value in sorted(recipe.parameters.items()) if key != VERSION)
+
+
+def _published(recipe: DatasetRecipe) -> Mapping[str, str]:
+    """The hashes of the test tasks of a world, by settings; empty if it has none, or is not installed."""
     try:
-        kind: object = environment_class(dataset.recipe.environment)
+        kind: object = environment_class(recipe.environment)
     except DmbenchError:
-        return None
-    return kind.test_tasks.get(dataset.recipe.version) if isinstance(kind, HasTestTasks) else None
+        return {}
+    return kind.test_tasks.get(recipe.version, {}) if isinstance(kind, HasTestTasks) else {}
 
 
 def require_fitting_tasks(dataset: ReadableDataset) -> None:
@@ -208,15 +223,25 @@ def require_fitting_tasks(dataset: ReadableDataset) -> None:
     Raises:
         InvalidSetting: They differ.
     """
-    published = _published(dataset)
-    if dataset.recipe.seed == TEST.seed and published is not None and tasks_hash(dataset) != published:
+    if dataset.recipe.seed == TEST.seed and _published(dataset.recipe) and not is_test(dataset):
         raise InvalidSetting(
             f"the tasks of {dataset.name!r} are not the test tasks of {PROTOCOL}; record them with "
-            f"{TEST.words(dataset.recipe.environment)}."
+            f"{words_of_test(dataset.recipe)}."
         )
 
 
 def is_test(dataset: ReadableDataset) -> bool:
-    """Whether a data set's tasks are the test tasks of its environment."""
-    published = _published(dataset)
+    """Whether a data set's tasks are the test tasks of its environment with these settings."""
+    published = _published(dataset.recipe).get(" ".join(settings_of(dataset.recipe)))
     return published is not None and tasks_hash(dataset) == published
+
+
+def words_of_test(recipe: DatasetRecipe) -> str:
+    """The command that records the test tasks for what was learned from a recording.
+
+    Args:
+        recipe: Of that recording; of its settings those stay with which the world has test tasks.
+    """
+    own = {*settings_of(recipe)}
+    known = [settings for text in _published(recipe) if own.issuperset(settings := text.split())]
+    return TEST.words(recipe.environment, max(known, key=len, default=()))

@@ -67,10 +67,16 @@ class World:
         return f"{self.environment}-{self.name}" if self.name else self.environment
 
     @classmethod
-    def for_tasks(cls, environment: str, data: TaskData) -> World:
+    def for_tasks(cls, environment: str, data: TaskData, settings: tuple[str, ...] = ()) -> World:
         """The data set of a protocol's tasks, as its own command (``TaskData.words``) records it."""
         return cls(
-            environment=environment, name=data.name, episodes=data.episodes, tasks=TASKS, seed=data.seed, fixed=True
+            environment=environment,
+            name=data.folder(environment, settings).removeprefix(f"{environment}-"),
+            episodes=data.episodes,
+            tasks=TASKS,
+            seed=data.seed,
+            settings=settings,
+            fixed=True,
         )
 
     def trial(self) -> World:

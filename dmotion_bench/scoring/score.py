@@ -19,7 +19,7 @@ from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
-from dmotion_bench.planning.columns import TEST, require_fitting_tasks
+from dmotion_bench.planning.columns import require_fitting_tasks, words_of_test
 from dmotion_bench.planning.contract import using
 from dmotion_bench.planning.dynamics.model import arithmetic_on
 from dmotion_bench.scoring.control import control_tables, require_tasks
@@ -282,7 +282,7 @@ def scored_data(
         if dataset.fingerprint == run.spec.fingerprint:
             raise InvalidSetting(
                 f"the tasks of {dataset.name!r} lie in episodes that {run.name!r} was trained on; score a column on "
-                f"another data set with '--data', and record one with {TEST.words(dataset.recipe.environment)}."
+                f"another data set with '--data', and record one with {words_of_test(dataset.recipe)}."
             )
         require_fitting_tasks(dataset)
     if dataset.fingerprint != run.spec.fingerprint:

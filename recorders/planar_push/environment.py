@@ -121,8 +121,13 @@ class PlanarPush(PushingEnvironment):
         }
     )
     factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
-    test_tasks: ClassVar[Mapping[int, str]] = MappingProxyType(
-        {1: "ebbab843f19a4e4117cdad4346ea5f0d68c2fe9eb1aff1755803871a4bd532e2"}
+    test_tasks: ClassVar[Mapping[int, Mapping[str, str]]] = MappingProxyType(
+        {
+            1: {
+                "": "ebbab843f19a4e4117cdad4346ea5f0d68c2fe9eb1aff1755803871a4bd532e2",
+                "actions=continuous": "0f35654ff8d4a1382b43eb069588d4e4761860c21489449f6dc6953862863028",
+            }
+        }
     )
 
     def __init__(

@@ -71,8 +71,8 @@ class RobotPush(PushingEnvironment):
     """
 
     factors: ClassVar[Mapping[str, str]] = explained(FACTORS)
-    test_tasks: ClassVar[Mapping[int, str]] = MappingProxyType(
-        {1: "6ab3bdfdc0ed182a33c17013ea1426439e2b4962a536e860160fcf0da8a42f7a"}
+    test_tasks: ClassVar[Mapping[int, Mapping[str, str]]] = MappingProxyType(
+        {1: {"": "6ab3bdfdc0ed182a33c17013ea1426439e2b4962a536e860160fcf0da8a42f7a"}}
     )
     objective: ClassVar[str] = "tabletop"
 

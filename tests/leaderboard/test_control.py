@@ -340,7 +340,7 @@ def test_a_column_has_the_protocol_s_settings_on_its_tasks(
     tasks = tasks_hash(Dataset.open(controlled.data / "pushed-tiny"))
 
     assert not any(said in one for one in check_entry(Entry(content), controlled, QUICK).findings)
-    monkeypatch.setattr(GridWorld, "test_tasks", {2: tasks}, raising=False)
+    monkeypatch.setattr(GridWorld, "test_tasks", {2: {"": tasks}}, raising=False)
     assert any(said in one for one in check_entry(Entry(content), controlled, QUICK).findings)
 
 

@@ -12,15 +12,16 @@ from small_tables import CONTROL, TABLE
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
 from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
-from dmotion_bench.planning.columns import COLUMNS, TASKS, TEST, TRAININGS
+from dmotion_bench.planning.columns import COLUMNS, HEADLINE, TASKS, TEST, TRAININGS, settings_of, words_of_test
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.reproduction.cost import control_places
 from dmotion_bench.reproduction.plan import Plan
 from dmotion_bench.reproduction.settled import state_of
 from dmotion_bench.reproduction.table import Entrant, World, powers_of_two
 from dmotion_bench.scoring.references import published_results
-from dmotion_bench.specs import Preset
+from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.workspace import Workspace
+from recorders.planar_push.environment import PlanarPush
 
 
 def test_a_part_of_a_table_is_chosen_by_names() -> None:
@@ -50,10 +51,29 @@ def test_the_papers_table_has_the_rows_that_were_published() -> None:
     assert {*table.columns[1].models} == with_control
 
 
+def _test_data_sets(plan: Plan) -> dict[str, DatasetRecipe]:
+    return {one.folder.name: one.recipe for one in plan.recordings if one.world.fixed}
+
+
+def test_the_table_of_continuous_actions_has_the_protocols_test_tasks(tmp_path: Path) -> None:
+    plan = reproducing.plan_table("continuous", workspace=tmp_path)
+    ((name, recipe),) = _test_data_sets(plan).items()
+    settings = settings_of(recipe)
+    assert settings == ("actions=continuous",)
+    assert " ".join(settings) in PlanarPush.test_tasks[recipe.version]
+    assert recipe == recipe_for("planar_push", episodes=600, tasks=TASKS, seed=TEST.seed, settings=settings)
+    assert words_of_test(plan.trainings[0].recording.recipe) == TEST.words("planar_push", settings)
+    assert f"--out data/{name}" in TEST.words("planar_push", settings)
+    assert {(one.model, row.labels, one.request.seed) for one in plan.trainings for row in one.rows} == {
+        (model, labels, seed) for model, labels in (("dmotion", "64"), ("ed-cnn", "100%")) for seed in range(TRAININGS)
+    }
+    assert [one.column.frozen for one in plan.scorings if one.data] == [HEADLINE.name]
+
+
 def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
     plan = reproducing.plan_table("control", workspace=tmp_path)
     assert (plan.table.preset, plan.table.seeds) == (Preset.SMALL, tuple(range(TRAININGS)))
-    tests = {one.folder.name: one.recipe for one in plan.recordings if one.world.fixed}
+    tests = _test_data_sets(plan)
     assert tests == {
         f"{name}-test": recipe_for(name, episodes=TEST.episodes, tasks=TASKS, seed=TEST.seed)
         for name in registry.environment_names()

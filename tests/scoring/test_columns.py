@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning import columns
 from dmotion_bench.planning.choices import make_objective, make_solver
 from dmotion_bench.planning.columns import COLUMNS, PROTOCOL, TEST, TaskData, tasks_hash
+from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.earlier_planning import present_planning, without_later
@@ -146,11 +148,11 @@ def test_other_tasks_than_the_protocols_are_refused(
     run = make_run(tmp_path / "run")
     column = ScoreSettings(control=ControlScoring(column="paper", tasks=1, steps=1, group=1))
     monkeypatch.setattr(columns, "TEST", TaskData(name="test", seed=5))
-    monkeypatch.setattr(GridWorld, "test_tasks", {2: "0" * 64}, raising=False)
+    monkeypatch.setattr(GridWorld, "test_tasks", {2: {"": "0" * 64}}, raising=False)
     with pytest.raises(InvalidSetting, match=r"are not the test tasks of dmbench-2; record them with"):
         score_run(run.path, metrics=None, settings=column, data=tasks.path)
 
-    monkeypatch.setattr(GridWorld, "test_tasks", {2: tasks_hash(tasks)})
+    monkeypatch.setattr(GridWorld, "test_tasks", {2: {"": tasks_hash(tasks)}})
     assert columns.is_test(tasks)
     assert score_run(run.path, metrics=None, settings=column, data=tasks.path).column == "paper"
 
@@ -171,17 +173,45 @@ def test_the_document_has_the_hashes_of_the_columns_and_of_the_test_tasks() -> N
             "it has changed: that is another protocol"
         )
     for name, world in (("planar_push", PlanarPush), ("robot_push", RobotPush)):
-        assert f"| {name} | `{world.test_tasks[1]}` |" in DOC
-        assert TEST.words(name).strip("'") in DOC
+        for settings, tasks in world.test_tasks[1].items():
+            assert f"| {', '.join([name, *settings.split()])} | `{tasks}` |" in DOC
+            said = (
+                (f"--set {settings}", f"data/{TEST.folder(name, settings.split())}")
+                if settings
+                else (TEST.words(name),)
+            )
+            assert all(part.strip("'") in DOC for part in said)
+
+
+@pytest.mark.parametrize(
+    ("environment", "parameters", "said"),
+    [
+        ("planar_push", {}, "'dmbench record planar_push --episodes 600 .* --out data/planar_push-test'"),
+        (
+            "planar_push",
+            {"actions": "continuous", "scene": "distracted"},
+            "'dmbench record planar_push --set actions=continuous .* --out data/planar_push-continuous-test'",
+        ),
+        ("planar_push", {"actions": "discrete"}, "'dmbench record planar_push --episodes .*/planar_push-test'"),
+        ("robot_push", {"actions": "continuous"}, "'dmbench record robot_push --episodes .*/robot_push-test'"),
+        ("grid_world", {"version": 2}, "'dmbench record grid_world --episodes .*/grid_world-test'"),
+    ],
+)
+def test_the_test_tasks_that_are_named_are_those_with_the_recordings_settings(
+    environment: str, parameters: dict[str, Any], said: str
+) -> None:
+    recipe = _recipe(environment=environment, parameters=parameters)
+    assert re.fullmatch(said, columns.words_of_test(recipe))
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("settings", PlanarPush.test_tasks[1])
 def test_the_test_tasks_of_planar_push_are_those_of_the_protocol(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    settings: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tasks are chosen by positions and pushes: what is recorded with blank pictures has the same ones."""
-    recipe = DatasetRecipe(
-        environment="planar_push", policy="push", seed=TEST.seed, episodes=TEST.episodes, frames=101, tasks=100
+    recipe = recipe_for(
+        "planar_push", episodes=TEST.episodes, frames=101, tasks=100, seed=TEST.seed, settings=settings.split()
     )
     record_dataset(tmp_path / "drawn", replace(recipe, episodes=20))
     blank = np.zeros((128, 128, 3), np.uint8), np.zeros((128, 128), np.uint8)
@@ -190,7 +220,8 @@ def test_the_test_tasks_of_planar_push_are_those_of_the_protocol(
     drawn, recorded = (Dataset.open(tmp_path / name) for name in ("drawn", "test"))
 
     assert len(recorded.tasks()) == columns.TASKS
-    assert tasks_hash(recorded) == PlanarPush.test_tasks[1]
+    assert tasks_hash(recorded) == PlanarPush.test_tasks[1][settings]
+    assert columns.is_test(recorded)
     assert drawn.video(0).any()
     assert not recorded.video(0).any()
     for episode in range(len(drawn)):

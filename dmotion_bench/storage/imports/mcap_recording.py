@@ -23,6 +23,7 @@ from dmotion_bench.storage.imports.recording import Clock, Segment, Survey
 from dmotion_bench.storage.imports.timeline import irregularity
 
 UNEVEN = 0.5  # of intervals: jitter is less, pauses and bursts are more
+OTHERS = "import the others with '--salvage'"  # of a damaged picture that is not the first
 MOST_APART = 1.0  # [s] between a picture and its recording: a camera and a network take less, other clocks differ more
 Decoded = TypeVar("Decoded")
 Size = tuple[int, int]
@@ -149,7 +150,7 @@ class McapRecording:
                 shown = to_rgb(picture, self._limits)
             except BadPicture as error:
                 if not self._salvage:
-                    way_out = "; import the others with '--salvage'" if shown is not None else ""
+                    way_out = f"; {OTHERS}" if shown is not None else ""
                     raise self._bad(count, self._camera, f"{error}{way_out}") from error
                 if shown is None:
                     raise self._bad(count, self._camera, f"{error}, and no whole picture comes before it") from error
@@ -164,7 +165,9 @@ class McapRecording:
         try:
             self._size = size_of(picture, self._limits)
         except BadPicture as error:
-            if not self._salvage or self._size is None:
+            if not self._salvage and self._size is not None:
+                raise self._bad(number, self._camera, f"{error}; {OTHERS}") from error
+            if self._size is None:
                 raise self._bad(number, self._camera, error) from error
         yield number, self._size
 

@@ -59,6 +59,7 @@ class McapRecording:
         self.path, self._clock, self._limits, self._salvage = path, clock, limits, salvage
         self.unreadable, self._fields = 0, tuple(action_fields)
         self._places: Int64[np.ndarray, " n"] | None = None  # of the messages in time, where the file has another order
+        self._order_hints: list[str] = []
         self._size: Size | None = None  # of the last picture whose head could be read
         self._file = McapFile(path, limits=limits, salvage=salvage)
         topics = self._file.topics()
@@ -131,7 +132,7 @@ class McapRecording:
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=taken, commands=given)],
-            hints=[*self._clock_hints(taken, logged), *self._other_messages(commands)],
+            hints=[*self._order_hints, *self._clock_hints(taken, logged), *self._other_messages(commands)],
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
@@ -217,10 +218,17 @@ class McapRecording:
         Args:
             times_ns, others_ns: Of each message, in the order of the file.
             lengths: Of the messages [bytes].
+
+        Raises:
+            RecordingImportError: The clock was set back: in its order, pictures of two moments would alternate.
         """
-        self._places = None
-        if not self._may_sort or not (np.diff(times_ns) < 0).any():
+        self._places, self._order_hints = None, []
+        intervals = np.diff(times_ns)
+        if not self._may_sort or not (intervals < 0).any():
             return times_ns, others_ns
+        furthest = int(intervals.argmin())
+        if others_ns[0] and (np.diff(others_ns) > 0).all() and -intervals[furthest] > np.median(intervals):
+            raise self._set_back(furthest, -int(intervals[furthest]))
         order = np.argsort(times_ns, kind="stable")
         last_before = np.maximum.accumulate(order)  # what has to be read before a message, in time, can be given
         given = np.searchsorted(last_before, np.arange(len(order)), side="right")
@@ -228,7 +236,23 @@ class McapRecording:
         if waiting.max() > self._limits.message_bytes:
             return times_ns, others_ns
         self._places = np.argsort(order)
+        self._order_hints = [
+            f"{np.count_nonzero(intervals < 0):,} of {len(order):,} messages on {self._camera!r} were written after a "
+            f"later one, by up to {-intervals[furthest] / 1e9:.3g} s, and are sorted by the times of recording. If the "
+            "clock was set back while they were recorded, pictures of two moments alternate there: cut the file."
+        ]
         return times_ns[order], others_ns[order]
+
+    def _set_back(self, number: int, back_ns: int) -> RecordingImportError:
+        """The error for a clock that goes back while the pictures' own time stamps go on."""
+        way_out = "use '--clock header'"
+        if self._actions is not None:
+            way_out = "its actions cannot be told from others: leave '--actions' out and use '--clock header'"
+        return RecordingImportError(
+            f"{str(self.path)!r}: the times of recording on {self._camera!r} go back by {back_ns / 1e9:.3f} s at "
+            f"message {number + 1}, and the camera's own time stamps go on, so the recorder's clock was set back; "
+            f"{way_out}."
+        )
 
     def _decode(
         self,

@@ -14,6 +14,7 @@ from typing import Any
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
+from dmotion_bench.storage.imports.passed_over import CONVERTER
 
 _HEADER = """std_msgs/Header header
 {fields}
@@ -163,9 +164,10 @@ def message_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
     elif topic.message_encoding == "json":
         decode = json.loads
     else:
+        way_out = f" A ROS 1 bag itself is converted with {CONVERTER}." if topic.message_encoding == "ros1" else ""
         raise RecordingImportError(
             f"{topic.topic!r} carries {topic.schema_name} written as {topic.message_encoding[:40]!r}; "
-            "known are 'cdr' for ROS 2 messages, 'protobuf' for foxglove's, and 'json' for either."
+            f"known are 'cdr' for ROS 2 messages, 'protobuf' for foxglove's, and 'json' for either.{way_out}"
         )
     return guarded(decode, name)
 

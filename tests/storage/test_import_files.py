@@ -243,6 +243,17 @@ def test_a_clock_that_was_set_back_does_not_mix_pictures_of_two_moments(tmp_path
     np.testing.assert_array_equal(dataset.video(0), frames)
 
 
+@pytest.mark.parametrize(("robots", "told"), [(("a", "b"), True), (("a", ""), False)])
+def test_two_robots_on_one_topic_are_told_of(tmp_path: Path, robots: tuple[str, str], told: bool) -> None:
+    messages = [
+        ("/c", "sensor_msgs/msg/Image", t, ros_image(t, 32, 32, "rgb8", 96, frame.tobytes(), robots[number % 2]))
+        for number, (t, frame) in enumerate(zip(steady(8), video(8), strict=True))
+    ]
+    advice = import_recordings([ros_file(tmp_path / "bag", messages)], tmp_path / "out", SMALL).advice
+    assert any("several values of 'frame_id' ('a', 'b')" in one for one in advice) is told
+    assert any("frame_id" in one for one in advice) is told
+
+
 def test_many_files_are_one_data_set(tmp_path: Path) -> None:
     frames = video(12)
     folder = tmp_path / "recordings"

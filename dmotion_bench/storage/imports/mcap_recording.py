@@ -21,8 +21,10 @@ from dmotion_bench.storage.imports.mcap_topics import camera_topic, is_stream, n
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
 from dmotion_bench.storage.imports.recording import Clock, Segment, Survey
 from dmotion_bench.storage.imports.timeline import irregularity
+from dmotion_bench.wording import shown
 
 UNEVEN = 0.5  # of intervals: jitter is less, pauses and bursts are more
+MOST_SENDERS = 4  # that are told of
 OTHERS = "import the others with '--salvage'"  # of a damaged picture that is not the first
 MOST_APART = 1.0  # [s] between a picture and its recording: a camera and a network take less, other clocks differ more
 Decoded = TypeVar("Decoded")
@@ -89,25 +91,28 @@ class McapRecording:
         Raises:
             RecordingImportError: As the file deserves it.
         """
-        times, others, shown, lengths = array("q"), array("q"), array("q"), array("q")
+        times, others, visible, lengths = array("q"), array("q"), array("q"), array("q")
         commands = self._commands_reader()
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
         size: Size | None = None
+        senders: dict[str, None] = {}
 
         def look(found: Iterable[tuple[int, Size]]) -> None:
             nonlocal size
             for number, one in found:
                 size = self._same_size(one, size, number)
-                shown.append(number)
+                visible.append(number)
 
         for message in self._file.messages(self._camera, self._actions or self._camera):
             if message.topic.topic == self._camera:
                 picture = self._decode(message, len(times), decoders, picture_decoder)
                 times.append(self._time(picture, message, len(times)))
+                if len(senders) < MOST_SENDERS:
+                    senders[picture.frame_id] = None
                 lengths.append(len(message.data))
                 others.append(message.log_ns if self._clock is Clock.HEADER else min(picture.stamp_ns, LATEST))
                 look(self._look(picture, len(times) - 1))
-                progress(len(shown))
+                progress(len(visible))
             elif commands is not None:
                 commands.add(message.log_ns, self._decode(message, commands.count, decoders, commands.decoder))
         look(self._look_on())
@@ -120,10 +125,10 @@ class McapRecording:
             raise RecordingImportError(f"{str(self.path)!r}: no message on {self._camera!r} gives a picture.")
         if commands is not None and not commands.count:
             raise RecordingImportError(f"{str(self.path)!r} has no actions: no message is on {self._actions!r}.")
-        taken, logged = (np.array(clock, np.int64)[np.array(shown)] for clock in (times, others))
+        taken, logged = (np.array(clock, np.int64)[np.array(visible)] for clock in (times, others))
         if self._clock is Clock.LOG:
             taken, logged = self._sorted(taken, logged, np.array(lengths))
-        self._check_order(taken, np.array(shown), self._camera)
+        self._check_order(taken, np.array(visible), self._camera)
         given = None if commands is None else self._collected(commands)
         if given is not None:
             self._check_clocks(taken, logged)
@@ -132,13 +137,18 @@ class McapRecording:
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=taken, commands=given)],
-            hints=[*self._order_hints, *self._clock_hints(taken, logged), *self._other_messages(commands)],
+            hints=[
+                *self._several(senders),
+                *self._order_hints,
+                *self._clock_hints(taken, logged),
+                *self._other_messages(commands),
+            ],
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Unpack the wanted frames and no others; where damage is to be lived with, a damaged one repeats the last."""
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
-        shown: UInt8[np.ndarray, "h w 3"] | None = None
+        whole: UInt8[np.ndarray, "h w 3"] | None = None
         numbers = iter(wanted.tolist())
         number = next(numbers, None)
         for count, message in self._camera_messages():
@@ -148,15 +158,15 @@ class McapRecording:
                 continue
             picture = self._decode(message, count, decoders, picture_decoder)
             try:
-                shown = to_rgb(picture, self._limits)
+                whole = to_rgb(picture, self._limits)
             except BadPicture as error:
                 if not self._salvage:
-                    way_out = f"; {OTHERS}" if shown is not None else ""
+                    way_out = f"; {OTHERS}" if whole is not None else ""
                     raise self._bad(count, self._camera, f"{error}{way_out}") from error
-                if shown is None:
+                if whole is None:
                     raise self._bad(count, self._camera, f"{error}, and no whole picture comes before it") from error
                 self.unreadable += 1
-            yield shown
+            yield whole
             number = next(numbers, None)
         if number is not None:
             raise self._changed()
@@ -193,6 +203,16 @@ class McapRecording:
             return []
         joints = ", ".join(self._fields)
         return [f"{commands.others:,} messages on {self._actions!r} hold none of the joints {joints} and do not count."]
+
+    def _several(self, senders: Iterable[str]) -> list[str]:
+        """What is told of a topic on which several cameras may send, as two robots do without namespaces."""
+        named = [shown(one) for one in senders if one]
+        if len(named) < 2:
+            return []
+        return [
+            f"the pictures on {self._camera!r} have several values of 'frame_id' ({', '.join(named)}): if several "
+            "cameras send there, their pictures alternate in the episodes. Record each on a topic of its own."
+        ]
 
     def _camera_messages(self) -> Iterator[tuple[int, RawMessage]]:
         """The camera's messages in the order of their times, each with its place; some may wait for earlier ones."""

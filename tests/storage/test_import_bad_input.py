@@ -235,6 +235,10 @@ def test_times_that_cannot_be_told_are_refused(good: Path, tmp_path: Path) -> No
                 run([alone], tmp_path / "out", options)
 
 
+def test_a_device_or_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    refused(Path("/dev/null"), tmp_path, "'/dev/null' is no ordinary file; save what comes out of it")
+
+
 def test_what_is_not_there(tmp_path: Path) -> None:
     refused(tmp_path / "nothing.mcap", tmp_path, "there is no .*nothing.mcap")
     (tmp_path / "empty").mkdir()

@@ -258,6 +258,13 @@ def test_the_first_picture_of_a_folder_has_none_before_it(tmp_path: Path, left: 
     refused(tmp_path / "set", match, ImportOptions(size=32, salvage=True))
 
 
+def test_a_link_to_a_device_is_no_picture(tmp_path: Path) -> None:
+    """/dev/zero would be read until the memory is full."""
+    folder = fill(tmp_path / "run", video(5))
+    (folder / "img5.png").symlink_to("/dev/null")
+    refused(folder, "img5.png' is no ordinary file; import the others with '--salvage'")
+
+
 def test_a_picture_bomb_is_not_unpacked(tmp_path: Path) -> None:
     folder = fill(tmp_path / "run", np.zeros((3, 600, 600, 3), np.uint8))
     refused(

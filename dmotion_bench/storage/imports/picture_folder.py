@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import stat
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -257,7 +258,10 @@ class PictureFolder:
 
     def _read(self, file: Path, most: int | None) -> CompressedPicture:
         try:
-            if file.stat().st_size > self._limits.message_bytes:
+            facts = file.stat()
+            if not stat.S_ISREG(facts.st_mode):  # a link may lead to a pipe, or to a device that never ends
+                raise BadPicture("is no ordinary file")
+            if facts.st_size > self._limits.message_bytes:
                 raise BadPicture(f"is a file of more than {self._limits.message_bytes >> 20} MiB")
             with file.open("rb") as opened:
                 return CompressedPicture(stamp_ns=0, format=file.suffix[1:], data=opened.read(most))

@@ -122,8 +122,11 @@ def test_an_import_of_a_video_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("aspect", "said"), [(Fraction(4, 3), True), (Fraction(1), False), (None, False)])
 def test_pixels_that_are_not_square_are_told_of(tmp_path: Path, aspect: Fraction | None, said: bool) -> None:
-    hints = recording(video_file(tmp_path / "a.mp4", moving(6), pixel_aspect=aspect)).survey().hints
+    file = video_file(tmp_path / "a.mp4", moving(2), pixel_aspect=aspect)
+    hints = recording(file).survey().told
     assert ["a.mp4' are not square (4:3), and" in hint for hint in hints] == [True] * said
+    sentence = refused(file, tmp_path, "the longest recording has 2 of them")  # which has nothing to do with it
+    assert ("not square" in sentence) is said
 
 
 def test_the_suffix_does_not_decide(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ class McapRecording:
         self.path, self._clock, self._limits, self._salvage = path, clock, limits, salvage
         self.unreadable, self._fields = 0, tuple(action_fields)
         self._places: Int64[np.ndarray, " n"] | None = None  # of the messages in time, where the file has another order
-        self._order_hints: list[str] = []
+        self._told_of_order: list[str] = []
         self._size: Size | None = None  # of the last picture whose head could be read
         self._file = McapFile(path, limits=limits, salvage=salvage)
         topics = self._file.topics()
@@ -137,12 +137,8 @@ class McapRecording:
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=taken, commands=given)],
-            hints=[
-                *self._several(senders),
-                *self._order_hints,
-                *self._clock_hints(taken, logged),
-                *self._other_messages(commands),
-            ],
+            hints=self._clock_hints(taken, logged),
+            told=[*self._several(senders), *self._told_of_order, *self._other_messages(commands)],
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
@@ -242,7 +238,7 @@ class McapRecording:
         Raises:
             RecordingImportError: The clock was set back: in its order, pictures of two moments would alternate.
         """
-        self._places, self._order_hints = None, []
+        self._places, self._told_of_order = None, []
         intervals = np.diff(times_ns)
         if not self._may_sort or not (intervals < 0).any():
             return times_ns, others_ns
@@ -256,7 +252,7 @@ class McapRecording:
         if waiting.max() > self._limits.message_bytes:
             return times_ns, others_ns
         self._places = np.argsort(order)
-        self._order_hints = [
+        self._told_of_order = [
             f"{np.count_nonzero(intervals < 0):,} of {len(order):,} messages on {self._camera!r} were written after a "
             f"later one, by up to {-intervals[furthest] / 1e9:.3g} s, and are sorted by the times of recording. If the "
             "clock was set back while they were recorded, pictures of two moments alternate there: cut the file."

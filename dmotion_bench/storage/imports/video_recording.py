@@ -69,7 +69,7 @@ class VideoRecording:
                 height=video.height,
                 width=video.width,
                 segments=[segment],
-                hints=self._shape_hints(video),
+                told=self._told_of_shape(video),
             )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
@@ -87,7 +87,7 @@ class VideoRecording:
                         return
         raise RecordingImportError(f"{str(self.path)!r} changed while it was imported; import it again.")
 
-    def _shape_hints(self, video: VideoFile) -> list[str]:
+    def _told_of_shape(self, video: VideoFile) -> list[str]:
         """What is told of pictures that players show wider or narrower than they are stored."""
         if video.pixel_aspect == 1:
             return []

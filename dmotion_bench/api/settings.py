@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
 from typing import Any, Final, SupportsIndex, overload
 
 import numpy as np
@@ -70,9 +71,13 @@ def number(name: str, given: Any) -> float | None:
     """
     if given is None:
         return None
-    if not _is_number(given):
+    try:
+        found = float(given) if _is_number(given) else None
+    except OverflowError:
+        found = None
+    if found is None:
         raise UsageError(f"{name} is {shown(given)}; it must be a number.")
-    return float(given)
+    return found
 
 
 def share(name: str, given: float) -> float:
@@ -91,7 +96,7 @@ def share(name: str, given: float) -> float:
 
 
 def _is_number(given: object) -> bool:
-    return isinstance(given, int | float | np.integer | np.floating) and not isinstance(given, bool)
+    return isinstance(given, Real) and not isinstance(given, bool)  # NumPy's and fractions are real numbers, too
 
 
 def require_one_of(kind: str, given: str, allowed: Iterable[str]) -> None:

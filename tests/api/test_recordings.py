@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ def test_what_was_imported_stands_wherever_a_data_set_may(files: list[Path]) -> 
         ({"size": True}, UsageError, "size is True; it must be a whole number"),
         ({"hz": float("nan")}, InvalidSetting, "hz is nan"),
         ({"hz": "10"}, UsageError, "hz is '10'; it must be a number."),
+        ({"hz": 10**400}, UsageError, "hz is 1000.*; it must be a number."),
         ({"hz": None}, InvalidSetting, "hz is None; allowed is"),
         ({"source_hz": True}, UsageError, "source_hz is True; it must be a number."),
         ({"max_gap_s": "1"}, UsageError, "max_gap_s is '1'; it must be a number."),
@@ -68,6 +70,7 @@ def test_a_whole_number_is_written_as_one_with_a_fraction(tmp_path: Path, files:
         {"hz": 5.0, "max_gap_s": 1.0},
         {"hz": 5, "max_gap_s": 1},
         {"hz": np.int64(5), "max_gap_s": np.float32(1)},
+        {"hz": Fraction(10, 2), "max_gap_s": Fraction(1)},
     ]
     made = [dm.import_recordings("a.mcap", size=16, out=f"data/{place}", **one) for place, one in enumerate(given)]
     assert len({(one.path / "dataset.json").read_bytes() for one in made}) == 1
